@@ -1,0 +1,1 @@
+"""Reading and writing other people's files: one small module per format, by header, never by position."""

@@ -1,0 +1,78 @@
+"""The scene: a set of 3D Gaussians in post-activation form."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float32, Float64, Integer
+
+from .errors import InputError
+
+SH_COEFFICIENTS = (1, 4, 9, 16)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N anisotropic 3D Gaussians. The row order is their identity and is never changed.
+
+    means: world positions, scene units. quats: rotations, (w, x, y, z), unit norm.
+    scales: standard deviations along the local axes, scene units, > 0. opacities: in [0, 1].
+    sh: spherical-harmonic colour coefficients, degree 0-3 (1, 4, 9 or 16 per channel), RGB last.
+    extra: further per-Gaussian columns of the file it came from, by name, each of length N.
+
+    Raises: InputError: shapes disagree.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    scales: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n k 3"]
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+        for name, shape in expected.items():
+            given = getattr(self, name)
+            if given.shape != shape or given.dtype != np.float32:
+                raise InputError(f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}")
+        k = self.sh.shape[1] if self.sh.ndim == 3 else -1
+        if self.sh.shape != (n, k, 3) or k not in SH_COEFFICIENTS or self.sh.dtype != np.float32:
+            raise InputError(f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}")
+        for name, column in self.extra.items():
+            if len(column) != n:
+                raise InputError(f"extra column '{name}': expected {n} values, got {len(column)}")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        return SH_COEFFICIENTS.index(self.sh.shape[1])
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Count and position hash: equal for the same Gaussians in the same order, whatever the file."""
+        digest = hashlib.blake2b(np.ascontiguousarray(self.means).tobytes(), digest_size=12)
+        return f"{len(self)}-{digest.hexdigest()}"
+
+    def covariances(self) -> Float64[np.ndarray, "n 6"]:
+        """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
+        w, x, y, z = self.quats.astype(np.float64).T
+        rotation = np.empty((len(self), 3, 3))
+        rotation[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1)
+        rotation[:, 1] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1)
+        rotation[:, 2] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)
+        axes = rotation * self.scales.astype(np.float64)[:, None, :]
+        rows, columns = np.triu_indices(3)
+        return np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns])
+
+    def subset(self, index: Integer[np.ndarray, " m"]) -> "Gaussians":
+        """The Gaussians at `index` (integers or a boolean mask), in that order."""
+        extra = {name: column[index] for name, column in self.extra.items()}
+        return Gaussians(
+            self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra
+        )
