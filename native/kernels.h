@@ -1,0 +1,83 @@
+// What the hot kernels and the rest of the core say to each other: plain data and a table of functions.
+//
+// Conventions: pixel (0, 0) has its centre at (0.5, 0.5); OpenCV camera axes; tiles of 16x16 pixels,
+// blocks of 8x2 pixels (16 lanes) inside a tile.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+namespace drsplat {
+
+struct Camera {
+  float rotation[9], translation[3];  // x_cam = rotation * x_world + translation
+  float fx, fy, cx, cy;
+  int32_t width, height;
+};
+
+struct Scene {  // structure of arrays, `count` floats each
+  const float *means;        // 3 rows: x, y, z
+  const float *covariances;  // 6 rows: xx, xy, xz, yy, yz, zz
+  const float *opacities;
+  uint32_t count;
+};
+
+// A projected Gaussian: log2(alpha) = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity, d = pixel - centre.
+struct Splat {
+  float x, y, xx, xy, yy, log2_opacity;
+  uint32_t id;
+  float depth;
+};
+
+// Where a splat can reach alpha >= 1/255: its 2D covariance, the half extents of that ellipse, and
+// the rectangle of tiles [x0, x1) x [y0, y1) that it may touch.
+struct Extent {
+  float half_width, half_height, cov_xx, cov_xy, cov_yy, reach;
+  int16_t x0, x1, y0, y1;
+};
+
+// A growing array without std:: (see CMakeLists.txt). 64-byte aligned; never shrinks.
+struct Buffer {
+  void *data = nullptr;
+  size_t bytes = 0;
+};
+
+struct Triples {  // structure of arrays, grown together
+  Buffer gaussian_ids, segment_ids, weights;
+  size_t size = 0;
+};
+
+struct TileScratch {
+  Buffer block_masks, hits, hit_list, table, slots;
+};
+
+struct Tile {
+  const Splat *splats;    // all visible ones, front to back
+  const uint32_t *list;   // indices into `splats` of those that may touch this tile, front to back
+  uint32_t count;
+  int32_t x, y;           // tile coordinates
+  int32_t width, height;  // of the whole image
+};
+
+struct Selection {
+  int32_t topk;        // 0 = all
+  int32_t first_hits;  // 0 = all
+};
+
+struct Kernels {
+  const char *name;
+  uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
+  uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans, uint32_t *histogram);
+  void (*tile_weights)(const Tile &, const Selection &, const int32_t *segment_ids, TileScratch &, Triples &);
+  void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
+  void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &, float *image, float *alpha, float *depth);
+  void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin, uint32_t end, float *colors);
+};
+
+// Every instruction set that this build holds and this machine runs, best first; null at the end.
+const Kernels *const *available_kernels();
+// By name, or the best for "" (which the variable DRSPLAT_ISA overrides); null if it is not available.
+const Kernels *find_kernels(const char *name);
+
+[[noreturn]] void out_of_memory();
+
+}  // namespace drsplat

@@ -1,0 +1,1 @@
+"""drsplat: search a 3D Gaussian Splatting scene in words."""

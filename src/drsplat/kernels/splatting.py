@@ -1,0 +1,178 @@
+"""Blending weights of Gaussians in a view, and images made from them (native; float32).
+
+Semantics are those of 3D Gaussian Splatting: see docs/method.md, "Blending weights". Every function is
+the same to the bit for any number of threads. `threads=0` takes all cores; `isa` names an instruction
+set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt32
+
+from .. import _native
+from ..errors import InputError
+from ..gaussians import Gaussians
+from ..views import View
+
+MAX_SIDE = 65536
+
+
+class SplatArrays(NamedTuple):
+    """What the kernels need of a scene, as structure of arrays; make it once, use it for all views."""
+
+    means: Float32[np.ndarray, "3 n"]
+    covariances: Float32[np.ndarray, "6 n"]  # xx, xy, xz, yy, yz, zz
+    opacities: Float32[np.ndarray, " n"]
+
+
+class Triples(NamedTuple):
+    """Non-zero entries of one view's columns of W, sorted by (Gaussian, segment); weights > 0."""
+
+    gaussian_ids: UInt32[np.ndarray, " t"]
+    segment_ids: Int32[np.ndarray, " t"]
+    weights: Float32[np.ndarray, " t"]
+
+
+class Contributions(NamedTuple):
+    """The largest blending weights of each pixel, descending; padded with id -1, weight 0."""
+
+    ids: Int32[np.ndarray, "h w k"]
+    weights: Float32[np.ndarray, "h w k"]
+
+
+class Rendering(NamedTuple):
+    """channels: sum of weight * value. depth: weighted mean of camera z, 0 where nothing is."""
+
+    channels: Float32[np.ndarray, "h w c"]
+    alpha: Float32[np.ndarray, "h w"]
+    depth: Float32[np.ndarray, "h w"]
+
+
+def available_isas() -> list[str]:
+    """Instruction sets of this build that this machine runs, best first."""
+    return list(_native.available_isas())
+
+
+def splat_arrays(gaussians: Gaussians) -> SplatArrays:
+    """Lay the scene out for the kernels: 40 bytes per Gaussian."""
+    covariances = np.empty((6, len(gaussians)), np.float32)
+    block = 1 << 16  # bounds the float64 temporaries
+    for begin in range(0, len(gaussians), block):
+        part = slice(begin, begin + block)
+        covariances[:, part] = gaussians.subset(np.arange(len(gaussians))[part]).covariances().T
+    means = np.ascontiguousarray(gaussians.means.T)
+    return SplatArrays(means, covariances, np.ascontiguousarray(gaussians.opacities))
+
+
+def _camera(view: View) -> Float32[np.ndarray, "16"]:
+    if max(view.width, view.height) > MAX_SIDE:
+        raise InputError(f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE} pixels a side: resize it")
+    if abs(view.K[0, 1]) > 1e-6 * view.K[0, 0]:
+        raise InputError(f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported")
+    pose, K = view.cam_from_world, view.K
+    numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    return np.array(numbers, np.float32)
+
+
+def _checked_isa(isa: str) -> str:
+    if isa and isa not in available_isas():
+        raise InputError(f"instruction set '{isa}' is not available; this machine and build have {available_isas()}")
+    return isa
+
+
+def _positive(name: str, value: int | None) -> int:
+    if value is not None and value < 1:
+        raise InputError(f"{name}: expected a positive integer, or None for all; got {value}")
+    return value or 0
+
+
+def view_weights(
+    splats: SplatArrays,
+    view: View,
+    segment_ids: Int32[np.ndarray, "h w"],
+    topk: int | None = 40,
+    *,
+    first_hits: int | None = None,
+    threads: int = 0,
+    isa: str = "",
+) -> Triples:
+    """Return W's entries for one view: per (Gaussian, segment), the sum of its top-k weights there.
+
+    Pixels with segment -1 contribute nothing. topk None keeps every contributor. first_hits=100 keeps
+    only the first hundred of each ray before the top k are taken, as the published code does.
+
+    Raises: InputError: topk or first_hits < 1; a segment map of another size than the view.
+    Source: Dr. Splat Sec. A "Training stage"; 3DGS Eq. 3.  Twin: kernels.reference.view_weights.
+    """
+    if segment_ids.shape != (view.height, view.width):
+        raise InputError(
+            f"view '{view.name}': segment map is {segment_ids.shape[1]}x{segment_ids.shape[0]}, "
+            f"the view {view.width}x{view.height}: resize one of them"
+        )
+    ids, segments, weights, _ = _native.view_weights(
+        *splats, _camera(view), np.ascontiguousarray(segment_ids, np.int32),
+        _positive("topk", topk), _positive("first_hits", first_hits), threads, _checked_isa(isa),
+    )
+    return Triples(ids, segments, weights)
+
+
+def topk_contributions(
+    splats: SplatArrays, view: View, k: int, *, first_hits: int | None = None, threads: int = 0, isa: str = ""
+) -> Contributions:
+    """Return the k largest blending weights of each pixel and the Gaussians that own them.
+
+    Descending in weight; ties front to back. 8k bytes per pixel.
+
+    Raises: InputError: k < 1.
+    Source: Dr. Splat Sec. A; 3DGS Eq. 3.  Twin: kernels.reference.topk_contributions.
+    """
+    ids, weights = _native.topk_contributions(
+        *splats, _camera(view), view.width, view.height,
+        _positive("k", k), _positive("first_hits", first_hits), threads, _checked_isa(isa),
+    )
+    return Contributions(ids, weights)
+
+
+def render_channels(
+    splats: SplatArrays,
+    view: View,
+    values: Float32[np.ndarray, "n c"],
+    background: Float32[np.ndarray, " c"] | None = None,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Rendering:
+    """Composite any per-Gaussian values, front to back, over a background (black if None).
+
+    Raises: InputError: not one row of values per Gaussian, or a background of another length.
+    Source: 3DGS Eq. 3.  Twin: kernels.reference.render_channels.
+    """
+    n, channels = len(splats.opacities), values.shape[1]
+    behind = np.zeros(channels, np.float32) if background is None else background
+    if len(values) != n or behind.shape != (channels,):
+        raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
+    image, alpha, depth = _native.render(
+        *splats, _camera(view), view.width, view.height,
+        np.ascontiguousarray(values), np.ascontiguousarray(behind), threads, _checked_isa(isa),
+    )
+    return Rendering(image, alpha, depth)
+
+
+def sh_colors(
+    sh: Float32[np.ndarray, "n k 3"],
+    means: Float32[np.ndarray, "n 3"],
+    center: np.ndarray,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Float32[np.ndarray, "n 3"]:
+    """Colour of each Gaussian as seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
+
+    Source: 3DGS, "Spherical harmonics".  Twin: kernels.reference.sh_colors.
+    """
+    return np.asarray(
+        _native.sh_colors(
+            np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32), threads, _checked_isa(isa)
+        )
+    )
