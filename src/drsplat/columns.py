@@ -1,0 +1,91 @@
+"""The columns of W that one view makes: computed once, kept on disk, stacked into a sparse matrix."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Int32
+from scipy.sparse import csr_array
+
+from .errors import FormatError
+from .features import ViewFeatures
+from .formats.tensors import map_tensors, write_tensors
+from .kernels import SplatArrays, Triples, available_isas, view_weights
+from .views import View
+
+COLUMNS_VERSION = "1"
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """One view's part of W: its triples are on disk at `path`; segment s is column s of this view."""
+
+    view_name: str
+    path: Path
+    embeddings: Float32[np.ndarray, "s d"]
+
+    def triples(self) -> Triples:
+        tensors, _ = map_tensors(self.path)
+        return Triples(tensors["gaussian_ids"], tensors["segment_ids"], tensors["weights"])
+
+
+def view_columns(
+    splats: SplatArrays,
+    view: View,
+    features: ViewFeatures,
+    folder: Path,
+    topk: int | None,
+    first_hits: int | None,
+    threads: int,
+) -> Columns:
+    """Compute the view's columns, unless the very same ones are in `folder` already."""
+    segment_ids = features.resized(view.width, view.height).segment_ids
+    settings = f"{COLUMNS_VERSION} {topk} {first_hits} {available_isas()[0]}"
+    key = _key(splats, view, segment_ids, settings)
+    path = folder / f"{hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()}.columns.safetensors"
+    if not _is_finished(path, key):
+        triples = view_weights(splats, view, segment_ids, topk, first_hits=first_hits, threads=threads)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_tensors(path, triples._asdict(), {"key": key, "view": view.name})
+    return Columns(view.name, path, features.embeddings)
+
+
+def _key(splats: SplatArrays, view: View, segment_ids: Int32[np.ndarray, "h w"], settings: str) -> str:
+    digest = hashlib.blake2b(settings.encode(), digest_size=16)
+    for array in (*splats, view.K, view.cam_from_world, segment_ids):
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
+
+
+def _is_finished(path: Path, key: str) -> bool:
+    if not path.exists():
+        return False
+    try:
+        return map_tensors(path)[1].get("key") == key
+    except FormatError:  # a damaged part is computed again
+        return False
+
+
+def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
+    """W (N, M) in CSR form from the views' triples, in two passes over them; 8 bytes per weight.
+
+    Columns stay in the order given; within a row they are ascending.
+    """
+    starts = np.zeros(num_gaussians + 1, np.int64)
+    for view in columns:
+        starts[1:] += np.bincount(view.triples().gaussian_ids, minlength=num_gaussians)
+    np.cumsum(starts, out=starts)
+    indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
+    cursor, offset = starts[:-1].copy(), 0
+    for view in columns:
+        ids, segments, values = view.triples()
+        first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
+        runs = np.diff(first, append=len(ids))
+        position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
+        indices[position], weights[position] = segments + offset, values
+        cursor[ids[first]] += runs
+        offset += len(view.embeddings)
+    return csr_array((weights, indices, starts), shape=(num_gaussians, offset))

@@ -1,0 +1,189 @@
+"""Language features registered straight onto Gaussians: the paper's method on one screen.
+
+`register` streams the views. Each gives the columns of its segments in the sparse matrix W
+(Gaussians x segments): W[i, j] = sum over pixels p of mask j of the blending weight of Gaussian i at p,
+where i is among the top k of p. Everything after that is algebra on W and the segments' embeddings.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+from warnings import warn
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.sparse import csr_array, hstack
+
+from .columns import Columns, stack_columns, view_columns
+from .encoders import EncoderIdentity
+from .errors import DrSplatWarning, InputError, MismatchError
+from .evidence import Evidence, Segments
+from .features import ViewFeatures
+from .field import LanguageField, build_field
+from .gaussians import Gaussians
+from .kernels import splat_arrays
+from .views import View
+
+if TYPE_CHECKING:
+    from .codes import Codebook
+
+Track = Callable[[Sequence[View], str], Iterable[View]]
+UNKNOWN_ENCODER = "unknown"
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """W, its columns and their embeddings: all that was learnt from the photos.
+
+    evidence: the weights (N, M), the view and segment behind each column, one embedding per column.
+    scene: fingerprint of the Gaussians. encoder: who made the embeddings.
+    """
+
+    evidence: Evidence
+    scene: str
+    encoder: EncoderIdentity
+
+    @property
+    def weights(self) -> csr_array:
+        """W, (N, M) float32: row i of Gaussian i, columns ordered by view name, then segment id."""
+        return self.evidence.weights
+
+    @property
+    def segments(self) -> Segments:
+        return self.evidence.segments
+
+    @property
+    def embeddings(self) -> Float32[np.ndarray, "m d"]:
+        return self.evidence.embeddings
+
+    @property
+    def num_registered(self) -> int:
+        """Gaussians that at least one mask pixel sees among its top k."""
+        return int((np.diff(self.weights.indptr) > 0).sum())
+
+    def to_field(self, codebook: "Codebook | None" = None, *, threads: int = 0) -> LanguageField:
+        """Mean embedding per Gaussian, normalised, product-quantised; unseen Gaussians are pruned.
+
+        codebook None trains one on this scene's features.
+        """
+        return build_field(self.evidence, self.scene, self.encoder, codebook, threads=threads)
+
+    def with_embeddings(self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity) -> "Registration":
+        """The same weights with another encoder's embeddings: no photo is looked at again.
+
+        Raises: InputError: not one unit vector per segment.
+        """
+        if len(embeddings) != len(self.embeddings):
+            raise InputError(f"expected {len(self.embeddings)} embeddings, one per segment; got {len(embeddings)}")
+        return replace(self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder)
+
+    def merged(self, other: "Registration") -> "Registration":
+        """This registration and one of further views of the same scene: equal to one pass over all.
+
+        Raises: MismatchError: another scene or encoder. InputError: a view in both.
+        """
+        if self.scene != other.scene or not self.encoder.matches(other.encoder):
+            raise MismatchError(
+                f"cannot merge: one is of scene {self.scene} with {self.encoder.name}, the other of "
+                f"{other.scene} with {other.encoder.name}: register both on the same file with the same encoder"
+            )
+        twice = sorted(set(self.segments.view_names) & set(other.segments.view_names))
+        if twice:
+            raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
+        return replace(self, evidence=_merge(self.evidence, other.evidence))
+
+
+def register(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    features: Mapping[str, ViewFeatures],
+    topk: int | None = 40,
+    *,
+    first_hits: int | None = None,
+    parts: Path | None = None,
+    threads: int = 0,
+    track: Track | None = None,
+) -> Registration:
+    """Register the segments of every view onto the Gaussians.
+
+    features: by view name, with or without suffix; views without features are left out with a warning.
+    parts: folder for each view's finished columns; a run that finds them there does not redo them, so
+    a killed run loses at most one view. None uses a temporary folder.
+    track: wraps the views to show progress.
+
+    Raises: InputError: no view has features, two embedding sizes, topk < 1.
+    Source: Dr. Splat Sec. A "Training stage".
+    """
+    chosen = _views_with_features(views, features)
+    splats = splat_arrays(gaussians)
+    with ExitStack() as stack:
+        folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
+        columns: list[Columns] = []
+        for view, key in track_pairs(chosen, track):
+            columns.append(view_columns(splats, view, features[key], folder, topk, first_hits, threads))
+        _check_one_size(columns)
+        weights = stack_columns(columns, len(gaussians))
+    evidence = Evidence(weights, _segments_of(columns), np.concatenate([c.embeddings for c in columns]))
+    return Registration(evidence, gaussians.fingerprint, _encoder_of(features, evidence.embeddings.shape[1]))
+
+
+def track_pairs(chosen: Sequence[tuple[View, str]], track: Track | None) -> Iterable[tuple[View, str]]:
+    if track is None:
+        return chosen
+    keys = {id(view): key for view, key in chosen}
+    return ((view, keys[id(view)]) for view in track([view for view, _ in chosen], "registering views"))
+
+
+def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
+    """In canonical order: by view name."""
+    chosen, missing = [], []
+    for view in sorted(views, key=lambda v: v.name):
+        stem = str(Path(view.name).with_suffix("").as_posix())
+        key = next((key for key in (view.name, stem, Path(stem).name) if key in features), None)
+        if key is None:
+            missing.append(view.name)
+        else:
+            chosen.append((view, key))
+    if not chosen:
+        example = next(iter(features), "(there are none)")
+        given = views[0].name if views else "(there are none)"
+        raise InputError(f"no view has features: views are named like '{given}', features like '{example}'")
+    if missing:
+        warn(f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}", DrSplatWarning, stacklevel=3)
+    return chosen
+
+
+def _check_one_size(columns: Sequence[Columns]) -> None:
+    sizes = {c.embeddings.shape[1]: c.view_name for c in columns}
+    if len(sizes) > 1:
+        listed = ", ".join(f"{size} ('{name}')" for size, name in sizes.items())
+        raise InputError(f"embeddings of different sizes: {listed}: embed all views with one encoder")
+
+
+def _segments_of(columns: Sequence[Columns]) -> Segments:
+    counts = [len(c.embeddings) for c in columns]
+    return Segments(
+        view_names=tuple(c.view_name for c in columns),
+        views=np.repeat(np.arange(len(columns), dtype=np.int32), counts),
+        ids=np.concatenate([np.arange(n, dtype=np.int32) for n in counts]),
+    )
+
+
+def _encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
+    encoder = getattr(features, "encoder", None)
+    return encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
+
+
+def _merge(a: Evidence, b: Evidence) -> Evidence:
+    names = sorted(a.segments.view_names + b.segments.view_names)
+    rank = {name: i for i, name in enumerate(names)}
+    views = np.concatenate([[rank[s.view_names[v]] for v in s.views] for s in (a.segments, b.segments)]).astype(np.int32)
+    ids = np.concatenate([a.segments.ids, b.segments.ids])
+    order = np.lexsort((ids, views))
+    weights = csr_array(hstack([a.weights, b.weights], format="csr")[:, order])
+    weights.sort_indices()
+    embeddings = np.concatenate([a.embeddings, b.embeddings])[order]
+    return Evidence(weights, Segments(tuple(names), views[order], ids[order]), embeddings)
