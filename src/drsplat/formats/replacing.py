@@ -12,9 +12,10 @@ from ..errors import InputError
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[BinaryIO]:
-    """A new file beside `path` that takes its name when the block ends well, and vanishes otherwise.
+    """A new file beside `path` that takes its name when the block ends well, or else vanishes.
 
-    Raises: InputError: `path` exists and `overwrite` is false, is a folder, or has no folder to be in.
+    Raises: InputError: `path` exists and `overwrite` is false, is a folder, or has no folder to be
+    in.
     """
     path = Path(path)
     if path.is_dir():
@@ -22,7 +23,9 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists already: pass overwrite=True to replace it")
     if not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent} to write {path.name} into: make it first")
+        raise InputError(
+            f"there is no folder {path.parent} to write {path.name} into: make it first"
+        )
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
         with open(temporary, "xb") as file:

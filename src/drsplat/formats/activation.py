@@ -1,0 +1,99 @@
+"""From what scene files store (logits, logarithms, bytes) to checked, post-activation Gaussians.
+
+Nothing is repaired: a row that cannot be a Gaussian is an error that says which and how many,
+because dropping or mending rows would change what a row number means.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Bool, Float32, Integer
+
+from ..errors import FormatError
+from ..gaussians import Gaussians
+
+SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic
+BLOCK_ROWS = 1 << 13
+CURE = (
+    "Delete these Gaussians in the tool that wrote the file (SuperSplat, or splat-transform "
+    "--filter-nan) and read it again; rows are never dropped here, because the row number is a "
+    "Gaussian's identity"
+)
+SCALE_RANGE = "that are not finite or, after exp(scale_0..2), not in float32's positive range"
+# Column of [three stored, largest] for each of the four components, by the index of the largest.
+SMALLEST_THREE = np.array([[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3]])
+
+
+def sigmoid(logits: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
+    """1 / (1 + exp(-x)); plus and minus infinity, which SuperSplat writes, are exactly 1 and 0."""
+    with np.errstate(over="ignore"):
+        wide: np.ndarray = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    return wide.astype(np.float32)
+
+
+def logit(opacities: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
+    """Inverse of `sigmoid`, finite: 0 and 1 become the logits that come back as exactly 0 and 1."""
+    wide = opacities.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        finite: np.ndarray = np.clip(np.log(wide) - np.log1p(-wide), -105, 18)
+    return finite.astype(np.float32)
+
+
+def exp(log_scales: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+    """Natural exponential in place; what overflows is left infinite for `checked` to report."""
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        np.exp(log_scales, out=log_scales)
+    return log_scales
+
+
+def unit_quats(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
+    """Normalise in place; a row without a direction becomes NaN or infinite."""
+    with np.errstate(all="ignore"):
+        quats /= np.sqrt(np.einsum("ni,ni->n", quats, quats, dtype=np.float64))[:, None]
+    return quats
+
+
+def from_smallest_three(
+    three: Float32[np.ndarray, "n 3"], largest: Integer[np.ndarray, " n"]
+) -> Float32[np.ndarray, "n 4"]:
+    """Unit quaternions from all components but the one at index `largest`, which is positive."""
+    rest = 1 - np.einsum("ni,ni->n", three, three)
+    four = np.column_stack([three, np.sqrt(np.maximum(rest, 0))])
+    return np.take_along_axis(four, SMALLEST_THREE[largest], axis=1)
+
+
+def checked(
+    means: Float32[np.ndarray, "n 3"],
+    quats: Float32[np.ndarray, "n 4"],
+    scales: Float32[np.ndarray, "n 3"],
+    opacities: Float32[np.ndarray, " n"],
+    sh: Float32[np.ndarray, "n k 3"],
+    extra: Mapping[str, np.ndarray] = {},
+) -> Gaussians:
+    """The Gaussians, their quats normalised (in place), once every row has passed.
+
+    Raises: FormatError: a row with a position or colour that is not finite, a rotation without a
+    direction, a scale that is not finite and positive, or an opacity that is no number.
+    """
+    _require_finite(means, "positions (x, y, z) that are not finite")
+    _require_finite(unit_quats(quats), "rotations (rot_0..3) that are zero or not finite")
+    _require(np.logical_and(scales > 0, scales < np.inf), f"scales {SCALE_RANGE}")
+    _require(
+        np.logical_and(opacities >= 0, opacities <= 1), "opacities that are not a number in [0, 1]"
+    )
+    _require_finite(sh, "colours (f_dc, f_rest) that are not finite")
+    return Gaussians(means, quats, scales, opacities, sh, dict(extra))
+
+
+def _require_finite(values: Float32[np.ndarray, "n ..."], what: str) -> None:
+    blocks = range(0, len(values), BLOCK_ROWS)
+    if not all(np.isfinite(values[start : start + BLOCK_ROWS]).all() for start in blocks):
+        _require(np.isfinite(values), what)
+
+
+def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
+    if np.all(good):
+        return
+    bad = ~good.reshape(len(good), -1).all(axis=1)
+    count, first = int(np.count_nonzero(bad)), int(bad.argmax())
+    raise FormatError(f"{count} of {len(bad)} rows have {what}; the first is row {first}. {CURE}")

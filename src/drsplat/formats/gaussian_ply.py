@@ -1,0 +1,102 @@
+"""3DGS PLY as INRIA's trainer, nerfstudio, gsplat and SuperSplat write it.
+
+The file holds values before their activation: `scale_0..2` are logarithms, `opacity` a logit,
+`rot_0..3` (w, x, y, z) not normalised, `f_dc_0..2` the constant SH coefficient and `f_rest_*` the
+others channel by channel (all of red, then green, then blue). Axes are the training frame's.
+Properties are found by name, in any order and of any scalar type.
+
+Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models.
+"""
+
+import numpy as np
+from jaxtyping import Shaped
+
+from ..errors import FormatError, InputError
+from ..gaussians import SH_COEFFICIENTS, Gaussians
+from .activation import checked, exp, logit, sigmoid
+from .ply import gather, read_elements
+from .ply_header import Header
+
+MEANS = ("x", "y", "z")
+NORMALS = ("nx", "ny", "nz")
+DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+SCALES = ("scale_0", "scale_1", "scale_2")
+QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
+
+
+def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
+    """Gaussians of the element `vertex`.
+
+    Further scalar properties are kept in `extra` with their types; so are normals, unless all are
+    zero (trainers write zeros there for want of anything to say).
+
+    Raises: FormatError: no 3DGS PLY, truncated, or rows that are no Gaussians.
+    """
+    names = header.elements["vertex"].names() if "vertex" in header.elements else []
+    missing = [name for name in REQUIRED if name not in names]
+    if missing:
+        raise FormatError(
+            f"no 3DGS PLY: vertex has no {', '.join(missing)}; "
+            f"it has {', '.join(names[:12]) or 'nothing'}. "
+            "Point clouds and meshes have to be trained into Gaussians first"
+        )
+    sh_names = _sh_names(names)
+    rows = read_elements(buffer, header, {"vertex"})["vertex"]
+    return checked(
+        gather(rows, MEANS),
+        gather(rows, QUATS),
+        exp(gather(rows, SCALES)),
+        sigmoid(gather(rows, ["opacity"])[:, 0]),
+        gather(rows, sh_names).reshape(len(rows), len(sh_names) // 3, 3),
+        extra_columns(rows, {*REQUIRED, *sh_names}),
+    )
+
+
+def _sh_names(names: list[str]) -> list[str]:
+    """Property names in the memory order of Gaussians.sh: by coefficient, channels innermost."""
+    count = sum(name.startswith("f_rest_") for name in names)
+    per_channel = count // 3
+    rest = [
+        f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)
+    ]
+    if count % 3 or 1 + per_channel not in SH_COEFFICIENTS or not set(rest) <= set(names):
+        raise FormatError(
+            f"vertex has {count} f_rest properties; expected f_rest_0 onwards, 0, 9, 24 or 45 of "
+            "them (SH degree 0-3)"
+        )
+    return [*DC, *rest]
+
+
+def extra_columns(rows: Shaped[np.ndarray, " n"], known: set[str]) -> dict[str, np.ndarray]:
+    """Copies, in native byte order, of the columns that are not `known`."""
+    names = [name for name in rows.dtype.names or () if name not in known]
+    extra = {name: rows[name].astype(rows.dtype[name].newbyteorder("=")) for name in names}
+    if not any(extra[name].any() for name in NORMALS if name in extra):
+        extra = {name: column for name, column in extra.items() if name not in NORMALS}
+    return extra
+
+
+def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    """The Gaussians as pre-activation columns in the published order, without normals and extras.
+
+    Raises: InputError: values that could not be read back.
+    """
+    _refuse_unwritable(gaussians)
+    rest = gaussians.sh[:, 1:].transpose(2, 1, 0).reshape(-1, len(gaussians))
+    log_scales = np.log(gaussians.scales)
+    return {
+        **dict(zip(MEANS, gaussians.means.T, strict=True)),
+        **dict(zip(DC, gaussians.sh[:, 0].T, strict=True)),
+        **{f"f_rest_{i}": column for i, column in enumerate(rest)},
+        "opacity": logit(gaussians.opacities),
+        **dict(zip(SCALES, log_scales.T, strict=True)),
+        **dict(zip(QUATS, gaussians.quats.T, strict=True)),
+    }
+
+
+def _refuse_unwritable(g: Gaussians) -> None:
+    try:
+        checked(g.means, g.quats.copy(), g.scales, g.opacities, g.sh)
+    except FormatError as error:
+        raise InputError(f"these Gaussians could not be read back: {error}") from None

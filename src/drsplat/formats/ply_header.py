@@ -1,0 +1,115 @@
+"""The header of a PLY file: which elements and properties its body claims to hold.
+
+Source: Greg Turk, "The PLY Polygon File Format" (1994).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import FormatError
+
+MAX_HEADER_BYTES = 1 << 20
+SCALAR_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+
+
+@dataclass(frozen=True)
+class Property:
+    """One property: `code` is its NumPy type; `count_code` that of a list's length, else empty."""
+
+    name: str
+    code: str
+    count_code: str = ""
+
+
+@dataclass(frozen=True)
+class Element:
+    """`count` rows of `properties`; nothing here has been checked against the file's size yet."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    @property
+    def has_lists(self) -> bool:
+        return any(p.count_code for p in self.properties)
+
+    def names(self) -> list[str]:
+        return [p.name for p in self.properties]
+
+    def record(self, order: str) -> np.dtype:
+        """One row as a packed NumPy record."""
+        return np.dtype([(p.name, order + p.code) for p in self.properties])
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a PLY file says it holds. `order`: "<", ">" or, for ASCII, "="; `body`: its offset."""
+
+    order: str
+    elements: dict[str, Element]
+    body: int
+
+
+def read_header(buffer: memoryview) -> Header:
+    """Parse the header, in which no number is to be trusted yet.
+
+    Raises: FormatError: not PLY, or a header that is damaged or longer than 1 MiB.
+    """
+    head = bytes(buffer[: 1 << 14])
+    if not head.startswith((b"ply\n", b"ply\r\n")):
+        raise FormatError("not a PLY file: it does not begin with the line 'ply'")
+    if b"\nend_header" not in head:
+        head = bytes(buffer[:MAX_HEADER_BYTES])
+    end = head.find(b"\nend_header")
+    line_end = head.find(b"\n", end + 1)
+    if end < 0 or line_end < 0 or head[end + 11 : line_end].strip():
+        raise FormatError("PLY header has no 'end_header' line: the file is truncated or damaged")
+    order, elements = _parse_lines(head[4:end].decode("latin-1").split("\n"))
+    return Header(order, elements, line_end + 1)
+
+
+def _parse_lines(lines: list[str]) -> tuple[str, dict[str, Element]]:
+    order = ""
+    counts: dict[str, int] = {}
+    properties: dict[str, dict[str, Property]] = {}
+    current: dict[str, Property] | None = None
+    for line in lines:
+        match line.split():
+            case [] | ["comment" | "obj_info", *_]:
+                continue
+            case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS and not order:
+                order = BYTE_ORDERS[encoding]
+            case ["element", name, count] if _is_count(count) and name not in counts:
+                counts[name] = int(count)
+                current = properties[name] = {}
+            case ["property", kind, name] if kind in SCALAR_TYPES and current is not None:
+                _add(current, Property(name, SCALAR_TYPES[kind]))
+            case ["property", "list", length, kind, name] if (
+                kind in SCALAR_TYPES
+                and SCALAR_TYPES.get(length, "f")[0] != "f"
+                and current is not None
+            ):
+                _add(current, Property(name, SCALAR_TYPES[kind], SCALAR_TYPES[length]))
+            case _:
+                raise FormatError(f"PLY header line not understood: {line[:80]!r}")
+    if not order:
+        raise FormatError("PLY header has no 'format' line")
+    return order, {
+        name: Element(name, counts[name], tuple(properties[name].values())) for name in counts
+    }
+
+
+def _is_count(word: str) -> bool:
+    return word.isdecimal() and len(word) <= 18
+
+
+def _add(properties: dict[str, Property], added: Property) -> None:
+    if added.name in properties:
+        raise FormatError(f"PLY header names the property '{added.name}' twice")
+    properties[added.name] = added

@@ -1,0 +1,228 @@
+"""Niantic's SPZ, versions 2 and 3 (one gzip stream) and 4 (plain header, zstd streams).
+
+Planes, in this order: positions 3 x int24 fixed point, opacities u8, colours 3 x u8, log scales 3 x
+u8 as byte / 16 - 10, rotations, SH coefficients u8 as byte / 128 - 1 with channels innermost.
+Rotations are (x, y, z) as 3 x u8 with w >= 0 left out (version 2), or the smallest three of (x, y,
+z, w) as sign and 9 bits each with the index of the largest on top (3 and 4).
+
+Axes: SPZ stores RUB (x right, y up, z back), a PLY's are RDF (x right, y down, z front), and what
+drsplat holds is always RDF: reading negates y and z of the positions, of the rotation axes, and of
+the SH coefficients that are odd in them. A file that names its axes (extension 0xADBE0003) is
+believed. Files that `gsply` writes hold the PLY's axes and do not say so: they come out turned by
+180 degrees about x, as in every reader that follows the specification.
+
+Source: github.com/nianticlabs/spz, README "File Format" and extensions/README.
+"""
+
+import struct
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..errors import DrSplatWarning, FormatError
+from ..gaussians import Gaussians
+from .activation import checked, exp, from_smallest_three
+from .spz_streams import gunzipped, unzstd
+
+MAGIC = b"NGSP"
+PREFIX = struct.Struct("<4sIIBBBB")
+HEADER_BYTES = 32
+HAS_EXTENSIONS, HAS_LOD_TREE = 0x02, 0x80
+COORDINATE_SYSTEM = 0xADBE0003
+COLOUR_SCALE = 0.15
+REST_COEFFICIENTS = (0, 3, 8, 15, 24)
+# Sign of each SH basis function, degrees 1 to 3, as powers of the signs of x, y and z.
+PARITIES = ["y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x"]
+
+
+@dataclass(frozen=True)
+class SpzHeader:
+    """The first 16 bytes; `streams` is reserved before version 4."""
+
+    version: int
+    count: int
+    degree: int
+    fractional_bits: int
+    flags: int
+    streams: int
+
+    def plane_bytes(self) -> list[int]:
+        """Size of each plane, in order."""
+        rotation = 3 if self.version == 2 else 4
+        return [
+            self.count * size for size in (9, 1, 3, 3, rotation, 3 * REST_COEFFICIENTS[self.degree])
+        ]
+
+
+def parse_spz(buffer: memoryview) -> Gaussians:
+    """Gaussians of an SPZ file, in the axes of a PLY (RDF).
+
+    Degree-4 coefficients are left out with a DrSplatWarning.
+
+    Raises: FormatError: damaged or truncated, an unknown version, a size its header makes
+    implausible (see `spz_streams`), a level-of-detail tree, or rows that are no Gaussians.
+    """
+    planes, extensions, header = _planes(buffer)
+    positions, alphas, colours, scales, rotations, rest = planes
+    n = header.count
+    signs = _signs(extensions)
+    if header.degree > 3:
+        warnings.warn(
+            "SH coefficients of degree 4 (9 per channel) were left out",
+            DrSplatWarning,
+            stacklevel=2,
+        )
+    log_scales = scales.reshape(n, 3).astype(np.float32) / 16 - 10
+    turn = np.array(
+        [1, *(signs.prod() * signs)], np.float32
+    )  # (w, x, y, z) of F R F for a diagonal F
+    return checked(
+        _positions(positions, header.fractional_bits) * signs,
+        (_first_three(rotations) if header.version == 2 else _smallest_three(rotations)) * turn,
+        exp(log_scales),
+        alphas.astype(np.float32) / 255,
+        _harmonics(colours, rest, header, signs),
+    )
+
+
+def _planes(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
+    if bytes(buffer[:4]) == MAGIC and _header(bytes(buffer[: PREFIX.size])).version == 4:
+        return _separate(buffer)
+    return _concatenated(buffer)
+
+
+def _header(raw: bytes) -> SpzHeader:
+    if len(raw) != PREFIX.size or raw[:4] != MAGIC:
+        raise FormatError("no SPZ: its 16-byte header does not begin with 'NGSP'")
+    header = SpzHeader(*PREFIX.unpack(raw)[1:])
+    if header.version not in (2, 3, 4):
+        raise FormatError(
+            f"SPZ version {header.version}; versions 2, 3 and 4 can be read: save it again as one"
+        )
+    if header.degree >= len(REST_COEFFICIENTS) or header.fractional_bits > 24:
+        raise FormatError(
+            f"SPZ header is damaged: SH degree {header.degree} (at most 4), "
+            f"{header.fractional_bits} fractional bits (at most 24)"
+        )
+    if header.flags & HAS_LOD_TREE:
+        raise FormatError(
+            "SPZ holds a level-of-detail tree, the scene several times over: export it without LOD"
+        )
+    return header
+
+
+def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
+    """Versions 2 and 3: the header, all planes and perhaps extensions in one gzip stream."""
+
+    def payload_bytes(start: bytes) -> int:
+        header = _header(start)
+        if header.version == 4:
+            raise FormatError("SPZ version 4 inside gzip: decompress the file first")
+        return PREFIX.size + sum(header.plane_bytes())
+
+    raw, tail = gunzipped(buffer, PREFIX.size, payload_bytes)
+    header = _header(raw[: PREFIX.size])
+    if tail and not header.flags & HAS_EXTENSIONS:
+        raise FormatError(
+            f"SPZ holds {len(tail)} bytes more than {header.count} Gaussians: its header is damaged"
+        )
+    sizes = header.plane_bytes()
+    whole = np.frombuffer(raw, np.uint8, sum(sizes), PREFIX.size)
+    return np.split(whole, np.cumsum(sizes)[:-1]), tail, header
+
+
+def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
+    """Version 4: header, extensions, table of contents, a zstd stream per plane that has bytes."""
+    if len(buffer) < HEADER_BYTES:
+        raise FormatError("SPZ is truncated in its header")
+    header = _header(bytes(buffer[: PREFIX.size]))
+    (contents,) = struct.unpack_from("<I", buffer, PREFIX.size)
+    sizes = header.plane_bytes()
+    stored = [size for size in sizes if size]
+    offset = contents + 16 * header.streams
+    if header.streams != len(stored) or contents < HEADER_BYTES or offset > len(buffer):
+        raise FormatError(
+            f"SPZ header is damaged: {header.streams} streams for {len(stored)} planes, table of "
+            f"contents at byte {contents}"
+        )
+    planes = []
+    table = struct.iter_unpack("<QQ", buffer[contents:offset])
+    for size in sizes:
+        compressed, promised = next(table) if size else (0, 0)
+        if promised != size or offset + compressed > len(buffer):
+            raise FormatError(
+                f"SPZ is truncated or damaged: a stream of {promised} bytes, expected {size}"
+            )
+        planes.append(np.frombuffer(unzstd(buffer[offset : offset + compressed], size), np.uint8))
+        offset += compressed
+    if offset != len(buffer):
+        raise FormatError(
+            f"SPZ holds {len(buffer) - offset} bytes after its last stream: its header is damaged"
+        )
+    return (
+        planes,
+        bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"",
+        header,
+    )
+
+
+def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
+    """Factors of x, y, z that turn the stored axes into RDF."""
+    offset = 0
+    system = 4  # RUB
+    while offset + 8 <= len(extensions):
+        kind, length = struct.unpack_from("<II", extensions, offset)
+        if kind == COORDINATE_SYSTEM and extensions[offset + 8 : offset + 12]:
+            system = int.from_bytes(extensions[offset + 8 : offset + 12], "little") or system
+        offset += 8 + length
+    if system > 8:
+        raise FormatError(
+            f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first"
+        )
+    # Bits of system - 1: right, up, front. RDF is right, not up, front.
+    stored = [(system - 1) >> bit & 1 for bit in range(3)]
+    return np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
+
+
+def _positions(plane: UInt8[np.ndarray, " _"], fractional_bits: int) -> Float32[np.ndarray, "n 3"]:
+    wide = np.zeros((len(plane) // 3, 4), np.uint8)
+    wide[:, 1:] = plane.reshape(-1, 3)  # the upper 24 bits, so that shifting down extends the sign
+    fixed = wide.view("<i4").reshape(-1, 3) >> 8
+    return np.ldexp(fixed.astype(np.float32), -fractional_bits)
+
+
+def _first_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"]:
+    xyz = plane.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1
+    w = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", xyz, xyz), 0))
+    return np.column_stack([w, xyz])
+
+
+def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"]:
+    packed = plane.view("<u4").astype(np.uint32)
+    fields = (packed[:, None] >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
+    magnitudes = (fields & np.uint32(511)).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
+    three = np.where(fields >> np.uint32(9), -magnitudes, magnitudes)
+    return from_smallest_three(three, packed >> np.uint32(30))[:, [3, 0, 1, 2]]
+
+
+def _harmonics(
+    colours: UInt8[np.ndarray, " _"],
+    rest: UInt8[np.ndarray, " _"],
+    header: SpzHeader,
+    signs: Float32[np.ndarray, "3"],
+) -> Float32[np.ndarray, "n k 3"]:
+    n = header.count
+    kept = min(REST_COEFFICIENTS[header.degree], len(PARITIES))
+    sh = np.empty((n, 1 + kept, 3), np.float32)
+    sh[:, 0] = (colours.reshape(n, 3).astype(np.float32) / 255 - np.float32(0.5)) / np.float32(
+        COLOUR_SCALE
+    )
+    x, y, z = signs
+    flips = np.array(
+        [np.prod([{"x": x, "y": y, "z": z}[a] for a in axes]) for axes in PARITIES], np.float32
+    )
+    stored = rest.reshape(n, REST_COEFFICIENTS[header.degree], 3)[:, :kept]
+    np.multiply(stored.astype(np.float32) / 128 - 1, flips[:kept, None], out=sh[:, 1:])
+    return sh

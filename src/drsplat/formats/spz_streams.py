@@ -1,0 +1,95 @@
+"""Decompression that cannot be made to explode.
+
+A size is believed only while it is plausible for the bytes that are there: at most 1 MiB plus 100
+times their number. (Real scenes compress 1 to 3 times, and five times if all their SH are zero;
+gzip can reach 1,030 and zstd far more, on zeros only.) Nothing is ever decompressed beyond that
+size.
+
+Source: RFC 1952 (gzip), RFC 8878 (zstd).
+"""
+
+import zlib
+from collections.abc import Callable
+
+import zstandard
+
+from ..errors import FormatError
+
+FREE_BYTES = 1 << 20
+LARGEST_RATIO = 100
+EXTENSION_BYTES = 1 << 20
+GZIP_MAGIC = b"\x1f\x8b"
+
+
+def refuse_implausible(size: int, compressed: int) -> None:
+    """Raises: FormatError: `size` bytes cannot honestly come of `compressed` ones."""
+    limit = FREE_BYTES + LARGEST_RATIO * compressed
+    if size > limit:
+        raise FormatError(
+            f"{compressed} compressed bytes claim to hold {size}, more than the {limit} that are "
+            "plausible: the header is damaged, or this is a decompression bomb"
+        )
+
+
+def gunzipped(
+    buffer: memoryview, start_bytes: int, payload_bytes: Callable[[bytes], int]
+) -> tuple[bytes, bytes]:
+    """The payload, whose size `payload_bytes` tells from its start, and up to 1 MiB behind it.
+
+    A `buffer` that is not gzip is taken as the payload itself.
+
+    Raises: FormatError: no whole gzip stream, an implausible size, or a payload shorter than it
+    says.
+    """
+    if bytes(buffer[:2]) != GZIP_MAGIC:
+        size = payload_bytes(bytes(buffer[:start_bytes]))
+        raw, tail = (
+            bytes(buffer[: min(size, len(buffer))]),
+            bytes(buffer[size : size + EXTENSION_BYTES + 1]),
+        )
+        whole = len(buffer) <= size + EXTENSION_BYTES
+    else:
+        stream = zlib.decompressobj(wbits=31)
+        try:
+            start = stream.decompress(buffer, start_bytes)
+            size = payload_bytes(start)
+            refuse_implausible(size, len(buffer))
+            raw = start + stream.decompress(stream.unconsumed_tail, max(size - len(start), 1))
+            raw, tail = (
+                raw[:size],
+                raw[size:] + stream.decompress(stream.unconsumed_tail, EXTENSION_BYTES),
+            )
+        except zlib.error as error:
+            raise FormatError(f"gzip stream is damaged: {error}") from None
+        whole = stream.eof and not stream.unused_data
+    if len(raw) < size or not whole:
+        raise FormatError(
+            f"SPZ is truncated or damaged: its header promises {size} bytes, it holds {len(raw)}"
+        )
+    return raw, tail
+
+
+def unzstd(compressed: memoryview, size: int) -> bytes:
+    """One zstd frame of exactly `size` bytes; no frame for none.
+
+    Raises: FormatError: damaged, an implausible size, or another size than `size`.
+    """
+    if size == 0:
+        return b""
+    refuse_implausible(size, len(compressed))
+    try:
+        declared = zstandard.frame_content_size(compressed)
+        if declared not in (-1, size):  # -1: not stored in the frame
+            raise FormatError(
+                f"SPZ is damaged: a zstd frame of {declared} bytes where {size} were expected"
+            )
+        raw = zstandard.ZstdDecompressor().decompress(
+            compressed, max_output_size=size, allow_extra_data=False
+        )
+    except zstandard.ZstdError as error:
+        raise FormatError(f"zstd stream is damaged: {error}") from None
+    if len(raw) != size:
+        raise FormatError(
+            f"SPZ is damaged: a zstd stream of {len(raw)} bytes where {size} were expected"
+        )
+    return bytes(raw)

@@ -1,0 +1,204 @@
+"""Small scenes as bytes in each format, written without the package's own readers and writers."""
+
+import gzip
+import io
+import struct
+
+import numpy as np
+import zstandard
+
+from drsplat.gaussians import Gaussians
+
+C0 = 0.5 / np.sqrt(np.pi)
+PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short"}
+
+
+def random_gaussians(rng: np.random.Generator, n: int = 24, degree: int = 3) -> Gaussians:
+    quats = rng.normal(size=(n, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return Gaussians(
+        rng.uniform(-3, 3, (n, 3)).astype(np.float32),
+        quats.astype(np.float32),
+        np.exp(rng.uniform(-6, -1, (n, 3))).astype(np.float32),
+        rng.uniform(0.02, 0.98, n).astype(np.float32),
+        rng.uniform(-0.9, 0.9, (n, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def ply_columns(g: Gaussians) -> dict[str, np.ndarray]:
+    """Pre-activation columns, spelled out coefficient by coefficient."""
+    columns = {name: g.means[:, i] for i, name in enumerate("xyz")}
+    k = g.sh.shape[1]
+    for channel in range(3):
+        columns[f"f_dc_{channel}"] = g.sh[:, 0, channel]
+        for c in range(1, k):
+            columns[f"f_rest_{channel * (k - 1) + c - 1}"] = g.sh[:, c, channel]
+        columns[f"scale_{channel}"] = np.log(g.scales[:, channel])
+    o = g.opacities.astype(np.float64)
+    columns["opacity"] = np.log(o / (1 - o)).astype(np.float32)
+    for i in range(4):
+        columns[f"rot_{i}"] = g.quats[:, i] * np.float32(1.5)
+    return columns
+
+
+def ply_bytes(
+    columns: dict[str, np.ndarray], order: str = "<", before: bytes = b"", before_header: str = ""
+) -> bytes:
+    """Binary ("<", ">") or ASCII ("a") PLY of one vertex element, behind another if one is given."""
+    n = len(next(iter(columns.values())))
+    names = {"<": "binary_little_endian", ">": "binary_big_endian", "a": "ascii"}
+    lines = [
+        "ply",
+        f"format {names[order]} 1.0",
+        "comment made for a test",
+        *before_header.split("\n"),
+    ]
+    lines += [f"element vertex {n}"]
+    lines += [f"property {PLY_NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
+    head = "\n".join([line for line in lines if line] + ["end_header", ""]).encode() + before
+    if order == "a":
+        rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+        return head + "".join(" ".join(map(repr, row)) + "\n" for row in rows).encode()
+    row_format = order + "".join(
+        {"i4": "i", "f4": "f", "f8": "d"}.get(c.dtype.str[1:], c.dtype.char)
+        for c in columns.values()
+    )
+    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+    return head + b"".join(struct.pack(row_format, *row) for row in rows)
+
+
+def compressed_ply_bytes(g: Gaussians) -> bytes:
+    """SuperSplat's layout, one Gaussian at a time."""
+    log_scales, colours = np.log(g.scales), g.sh[:, 0] * C0 + 0.5
+    chunks, vertices = io.BytesIO(), io.BytesIO()
+    for start in range(0, len(g), 256):
+        rows = slice(start, start + 256)
+        bounds = [(v[rows].min(0), v[rows].max(0)) for v in (g.means, log_scales, colours)]
+        chunks.write(
+            np.concatenate([end for pair in bounds for end in pair]).astype("<f4").tobytes()
+        )
+        for i in range(*rows.indices(len(g))):
+            unit = [
+                (v[i] - low) / np.where(high > low, high - low, 1)
+                for v, (low, high) in zip((g.means, log_scales, colours), bounds, strict=True)
+            ]
+            words = (
+                _pack(unit[0], (11, 10, 11)),
+                _pack_rotation(g.quats[i]),
+                _pack(unit[1], (11, 10, 11)),
+            )
+            rgba = _pack((*unit[2], g.opacities[i]), (8, 8, 8, 8))
+            vertices.write(struct.pack("<4I", *words, rgba))
+    axes, k = ("x", "y", "z"), g.sh.shape[1]
+    chunk_names = [f"{end}_{s}{a}" for s in ("", "scale_") for end in ("min", "max") for a in axes]
+    chunk_names += [f"{end}_{a}" for end in ("min", "max") for a in "rgb"]
+    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {-(-len(g) // 256)}"]
+    lines += [f"property float {name}" for name in chunk_names] + [f"element vertex {len(g)}"]
+    lines += [f"property uint packed_{what}" for what in ("position", "rotation", "scale", "color")]
+    rest = g.sh[:, 1:].transpose(0, 2, 1).reshape(len(g), -1)
+    if k > 1:
+        lines += [
+            f"element sh {len(g)}",
+            *(f"property uchar f_rest_{i}" for i in range(3 * (k - 1))),
+        ]
+    sh = np.clip(np.trunc((rest / 8 + 0.5) * 256), 0, 255).astype(np.uint8)
+    head = "\n".join([*lines, "end_header", ""]).encode()
+    return head + chunks.getvalue() + vertices.getvalue() + sh.tobytes()
+
+
+def _pack(unit: np.ndarray | tuple, bits: tuple[int, ...]) -> int:
+    word = 0
+    for value, width in zip(unit, bits, strict=True):
+        word = word << width | round(float(value) * (2**width - 1))
+    return word
+
+
+def _pack_rotation(quat: np.ndarray) -> int:
+    largest = int(np.abs(quat).argmax())
+    signed = quat * np.sign(quat[largest])
+    return largest << 30 | _pack(np.delete(signed, largest) / np.sqrt(2) + 0.5, (10, 10, 10))
+
+
+def splat_bytes(g: Gaussians) -> bytes:
+    colour = np.clip(np.column_stack([g.sh[:, 0] * C0 + 0.5, g.opacities]) * 255, 0, 255).round()
+    quats = np.clip(g.quats * 128 + 128, 0, 255).round()
+    return b"".join(
+        struct.pack("<6f4B4B", *g.means[i], *g.scales[i], *map(int, colour[i]), *map(int, quats[i]))
+        for i in range(len(g))
+    )
+
+
+def spz_planes(g: Gaussians, version: int) -> list[bytes]:
+    """Attribute planes of Gaussians whose axes are RUB already."""
+    fixed = (g.means.astype(np.float64) * 4096).round().astype(int).ravel().tolist()
+    positions = b"".join(value.to_bytes(3, "little", signed=True) for value in fixed)
+    planes = [
+        g.opacities * 255,
+        g.sh[:, 0] * 0.15 * 255 + 127.5,
+        (np.log(g.scales) + 10) * 16,
+    ]
+    coded = [np.clip(p.round(), 0, 255).astype(np.uint8).tobytes() for p in planes]
+    rotation = _first_three if version == 2 else _smallest_three
+    rest = np.clip((g.sh[:, 1:] * 128 + 128).round(), 0, 255).astype(np.uint8).tobytes()
+    return [positions, *coded, b"".join(rotation(q) for q in g.quats), rest]
+
+
+def _first_three(quat: np.ndarray) -> bytes:
+    w, *xyz = quat * (1 if quat[0] >= 0 else -1)
+    return bytes(round(float(c) * 127.5 + 127.5) for c in xyz)
+
+
+def _smallest_three(quat: np.ndarray) -> bytes:
+    xyzw = np.roll(quat, -1)
+    largest = int(np.abs(xyzw).argmax())
+    xyzw = xyzw * np.sign(xyzw[largest])
+    word = largest
+    for i in range(4):
+        if i != largest:
+            magnitude = round(abs(float(xyzw[i])) * np.sqrt(2) * 511)
+            word = word << 10 | int(xyzw[i] < 0) << 9 | magnitude
+    return struct.pack("<I", word)
+
+
+def spz_bytes(g: Gaussians, version: int, flags: int = 0, extensions: bytes = b"") -> bytes:
+    degree = g.sh_degree
+    planes = spz_planes(g, version)
+    head = struct.pack("<4sIIBBB", b"NGSP", version, len(g), degree, 12, flags)
+    if version < 4:
+        return gzip.compress(head + b"\0" + b"".join(planes) + extensions, mtime=0)
+    return head + v4_body([p for p in planes if p], extensions)
+
+
+def v4_body(planes: list[bytes], extensions: bytes = b"") -> bytes:
+    """All of a version 4 file behind its flags: stream count, offset, extensions, contents, streams."""
+    streams = [zstandard.ZstdCompressor().compress(p) for p in planes]
+    contents = b"".join(
+        struct.pack("<QQ", len(s), len(p)) for s, p in zip(streams, planes, strict=True)
+    )
+    head = struct.pack("<BI12x", len(planes), 32 + len(extensions))
+    return head + extensions + contents + b"".join(streams)
+
+
+def turned(g: Gaussians, signs: tuple[int, int, int] = (1, -1, -1)) -> Gaussians:
+    """The scene in axes of other signs: positions, rotations and SH as the geometry demands.
+
+    The SH signs are not from a table: they are those of each basis function under the flip.
+    """
+    s = np.array(signs, np.float32)
+    directions = np.random.default_rng(0).normal(size=(64, 3))
+    ratio = sh_basis(directions * s) / sh_basis(directions)
+    flips = np.median(ratio, axis=0)[: g.sh.shape[1], None].astype(np.float32)
+    turn = np.array([1, s[1] * s[2], s[0] * s[2], s[0] * s[1]], np.float32)
+    return Gaussians(g.means * s, g.quats * turn, g.scales, g.opacities, g.sh * flips, g.extra)
+
+
+def sh_basis(d: np.ndarray) -> np.ndarray:
+    """Real spherical harmonics up to factors, in the order of 3DGS, at directions (n, 3)."""
+    x, y, z = d.T
+    xx, yy, zz = x * x, y * y, z * z
+    columns = [
+        np.ones_like(x), y, z, x, x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy,
+        y * (3 * xx - yy), x * y * z, y * (4 * zz - xx - yy), z * (2 * zz - 3 * xx - 3 * yy),
+        x * (4 * zz - xx - yy), z * (xx - yy), x * (xx - 3 * yy),
+    ]  # fmt: skip
+    return np.stack(columns, 1)
