@@ -1,0 +1,90 @@
+"""cameras.json, which 3DGS training leaves beside its scene -> views, and back."""
+
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DrSplatWarning, FormatError
+from ..views import View
+from .json_files import as_count, as_matrix, as_number, as_vector, read_json, shown
+from .photo_files import listed, safe_name
+from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
+from .replacing import replacing
+
+KEYS = ("img_name", "width", "height", "position", "rotation", "fx", "fy")
+
+
+def read_cameras_json(path: Path) -> list[View]:
+    """The views of a cameras.json, in the order of the file, without photos.
+
+    position is the camera's centre, rotation camera-to-world in OpenCV axes. The format knows no
+    principal point (the raster's centre is meant) and no distortion (3DGS trains on undistorted
+    photos).
+
+    Raises: FormatError: a damaged file, a missing key, a rotation that is none.
+    """
+    document = read_json(path)
+    if not isinstance(document, list) or not document:
+        raise FormatError(f"{path}: expected a JSON list of cameras, got {shown(document)}")
+    return [_view(entry, f"{path}, camera {index}") for index, entry in enumerate(document)]
+
+
+def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool = False) -> None:
+    """Write views as 3DGS does; img_name is the view's whole name.
+
+    Warns: DrSplatWarning: views whose principal point is off the centre or whose photo is
+    distorted: the format cannot say so; the warning names them.
+    Raises: InputError: the file exists and `overwrite` is false, or its folder does not.
+    """
+    inexact = [view.name for view in views if _is_inexact(view)]
+    if inexact:
+        text = (
+            f"{path}: cameras.json holds neither principal point nor distortion; lost for "
+            f"{len(inexact)} views: "
+        )
+        warnings.warn(text + listed(inexact), DrSplatWarning, stacklevel=2)
+    entries = [_entry(index, view) for index, view in enumerate(views)]
+    with replacing(path, overwrite) as file:
+        file.write(json.dumps(entries, indent=1).encode())
+
+
+def _view(entry: object, where: str) -> View:
+    if not isinstance(entry, dict) or not entry.keys() >= set(KEYS):
+        raise FormatError(f"{where}: expected an object with {', '.join(KEYS)}, got {shown(entry)}")
+    if not isinstance(entry["img_name"], str):
+        raise FormatError(f"{where}: expected img_name to be text, got {shown(entry['img_name'])}")
+    name = safe_name(entry["img_name"], where)
+    where = f"{where} ({name!a})"
+    size = (
+        as_count(entry["width"], f"{where}: width"),
+        as_count(entry["height"], f"{where}: height"),
+    )
+    focal = as_number(entry["fx"], f"{where}: fx"), as_number(entry["fy"], f"{where}: fy")
+    rotation = nearest_rotation(
+        as_matrix(entry["rotation"], 3, 3, f"{where}: rotation"), f"{where}: rotation"
+    )
+    center = as_vector(entry["position"], 3, f"{where}: position")
+    return posed_view(
+        where, name, pinhole(*focal, size[0] / 2, size[1] / 2), inverse_pose(rotation, center), size
+    )
+
+
+def _entry(index: int, view: View) -> dict[str, object]:
+    return {
+        "id": index,
+        "img_name": view.name,
+        "width": view.width,
+        "height": view.height,
+        "position": view.center.tolist(),
+        "rotation": view.cam_from_world[:3, :3].T.tolist(),
+        "fy": float(view.K[1, 1]),
+        "fx": float(view.K[0, 0]),
+    }
+
+
+def _is_inexact(view: View) -> bool:
+    off_center = np.abs(view.K[:2, 2] - (view.width / 2, view.height / 2)).max() > 1e-6
+    return bool(off_center) or view.distortion is not None

@@ -1,0 +1,155 @@
+"""A capture of any supported kind -> views, sorted by name."""
+
+import warnings
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from ..errors import DrSplatWarning, FormatError, InputError
+from ..views import View
+from .cameras_json import read_cameras_json
+from .colmap import find_model, read_colmap
+from .dataparser import FILE_NAME as DATAPARSER_FILE
+from .dataparser import SceneFrame, read_dataparser_transforms
+from .json_files import read_json
+from .photo_files import find_photo, image_folder, listed, on_photo
+from .transforms import read_applied_transform, read_transforms
+
+
+class _Source(NamedTuple):
+    kind: str
+    path: Path
+
+
+def read_views(
+    capture: str | Path,
+    *,
+    images: str | Path | None = None,
+    dataparser_transforms: str | Path | None = None,
+    max_side: int | None = None,
+) -> list[View]:
+    """The posed photos of a capture, sorted by name.
+
+    capture: a folder with a COLMAP model (see `colmap.find_model`), a transforms.json or a
+    cameras.json, looked for in this order; or one of these files, to choose another than the first.
+    images: the folder of the photos, absolute or inside the capture ("images_4"); default
+    CAPTURE/images, else CAPTURE. Where photos have another size than the camera file says, K and
+    size follow the photos.
+    dataparser_transforms: nerfstudio's file of that name, for splats trained by it: views are moved
+    to x_scene = scale * (transform @ x_world). A dataparser_transforms.json directly in the
+    capture's folder is used without being named. transforms.json's own applied_transform is
+    accounted for.
+    max_side: photos with a longer side, in pixels, are scaled down to it.
+
+    Warns: DrSplatWarning: several camera files (which one was read); photos that are missing
+    (COLMAP, cameras.json: the views stay, without image_path; transforms.json: they are left out).
+    Raises: InputError: nothing to read, no such folder. FormatError: a damaged file, a name that
+    leaves the image folder or occurs twice, an unsupported lens. MismatchError: photos of another
+    shape.
+    """
+    if max_side is not None and max_side < 1:
+        raise InputError(f"max_side: expected at least 1 pixel, got {max_side}")
+    source = _find_source(Path(capture))
+    views = _read(source, images)
+    frame = _scene_frame(source, Path(capture), dataparser_transforms)
+    if frame is not None:
+        views = [frame.view(view) for view in views]
+    return [_limited(view, max_side) for view in _sorted(views, source.path)]
+
+
+def _find_source(capture: Path) -> _Source:
+    if capture.is_file():
+        return _file_source(capture)
+    if not capture.is_dir():
+        raise InputError(f"{capture}: there is no such capture")
+    model = find_model(capture)
+    found = [] if model is None else [_Source("colmap", model)]
+    for kind, name in (("transforms", "transforms.json"), ("cameras", "cameras.json")):
+        if (capture / name).is_file():
+            found.append(_Source(kind, capture / name))
+    if not found:
+        raise InputError(
+            f"{capture}: expected a COLMAP model (cameras and images in sparse/0, .bin or .txt), "
+            "a transforms.json or a cameras.json"
+        )
+    if len(found) > 1:
+        others = ", ".join(str(source.path) for source in found[1:])
+        text = (
+            f"{capture}: cameras were read from {found[0].path}, not from {others}: name a file "
+            "to choose it"
+        )
+        warnings.warn(text, DrSplatWarning, stacklevel=3)
+    return found[0]
+
+
+def _file_source(path: Path) -> _Source:
+    if path.suffix in (".bin", ".txt"):
+        return _Source("colmap", path.parent)
+    if path.suffix != ".json":
+        raise InputError(
+            f"{path}: expected a folder, a COLMAP .bin or .txt, a transforms.json or a cameras.json"
+        )
+    return _Source("cameras" if isinstance(read_json(path), list) else "transforms", path)
+
+
+def _read(source: _Source, images: str | Path | None) -> list[View]:
+    if source.kind == "transforms":
+        folder = None if images is None else image_folder(source.path.parent, images)
+        return read_transforms(source.path, folder)
+    if source.kind == "colmap":
+        return _with_photos(
+            read_colmap(source.path), image_folder(source.path, images), source.path
+        )
+    return _with_photos(
+        read_cameras_json(source.path), image_folder(source.path.parent, images), source.path
+    )
+
+
+def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
+    if not views:
+        raise FormatError(f"{path}: holds no image")
+    found = [find_photo(folder, view.name) for view in views]
+    missing = [view.name for view, photo in zip(views, found, strict=True) if photo is None]
+    if missing:
+        text = (
+            f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: "
+            f"{listed(missing)}"
+        )
+        warnings.warn(text, DrSplatWarning, stacklevel=4)
+    return [
+        view if photo is None else _attach(view, photo)
+        for view, photo in zip(views, found, strict=True)
+    ]
+
+
+def _attach(view: View, photo: Path) -> View:
+    # cameras.json of some trainers names photos without suffix; the view's name has it
+    name = view.name + photo.name.removeprefix(Path(view.name).name)
+    return on_photo(replace(view, name=name), photo)
+
+
+def _scene_frame(source: _Source, capture: Path, named: str | Path | None) -> SceneFrame | None:
+    beside = (capture if capture.is_dir() else capture.parent) / DATAPARSER_FILE
+    if named is None and not beside.is_file():
+        return None
+    frame = read_dataparser_transforms(beside if named is None else Path(named))
+    return (
+        frame.after(read_applied_transform(source.path)) if source.kind == "transforms" else frame
+    )
+
+
+def _sorted(views: list[View], path: Path) -> list[View]:
+    ordered = sorted(views, key=lambda view: view.name)
+    twice = [a.name for a, b in pairwise(ordered) if a.name == b.name]
+    if twice:
+        raise FormatError(f"{path}: {len(twice)} image names occur more than once: {listed(twice)}")
+    return ordered
+
+
+def _limited(view: View, max_side: int | None) -> View:
+    longest = max(view.width, view.height)
+    if max_side is None or longest <= max_side:
+        return view
+    scale = max_side / longest
+    return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))

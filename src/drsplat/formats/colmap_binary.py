@@ -1,0 +1,113 @@
+"""COLMAP's cameras.bin, images.bin and points3D.bin, record by record.
+
+Little-endian, no padding; images and points have records of variable length.
+"""
+
+import mmap
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError
+from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
+
+_COUNT = struct.Struct("<Q")
+_CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the model's parameters
+_IMAGE = struct.Struct(
+    "<I7dI"
+)  # id, quaternion, translation, camera id; then name, count, 2D points
+_POINT = struct.Struct("<Q3d3BdQ")  # id, xyz, rgb, error, length of the track; then the track
+_OBSERVATION_BYTES = 24
+_TRACK_BYTES = 8
+_MAX_NAME = 4096
+
+
+class _Cursor:
+    """A position in a mapped file that never leaves it."""
+
+    def __init__(self, path: Path, content: mmap.mmap | bytes) -> None:
+        self.path, self._content, self._at = path, content, 0
+
+    def take(self, layout: struct.Struct) -> tuple[Any, ...]:
+        start = self._at
+        self.skip(layout.size)
+        return layout.unpack_from(self._content, start)
+
+    def count(self, record_bytes: int) -> int:
+        """A count of records, each at least `record_bytes` long, that can still follow."""
+        (count,) = self.take(_COUNT)
+        left = len(self._content) - self._at
+        if count * record_bytes > left:
+            raise FormatError(
+                f"{self.path}: claims {count} records of {record_bytes} bytes or more, has "
+                f"{left} bytes left"
+            )
+        return int(count)
+
+    def name(self) -> str:
+        end = self._content.find(b"\0", self._at, self._at + _MAX_NAME)
+        if end < 0:
+            raise FormatError(f"{self.path}: an image name at byte {self._at} does not end")
+        raw, self._at = self._content[self._at : end], end + 1
+        try:
+            return raw.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise FormatError(f"{self.path}: an image name is not UTF-8: {error}") from error
+
+    def skip(self, num_bytes: int) -> None:
+        if self._at + num_bytes > len(self._content):
+            raise FormatError(
+                f"{self.path}: truncated: {num_bytes} bytes expected at byte {self._at} of "
+                f"{len(self._content)}"
+            )
+        self._at += num_bytes
+
+    def finish(self) -> None:
+        left = len(self._content) - self._at
+        if left:
+            raise FormatError(
+                f"{self.path}: {left} bytes follow the last record: damaged or of an unknown "
+                "COLMAP version"
+            )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[_Cursor]:
+    with path.open("rb") as file:
+        if path.stat().st_size == 0:  # an empty file cannot be mapped
+            yield _Cursor(path, b"")
+        else:
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                yield _Cursor(path, content)
+
+
+def cameras(path: Path) -> Iterator[CameraRecord]:
+    with _opened(path) as cursor:
+        for _ in range(cursor.count(_CAMERA.size)):
+            camera_id, model_id, width, height = map(int, cursor.take(_CAMERA))
+            model = MODEL_NAMES[model_id] if 0 <= model_id < len(MODEL_NAMES) else f"id {model_id}"
+            num_parameters = len(parameter_names(model, f"{path}, camera {camera_id}"))
+            parameters = cursor.take(struct.Struct(f"<{num_parameters}d"))
+            yield CameraRecord(camera_id, model, width, height, parameters)
+        cursor.finish()
+
+
+def images(path: Path) -> Iterator[ImageRecord]:
+    with _opened(path) as cursor:
+        for _ in range(cursor.count(_IMAGE.size + 1 + _COUNT.size)):
+            _, w, x, y, z, tx, ty, tz, camera_id = cursor.take(_IMAGE)
+            name = cursor.name()
+            cursor.skip(cursor.count(_OBSERVATION_BYTES) * _OBSERVATION_BYTES)
+            yield ImageRecord(name, (w, x, y, z), (tx, ty, tz), int(camera_id))
+        cursor.finish()
+
+
+def points(path: Path) -> Iterator[PointRecord]:
+    with _opened(path) as cursor:
+        for _ in range(cursor.count(_POINT.size)):
+            _, x, y, z, r, g, b, _, track = cursor.take(_POINT)
+            cursor.skip(int(track) * _TRACK_BYTES)
+            yield x, y, z, int(r), int(g), int(b)
+        cursor.finish()

@@ -1,0 +1,58 @@
+"""nerfstudio's dataparser_transforms.json: the frame that its splats are trained in."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import FormatError
+from ..views import View
+from .json_files import as_matrix, as_number, read_json
+from .poses import nearest_rotation, pose
+
+FILE_NAME = "dataparser_transforms.json"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFrame:
+    """x_scene = scale * (transform @ x_world), a rigid 4x4 followed by a scale."""
+
+    transform: Float64[np.ndarray, "4 4"]
+    scale: float
+
+    def after(self, applied: "SceneFrame") -> "SceneFrame":
+        """The way from the frame that `applied` leads to, where this one starts before it."""
+        return SceneFrame(
+            self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale
+        )
+
+    def view(self, view: View) -> View:
+        """The same camera in the scene: scaled world, scaled distances, every pixel as before."""
+        rotation = view.cam_from_world[:3, :3] @ self.transform[:3, :3].T
+        translation = self.scale * (view.cam_from_world[:3, 3] - rotation @ self.transform[:3, 3])
+        return replace(view, cam_from_world=pose(rotation, translation))
+
+
+def read_dataparser_transforms(path: Path) -> SceneFrame:
+    """From the file beside a nerfstudio config: {"transform": 3x4, "scale": s}.
+
+    The frame it starts from is that of COLMAP, before the applied_transform of transforms.json.
+
+    Raises: FormatError: a transform that is not rigid, a scale that is not positive.
+    """
+    document = read_json(path)
+    if not isinstance(document, dict) or not {"transform", "scale"} <= document.keys():
+        raise FormatError(f'{path}: expected {{"transform": 3x4 matrix, "scale": number}}')
+    return scene_frame(document["transform"], document["scale"], str(path))
+
+
+def scene_frame(transform: object, scale: object, where: str) -> SceneFrame:
+    """Of a 3x4 (or 4x4) matrix and a number from a file."""
+    rows = transform[:3] if isinstance(transform, list) else transform
+    matrix = as_matrix(rows, 3, 4, f"{where}: transform")
+    factor = as_number(scale, f"{where}: scale")
+    if not 1e-9 < factor < 1e9:
+        raise FormatError(f"{where}: expected a positive scale, got {factor}")
+    rotation = nearest_rotation(matrix[:, :3], f"{where}: transform")
+    return SceneFrame(pose(rotation, matrix[:, 3]), factor)

@@ -1,0 +1,74 @@
+"""JSON from strangers: numbers that are numbers, matrices that are matrices."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import FormatError, InputError
+
+
+def read_json(path: Path) -> object:
+    """The document in `path`.
+
+    Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, or nested too
+    deep.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: expected JSON: {error}") from error
+
+
+def as_number(value: object, where: str) -> float:
+    """A finite float; `where` names the value in the error.
+
+    Raises: FormatError: not a number, not finite, or too large for a double.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FormatError(f"{where}: expected a number, got {shown(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise FormatError(f"{where}: expected a finite number, got {shown(value)}")
+    return number
+
+
+def as_count(value: object, where: str) -> int:
+    """A whole number; files also write them as 1080.0."""
+    number = as_number(value, where)
+    if number != int(number):
+        raise FormatError(f"{where}: expected a whole number, got {shown(value)}")
+    return int(number)
+
+
+def as_vector(value: object, length: int, where: str) -> Float64[np.ndarray, " n"]:
+    """`length` finite numbers."""
+    if not isinstance(value, list) or len(value) != length:
+        raise FormatError(f"{where}: expected {length} numbers, got {shown(value)}")
+    return np.array([as_number(item, where) for item in value])
+
+
+def as_matrix(value: object, rows: int, columns: int, where: str) -> Float64[np.ndarray, "r c"]:
+    """`rows` lists of `columns` finite numbers."""
+    if not isinstance(value, list) or len(value) != rows:
+        raise FormatError(f"{where}: expected {rows} rows of {columns} numbers, got {shown(value)}")
+    return np.stack([as_vector(row, columns, where) for row in value])
+
+
+def shown(value: object) -> str:
+    """A value short enough for an error message."""
+    if isinstance(value, int) and value.bit_length() > 256:
+        return "a huge integer"  # str() of it may be refused by Python itself
+    text = (
+        ascii(value)
+        if not isinstance(value, list | dict)
+        else f"a {type(value).__name__} of {len(value)}"
+    )
+    return text if len(text) <= 80 else text[:77] + "..."

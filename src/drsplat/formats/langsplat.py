@@ -1,0 +1,223 @@
+"""LangSplat's language features: `<photo>_s.npy`, segment maps, `<photo>_f.npy`, embeddings."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64
+
+from ..encoders import EncoderIdentity
+from ..errors import FormatError, InputError, MismatchError
+from ..features import ViewFeatures
+from .npy import map_npy, write_npy
+from .photo_files import listed, safe_name
+
+LEVELS = ("default", "small", "medium", "large")
+"""The order of the four maps in `_s.npy`."""
+
+_MAPS, _EMBEDDINGS = "_s.npy", "_f.npy"
+
+
+@dataclass(frozen=True, eq=False)
+class LevelFeatures(ViewFeatures):
+    """The segments of one level of one photo, numbered 0..S-1.
+
+    file_rows: the row of `_f.npy` that each segment has, ascending; its id in `_s.npy`.
+    """
+
+    file_rows: Int64[np.ndarray, " s"]
+
+
+class FeatureFolder(Mapping[str, ViewFeatures]):
+    """Photos' features by name, read when asked for. Made by `read_features`.
+
+    Keys are paths of photos relative to the folder, without suffix. Looking up takes the name of a
+    view as well: "cam0/0001.jpg" finds "cam0/0001", else "0001" (LangSplat writes all features into
+    one folder, where photos of one name in several folders cannot be told apart; `key` says what is
+    found).
+
+    level: index into LEVELS. encoder: who made the embeddings, where the caller knows. dim: their
+    D.
+    """
+
+    def __init__(self, directory: Path, level: int, encoder: EncoderIdentity | None = None) -> None:
+        self.directory, self.level, self.encoder = directory, level, encoder
+        self._keys = dict.fromkeys(_listed_keys(directory))
+        self.dim = int(_map_embeddings(self._path(next(iter(self._keys)), _EMBEDDINGS)).shape[1])
+        if encoder is not None and encoder.dim != self.dim:
+            raise MismatchError(
+                f"{directory}: its embeddings have {self.dim} dimensions, those of "
+                f"{encoder.name} have "
+                f"{encoder.dim}: name the encoder that made them"
+            )
+
+    def key(self, name: str) -> str | None:
+        """The key that the name of a view finds, or None."""
+        path = PurePosixPath(name)
+        candidates = (name, (path.parent / path.stem).as_posix(), path.stem)
+        return next((candidate for candidate in candidates if candidate in self._keys), None)
+
+    def __getitem__(self, name: str) -> LevelFeatures:
+        """Read the features of a photo.
+
+        Raises: KeyError: no such photo. FormatError: a damaged file; the error names file and row.
+        """
+        key = self.key(name)
+        if key is None:
+            raise KeyError(f"{self.directory} has no features of '{name}'")
+        features = _read_level(self._path(key, _MAPS), self._path(key, _EMBEDDINGS), self.level)
+        if features.embeddings.shape[1] != self.dim:
+            raise FormatError(
+                f"{self._path(key, _EMBEDDINGS)}: has {features.embeddings.shape[1]} dimensions, "
+                f"the folder's first has {self.dim}"
+            )
+        return features
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and self.key(name) is not None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def _path(self, key: str, ending: str) -> Path:
+        return self.directory / f"{key}{ending}"
+
+
+def read_features(
+    directory: str | Path, level: str | int = "large", encoder: EncoderIdentity | None = None
+) -> FeatureFolder:
+    """A folder of LangSplat features, one level of it; nothing but headers is read yet.
+
+    level: "default", "small", "medium" or "large", or 0..3 in this order. A trap: Dr. Splat's own
+    preprocessing stores its *large* masks in all four levels and its README trains with
+    `--feature_level 1`; in features that LangSplat made, level 1 is *small*, and the same command
+    gives a much worse field. Naming "large" is right for both. A map without levels, (H, W), serves
+    any.
+    encoder: who made the embeddings; the files do not say.
+
+    `_s.npy` is (4, H, W), integers or whole floats, -1 for no segment; ids are rows of `_f.npy`,
+    which is (N, D) in half or single precision. Rows are brought to unit length on reading.
+
+    Raises: InputError: no such folder or level, no features in it. FormatError: maps without
+    embeddings. MismatchError: the encoder has another D.
+    Source: LangSplat preprocess.py.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        raise InputError(f"{directory}: there is no such folder of features")
+    return FeatureFolder(directory, level_index(level), encoder)
+
+
+def level_index(level: str | int) -> int:
+    """0..3 of a level's name or number."""
+    if isinstance(level, str) and level in LEVELS:
+        return LEVELS.index(level)
+    if isinstance(level, int) and 0 <= level < len(LEVELS):
+        return int(level)
+    raise InputError(f"level: expected one of {', '.join(LEVELS)} or 0..3, got {level!r}")
+
+
+def write_features(
+    directory: str | Path,
+    stem: str,
+    segment_ids: Int32[np.ndarray, "*levels h w"],
+    embeddings: Float32[np.ndarray, "n d"],
+    overwrite: bool = False,
+) -> None:
+    """Write one photo's features as LangSplat does: `<stem>_f.npy`, then `<stem>_s.npy`.
+
+    The maps come last, so a photo that is listed is complete. segment_ids: (4, H, W) in the order
+    of LEVELS, or one (H, W). Folders in the stem are made.
+
+    Raises: InputError: wrong shapes, an id without a row, a stem that leaves the folder, existing
+    files.
+    """
+    if segment_ids.ndim not in (2, 3) or (
+        segment_ids.ndim == 3 and len(segment_ids) != len(LEVELS)
+    ):
+        raise InputError(f"segment_ids: expected (4, H, W) or (H, W), got {segment_ids.shape}")
+    if segment_ids.min(initial=0) < -1 or segment_ids.max(initial=-1) >= len(embeddings):
+        raise InputError(f"segment_ids: expected -1 or a row of the {len(embeddings)} embeddings")
+    try:
+        path = Path(directory) / safe_name(stem, "stem")
+    except FormatError as error:
+        raise InputError(str(error)) from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_npy(path.with_name(path.name + _EMBEDDINGS), embeddings, overwrite)
+    write_npy(path.with_name(path.name + _MAPS), segment_ids, overwrite)
+
+
+def _listed_keys(directory: Path) -> list[str]:
+    maps = sorted(path.relative_to(directory).as_posix() for path in directory.rglob(f"*{_MAPS}"))
+    keys = [name.removesuffix(_MAPS) for name in maps]
+    if not keys:
+        raise InputError(
+            f"{directory}: expected files <photo>{_MAPS} and <photo>{_EMBEDDINGS} as LangSplat "
+            "writes them"
+        )
+    bare = [key for key in keys if not (directory / f"{key}{_EMBEDDINGS}").is_file()]
+    if bare:
+        raise FormatError(
+            f"{directory}: {len(bare)} of {len(keys)} photos have {_MAPS} but no {_EMBEDDINGS}: "
+            f"{listed(bare)}"
+        )
+    return keys
+
+
+def _read_level(maps: Path, embeddings: Path, level: int) -> LevelFeatures:
+    rows = _map_embeddings(embeddings)
+    ids = _level_ids(maps, level, len(rows))
+    used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
+    used[ids] = True
+    file_rows = np.flatnonzero(used[:-1])
+    compact = np.full(len(rows) + 1, -1, np.int32)
+    compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
+    return LevelFeatures(compact[ids], _unit_rows(rows, file_rows, embeddings), file_rows)
+
+
+def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:
+    maps = map_npy(path)
+    if 0 in maps.shape or not (maps.ndim == 2 or (maps.ndim == 3 and len(maps) == len(LEVELS))):
+        raise FormatError(f"{path}: expected (4, H, W) or (H, W), got {maps.shape}")
+    stored = np.ascontiguousarray(maps[level] if maps.ndim == 3 else maps)
+    # in the file's own type: a cast would wrap or hide what is wrong
+    wrong = (
+        ~((stored >= -1) & (stored < num_rows)) if stored.dtype.kind != "u" else stored >= num_rows
+    )
+    if stored.dtype.kind == "f":
+        wrong |= stored != np.floor(stored)
+    if wrong.any():
+        y, x = np.argwhere(wrong)[0]
+        raise FormatError(
+            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has segment {stored[y, x]}: "
+            "expected -1 or one of "
+            f"the {num_rows} rows of {path.name.removesuffix(_MAPS)}{_EMBEDDINGS}"
+        )
+    return stored.astype(np.int64)
+
+
+def _map_embeddings(path: Path) -> np.ndarray:
+    rows = map_npy(path)
+    if rows.ndim != 2 or rows.shape[1] < 1 or rows.dtype.kind != "f":
+        raise FormatError(f"{path}: expected floats (N, D), got {rows.dtype} {rows.shape}")
+    return rows
+
+
+def _unit_rows(
+    rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path
+) -> Float32[np.ndarray, "s d"]:
+    taken = rows[wanted].astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        norms = np.sqrt((taken**2).sum(1))
+    bad = wanted[~(np.isfinite(norms) & (norms > 0))]
+    if len(bad):
+        raise FormatError(
+            f"{path}: row {bad[0]} has no direction (zero or not finite); {len(bad)} such rows "
+            "are in use"
+        )
+    unit: np.ndarray = (taken / norms[:, None]).astype(np.float32)
+    return unit

@@ -1,0 +1,75 @@
+"""`.npy` arrays, mapped and not loaded, whose headers are believed only as far as the file is long.
+
+The header is matched, never evaluated, so no file can make Python do anything.
+Source: the NPY format 1.0 and 2.0 of NumPy (numpy.lib.format).
+"""
+
+import math
+import re
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+
+from ..errors import FormatError, InputError
+from .replacing import replacing
+
+_MAGIC = b"\x93NUMPY"
+_DESCR = re.compile(rb"""['"]descr['"]\s*:\s*['"]([<>|=]?[iuf][1248])['"]""")
+_ORDER = re.compile(rb"""['"]fortran_order['"]\s*:\s*(True|False)""")
+_SHAPE = re.compile(rb"""['"]shape['"]\s*:\s*\(([\d\s,]{0,200})\)""")
+_MAX_BYTES = 1 << 62  # beyond any file, within what NumPy can count
+
+
+def map_npy(path: Path) -> np.ndarray:
+    """The array of integers or floats in `path`, read-only and memory-mapped.
+
+    Raises: InputError: there is no such file. FormatError: not a .npy of plain numbers, or shorter
+    than its header says.
+    """
+    try:
+        with path.open("rb") as file:
+            dtype, shape, order = _header(file, path)
+            offset, size = file.tell(), path.stat().st_size
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    expected = offset + math.prod(shape) * dtype.itemsize
+    if size < expected:
+        raise FormatError(
+            f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}"
+        )
+    if 0 in shape:  # nothing to map
+        return np.zeros(shape, dtype)
+    return np.memmap(path, dtype, "r", offset, shape, order)
+
+
+def write_npy(path: Path, array: np.ndarray, overwrite: bool = False) -> None:
+    """Write `array`, whole or not at all."""
+    with replacing(path, overwrite) as file:
+        np.save(file, array, allow_pickle=False)
+
+
+def _header(file: BinaryIO, path: Path) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]:
+    if file.read(6) != _MAGIC:
+        raise FormatError(f"{path}: expected a .npy file (it does not start with its magic bytes)")
+    version = file.read(2)
+    length_bytes = {b"\x01\x00": 2, b"\x02\x00": 4}.get(version)
+    if length_bytes is None:
+        raise FormatError(f"{path}: expected .npy version 1.0 or 2.0, got {tuple(version)}")
+    length = int.from_bytes(file.read(length_bytes), "little")
+    header = file.read(min(length, 1 << 16))
+    descr, order, shape = (pattern.search(header) for pattern in (_DESCR, _ORDER, _SHAPE))
+    if len(header) < length or descr is None or order is None or shape is None:
+        raise FormatError(
+            f"{path}: expected a header of an array of integers or floats, got {header[:120]!a}"
+        )
+    numbers = tuple(int(number) for number in re.findall(rb"\d+", shape[1]))
+    if (
+        not 1 <= len(numbers) <= 8
+        or math.prod(max(number, 1) for number in numbers) * 8 > _MAX_BYTES
+    ):
+        raise FormatError(f"{path}: no array has the shape ({ascii(shape[1])[2:-1]})")
+    try:
+        return np.dtype(descr[1].decode()), numbers, "F" if order[1] == b"True" else "C"
+    except TypeError as error:
+        raise FormatError(f"{path}: {error}") from error

@@ -1,0 +1,99 @@
+"""Finding a capture's photos by the names that camera files use."""
+
+import re
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+from ..errors import FormatError, InputError, MismatchError
+from ..photos import photo_size
+from ..views import View
+
+PHOTO_SUFFIXES = (
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".JPG",
+    ".JPEG",
+    ".PNG",
+    ".webp",
+    ".tif",
+    ".tiff",
+    ".bmp",
+)
+"""Tried in this order where a file names its photos without suffix."""
+
+_MAX_NAME_BYTES = 1024
+_MODEL_FOLDERS = re.compile(r"(^|/)(colmap/)?sparse(/\d+)?$")
+
+
+def safe_name(name: str, where: str) -> str:
+    """`name` with forward slashes and without "." parts: a path that stays inside its folder.
+
+    Raises: FormatError: an absolute path, "..", control characters, or an impossible length.
+    """
+    posix = name.replace("\\", "/")
+    parts = PurePosixPath(posix).parts
+    escapes = posix.startswith("/") or ".." in parts or re.match(r"[A-Za-z]:", posix)
+    unprintable = any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
+    if not parts or escapes or unprintable:
+        raise FormatError(
+            f"{where}: expected a file name relative to the image folder, without '..', got "
+            f"{ascii(name)[:200]}"
+        )
+    if len(posix.encode()) > _MAX_NAME_BYTES or any(len(part.encode()) > 240 for part in parts):
+        raise FormatError(
+            f"{where}: a file name of {len(name)} characters is longer than file systems allow"
+        )
+    return "/".join(parts)
+
+
+def find_photo(folder: Path, name: str) -> Path | None:
+    """The file of that name; where there is none, of that name plus a photo's suffix."""
+    exact = folder / name
+    if exact.is_file():
+        return exact
+    with_suffix = (exact.with_name(exact.name + suffix) for suffix in PHOTO_SUFFIXES)
+    return next((path for path in with_suffix if path.is_file()), None)
+
+
+def image_folder(capture: Path, images: str | Path | None) -> Path:
+    """Where a capture's photos are: `images`, else CAPTURE/images, else CAPTURE.
+
+    `images` is looked for inside the capture first ("images_4"). Where the capture is named by its
+    model folder (CAPTURE/sparse/0), CAPTURE is the folder above "sparse" or "colmap/sparse".
+
+    Raises: InputError: `images` is no folder.
+    """
+    if not (capture / "images").is_dir():
+        capture = Path(_MODEL_FOLDERS.sub("", capture.as_posix()))
+    if images is None:
+        return capture / "images" if (capture / "images").is_dir() else capture
+    for folder in (capture / images, Path(images)):
+        if folder.is_dir():
+            return folder
+    raise InputError(
+        f"images: there is no folder '{images}', neither in {capture} nor as a path of its own"
+    )
+
+
+def on_photo(view: View, path: Path) -> View:
+    """The view with its photo, K and size scaled to the photo's own raster.
+
+    Raises: FormatError: not a photo. MismatchError: the photo has another shape than the camera.
+    """
+    width, height = photo_size(path)
+    # measured on the smaller of the two, where rounding to whole pixels took place
+    shrink = min(1.0, view.width / width)
+    if abs(height - view.height * width / view.width) * shrink > 1:
+        raise MismatchError(
+            f"{path}: the photo is {width}x{height}, its camera {view.width}x{view.height}: "
+            "another aspect ratio. "
+            "Use the photos that the camera file was made of (uncropped, not rotated by EXIF)"
+        )
+    return replace(view.resized(width, height), image_path=path)
+
+
+def listed(names: list[str], most: int = 8) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -1,0 +1,162 @@
+"""A file of words and their embeddings as an encoder: queries without a text model."""
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..encoders import EncoderIdentity
+from ..errors import FormatError, InputError
+from .json_files import as_vector, read_json, shown
+from .replacing import replacing
+
+TENSOR = "embeddings"
+
+
+class VocabularyEncoder:
+    """Encodes the texts it has in store and no other. Made by `read_vocabulary`.
+
+    embeddings: one unit vector per text of `texts`.
+    """
+
+    def __init__(
+        self,
+        identity: EncoderIdentity,
+        texts: Sequence[str],
+        embeddings: Float32[np.ndarray, "t d"],
+    ) -> None:
+        self.identity, self.texts, self.embeddings = identity, tuple(texts), embeddings
+        self._rows = {text: row for row, text in enumerate(self.texts)}
+
+    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+        """Look the texts up.
+
+        Raises: InputError: a text that is not in the vocabulary; the message has the closest ones.
+        """
+        if isinstance(texts, str):
+            raise InputError(f"texts: expected a list of texts, got the single text {texts!r}")
+        rows = [self._row(text) for text in texts]
+        return self.embeddings[np.array(rows, np.intp)]
+
+    def _row(self, text: str) -> int:
+        if text in self._rows:
+            return self._rows[text]
+        by_lower = {known.lower(): known for known in self.texts}
+        close = [
+            by_lower[word]
+            for word in difflib.get_close_matches(text.lower(), by_lower, n=5, cutoff=0.5)
+        ]
+        advice = (
+            f"closest: {', '.join(map(repr, close))}"
+            if close
+            else f"it starts with {self.texts[:5]}"
+        )
+        raise InputError(
+            f"{text!r} is not among the {len(self.texts)} texts of vocabulary "
+            f"'{self.identity.name}'; {advice}"
+        )
+
+
+def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEncoder:
+    """The vocabulary in a .json or .safetensors file; vectors are brought to unit length.
+
+    JSON: {text: [numbers, ...]}, as OpenGaussian's text_features.json. Safetensors: a tensor
+    "embeddings" (T, D) and metadata "texts" (a JSON list), "name", "weights"; see
+    `write_vocabulary`.
+    name: of the encoder that made the vectors, which fields made with that encoder check; default:
+    the file's own, else the file's name without suffix.
+
+    Raises: InputError: there is no such file. FormatError: it is damaged, vectors differ in length,
+    a vector has no direction.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    if path.suffix == ".safetensors":
+        texts, vectors, stored = _read_safetensors(path)
+    else:
+        texts, vectors, stored = *_read_json(path), {}
+    identity = EncoderIdentity(
+        name or stored.get("name") or path.stem, vectors.shape[1], stored.get("weights", "")
+    )
+    return VocabularyEncoder(identity, texts, _unit(texts, vectors, path))
+
+
+def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bool = False) -> None:
+    """Write a vocabulary as safetensors, with the identity of its encoder.
+
+    Raises: InputError: the file exists and `overwrite` is false, or its folder does not.
+    """
+    from safetensors.numpy import save
+
+    identity = encoder.identity
+    metadata = {
+        "texts": json.dumps(encoder.texts),
+        "name": identity.name,
+        "weights": identity.weights,
+    }
+    with replacing(path, overwrite) as file:
+        file.write(save({TENSOR: np.ascontiguousarray(encoder.embeddings)}, metadata))
+
+
+def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
+    document = read_json(path)
+    if not isinstance(document, dict) or not document:
+        raise FormatError(
+            f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {shown(document)}"
+        )
+    first = next(iter(document.values()))
+    dim = len(first) if isinstance(first, list) else 0
+    if dim < 1:
+        raise FormatError(f"{path}: expected a list of numbers for each text, got {shown(first)}")
+    vectors = [as_vector(value, dim, f"{path}: {shown(text)}") for text, value in document.items()]
+    return list(document), np.stack(vectors)
+
+
+def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, str]]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            vectors = file.get_tensor(TENSOR)
+        texts = json.loads(metadata.get("texts", "null"))
+    except (SafetensorError, ValueError, TypeError, RecursionError) as error:
+        raise FormatError(
+            f"{path}: expected a safetensors file with '{TENSOR}' and metadata 'texts': {error}"
+        ) from error
+    if (
+        not isinstance(texts, list)
+        or not all(isinstance(text, str) for text in texts)
+        or len(set(texts)) < len(texts)
+    ):
+        raise FormatError(
+            f"{path}: expected metadata 'texts' to be a JSON list of different texts, got "
+            f"{shown(texts)}"
+        )
+    if (
+        vectors.ndim != 2
+        or 0 in vectors.shape
+        or vectors.dtype.kind != "f"
+        or len(vectors) != len(texts)
+    ):
+        raise FormatError(
+            f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}"
+        )
+    return texts, vectors, metadata
+
+
+def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Float32[np.ndarray, "t d"]:
+    wide = vectors.astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        norms = np.sqrt((wide**2).sum(1))
+    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
+    if len(bad):
+        raise FormatError(
+            f"{path}: the vector of {shown(texts[bad[0]])} has no direction (zero or not finite)"
+        )
+    unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
+    return unit
