@@ -43,7 +43,7 @@ struct Walk {
 // Exact test of one splat against all blocks: the largest log2(alpha) over each block's rectangle of
 // pixel centres. That maximum of a concave quadratic lies on the line through the point nearest to the
 // centre, along x or along y.
-static inline uint32_t blocks_touched(const Walk &w, const Splat &g) {
+INLINE uint32_t blocks_touched(const Walk &w, const Splat &g) {
   const Floats xa = w.block_x - splat(g.x), ya = w.block_y - splat(g.y), zero = splat(0.f);
   const Floats xb = xa + splat(kBlockWidth - 1.f), yb = ya + splat(kBlockHeight - 1.f);
   const Floats near_x = minimum(maximum(zero, xa), xb), near_y = minimum(maximum(zero, ya), yb);
@@ -75,7 +75,7 @@ static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint
 // The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
 // by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
 template <class Begin, class Visit>
-static inline Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit) {
+INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit) {
   const Tile &tile = w.tile;
   const Floats px = w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)), py = w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight));
   Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
@@ -125,7 +125,7 @@ static Record record_block(Walk &w, int block, Mask wanted, const Selection &sel
         reserve(scratch.hit_list, (r.size + n + 1) * sizeof(uint32_t));
         r.weights = (float *)scratch.hits.data, r.index = (uint32_t *)scratch.hit_list.data;
       },
-      [&](uint32_t i, Floats weight) {  // branch-free append
+      [&](uint32_t i, Floats weight) __attribute__((always_inline)) {  // branch-free append
         store(r.weights + 16 * r.size, weight);
         r.index[r.size] = i;
         r.size += any(splat(0.f) < weight);
@@ -133,7 +133,7 @@ static Record record_block(Walk &w, int block, Mask wanted, const Selection &sel
   return r;
 }
 
-static inline Ints count_from(const Record &r, Floats threshold) {
+INLINE Ints count_from(const Record &r, Floats threshold) {
   Ints a = splat_int(0), b = splat_int(0);
   uint32_t i = 0;
   for (; i + 1 < r.size; i += 2) {
@@ -328,7 +328,7 @@ static void tile_render(const Tile &tile, const float *values, int32_t channels,
       for (int c = 0; c < n; c++) total[c] = splat(0.f);
       const Floats rest = walk_block(
           walk, b, inside, 0, [](uint32_t) {},
-          [&](uint32_t i, Floats w) {
+          [&](uint32_t i, Floats w) __attribute__((always_inline)) {
             const Splat &g = tile.splats[tile.list[i]];
             const float *value = values + (size_t)g.id * channels + first;
             for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);

@@ -1,8 +1,11 @@
 // Sixteen float or int lanes on any instruction set, as native-width vectors of the compiler.
 //
 // Included by kernels.cpp inside a namespace per instruction set. Everything is static inline: no
-// symbol of this file is shared between the copies.
+// symbol of this file is shared between the copies, and always inlined: passing these structs through
+// the stack costs more than most functions do.
 #pragma once
+
+#define INLINE static inline __attribute__((always_inline))
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__)
 #define DRSPLAT_AVX512 1
@@ -27,114 +30,119 @@ struct Mask { IntPart part[kParts]; };  // all bits set = true
 
 #define EACH_PART for (int i = 0; i < kParts; i++)
 
-static inline Floats splat(float x) { Floats r; EACH_PART r.part[i] = FloatPart{} + x; return r; }
-static inline Ints splat_int(int32_t x) { Ints r; EACH_PART r.part[i] = IntPart{} + x; return r; }
-static inline Floats load(const float *p) { Floats r; memcpy(&r, p, sizeof r); return r; }
-static inline Ints load_int(const int32_t *p) { Ints r; memcpy(&r, p, sizeof r); return r; }
-static inline void store(float *p, Floats a) { memcpy(p, &a, sizeof a); }
-static inline void store_int(int32_t *p, Ints a) { memcpy(p, &a, sizeof a); }
+// x - 0 is x for every float, x + 0 is not for -0: only the former compiles to a plain broadcast.
+INLINE Floats splat(float x) { Floats r; EACH_PART r.part[i] = x - FloatPart{}; return r; }
+INLINE Ints splat_int(int32_t x) { Ints r; EACH_PART r.part[i] = IntPart{} + x; return r; }
+
+// Loads and stores through unaligned vector types: GCC 12 splits a memcpy of 64 bytes into small moves.
+typedef float LooseFloats __attribute__((vector_size(kVectorBytes), aligned(4), may_alias));
+typedef int32_t LooseInts __attribute__((vector_size(kVectorBytes), aligned(4), may_alias));
+INLINE Floats load(const float *p) { Floats r; EACH_PART r.part[i] = ((const LooseFloats *)p)[i]; return r; }
+INLINE Ints load_int(const int32_t *p) { Ints r; EACH_PART r.part[i] = ((const LooseInts *)p)[i]; return r; }
+INLINE void store(float *p, Floats a) { EACH_PART ((LooseFloats *)p)[i] = a.part[i]; }
+INLINE void store_int(int32_t *p, Ints a) { EACH_PART ((LooseInts *)p)[i] = a.part[i]; }
 
 #define LANE_OPERATOR(Type, op) \
-  static inline Type operator op(Type a, Type b) { Type r; EACH_PART r.part[i] = a.part[i] op b.part[i]; return r; }
+  INLINE Type operator op(Type a, Type b) { Type r; EACH_PART r.part[i] = a.part[i] op b.part[i]; return r; }
 LANE_OPERATOR(Floats, +) LANE_OPERATOR(Floats, -) LANE_OPERATOR(Floats, *) LANE_OPERATOR(Floats, /)
 LANE_OPERATOR(Ints, +) LANE_OPERATOR(Ints, -) LANE_OPERATOR(Ints, &) LANE_OPERATOR(Ints, |)
 #undef LANE_OPERATOR
 
-static inline Ints shift_left(Ints a, int s) { Ints r; EACH_PART r.part[i] = a.part[i] << s; return r; }
-static inline Ints shift_right(Ints a, int s) { Ints r; EACH_PART r.part[i] = a.part[i] >> s; return r; }
-static inline Ints bits_of(Floats a) { Ints r; EACH_PART r.part[i] = (IntPart)a.part[i]; return r; }
-static inline Floats float_of_bits(Ints a) { Floats r; EACH_PART r.part[i] = (FloatPart)a.part[i]; return r; }
-static inline Floats to_float(Ints a) { Floats r; EACH_PART r.part[i] = __builtin_convertvector(a.part[i], FloatPart); return r; }
-static inline Ints truncate(Floats a) { Ints r; EACH_PART r.part[i] = __builtin_convertvector(a.part[i], IntPart); return r; }
+INLINE Ints shift_left(Ints a, int s) { Ints r; EACH_PART r.part[i] = a.part[i] << s; return r; }
+INLINE Ints shift_right(Ints a, int s) { Ints r; EACH_PART r.part[i] = a.part[i] >> s; return r; }
+INLINE Ints bits_of(Floats a) { Ints r; EACH_PART r.part[i] = (IntPart)a.part[i]; return r; }
+INLINE Floats float_of_bits(Ints a) { Floats r; EACH_PART r.part[i] = (FloatPart)a.part[i]; return r; }
+INLINE Floats to_float(Ints a) { Floats r; EACH_PART r.part[i] = __builtin_convertvector(a.part[i], FloatPart); return r; }
+INLINE Ints truncate(Floats a) { Ints r; EACH_PART r.part[i] = __builtin_convertvector(a.part[i], IntPart); return r; }
 
 #if DRSPLAT_AVX512
-static inline Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_LT_OQ)}; }
-static inline Mask operator>=(Floats a, Floats b) { return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GE_OQ)}; }
-static inline Mask operator<(Ints a, Ints b) { return {_mm512_cmplt_epi32_mask((__m512i)a.part[0], (__m512i)b.part[0])}; }
-static inline Mask operator==(Ints a, Ints b) { return {_mm512_cmpeq_epi32_mask((__m512i)a.part[0], (__m512i)b.part[0])}; }
-static inline Mask operator&(Mask a, Mask b) { return {(__mmask16)(a.lanes & b.lanes)}; }
-static inline Mask operator|(Mask a, Mask b) { return {(__mmask16)(a.lanes | b.lanes)}; }
-static inline Mask operator!(Mask a) { return {(__mmask16)~a.lanes}; }
-static inline uint32_t lanes_of(Mask m) { return m.lanes; }
-static inline Floats select(Mask m, Floats a, Floats b) { return {{(FloatPart)_mm512_mask_blend_ps(m.lanes, (__m512)b.part[0], (__m512)a.part[0])}}; }
-static inline Ints select(Mask m, Ints a, Ints b) { return {{(IntPart)_mm512_mask_blend_epi32(m.lanes, (__m512i)b.part[0], (__m512i)a.part[0])}}; }
-static inline Floats keep(Mask m, Floats a) { return {{(FloatPart)_mm512_maskz_mov_ps(m.lanes, (__m512)a.part[0])}}; }
-static inline Ints increment(Ints a, Mask m) { return {{(IntPart)_mm512_mask_sub_epi32((__m512i)a.part[0], m.lanes, (__m512i)a.part[0], _mm512_set1_epi32(-1))}}; }
-static inline Floats minimum(Floats a, Floats b) { return {{(FloatPart)_mm512_min_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
-static inline Floats maximum(Floats a, Floats b) { return {{(FloatPart)_mm512_max_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
-static inline Floats square_root(Floats a) { return {{(FloatPart)_mm512_sqrt_ps((__m512)a.part[0])}}; }
+INLINE Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_LT_OQ)}; }
+INLINE Mask operator>=(Floats a, Floats b) { return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GE_OQ)}; }
+INLINE Mask operator<(Ints a, Ints b) { return {_mm512_cmplt_epi32_mask((__m512i)a.part[0], (__m512i)b.part[0])}; }
+INLINE Mask operator==(Ints a, Ints b) { return {_mm512_cmpeq_epi32_mask((__m512i)a.part[0], (__m512i)b.part[0])}; }
+INLINE Mask operator&(Mask a, Mask b) { return {(__mmask16)(a.lanes & b.lanes)}; }
+INLINE Mask operator|(Mask a, Mask b) { return {(__mmask16)(a.lanes | b.lanes)}; }
+INLINE Mask operator!(Mask a) { return {(__mmask16)~a.lanes}; }
+INLINE uint32_t lanes_of(Mask m) { return m.lanes; }
+INLINE Floats select(Mask m, Floats a, Floats b) { return {{(FloatPart)_mm512_mask_blend_ps(m.lanes, (__m512)b.part[0], (__m512)a.part[0])}}; }
+INLINE Ints select(Mask m, Ints a, Ints b) { return {{(IntPart)_mm512_mask_blend_epi32(m.lanes, (__m512i)b.part[0], (__m512i)a.part[0])}}; }
+INLINE Floats keep(Mask m, Floats a) { return {{(FloatPart)_mm512_maskz_mov_ps(m.lanes, (__m512)a.part[0])}}; }
+INLINE Ints increment(Ints a, Mask m) { return {{(IntPart)_mm512_mask_sub_epi32((__m512i)a.part[0], m.lanes, (__m512i)a.part[0], _mm512_set1_epi32(-1))}}; }
+INLINE Floats minimum(Floats a, Floats b) { return {{(FloatPart)_mm512_min_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
+INLINE Floats maximum(Floats a, Floats b) { return {{(FloatPart)_mm512_max_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
+INLINE Floats square_root(Floats a) { return {{(FloatPart)_mm512_sqrt_ps((__m512)a.part[0])}}; }
 #else
 #define LANE_COMPARISON(Type, op) \
-  static inline Mask operator op(Type a, Type b) { Mask r; EACH_PART r.part[i] = a.part[i] op b.part[i]; return r; }
+  INLINE Mask operator op(Type a, Type b) { Mask r; EACH_PART r.part[i] = a.part[i] op b.part[i]; return r; }
 LANE_COMPARISON(Floats, <) LANE_COMPARISON(Floats, >=) LANE_COMPARISON(Ints, <) LANE_COMPARISON(Ints, ==)
 #undef LANE_COMPARISON
-static inline Mask operator&(Mask a, Mask b) { Mask r; EACH_PART r.part[i] = a.part[i] & b.part[i]; return r; }
-static inline Mask operator|(Mask a, Mask b) { Mask r; EACH_PART r.part[i] = a.part[i] | b.part[i]; return r; }
-static inline Mask operator!(Mask a) { Mask r; EACH_PART r.part[i] = ~a.part[i]; return r; }
-static inline Floats select(Mask m, Floats a, Floats b) { Floats r; EACH_PART r.part[i] = m.part[i] ? a.part[i] : b.part[i]; return r; }
-static inline Ints select(Mask m, Ints a, Ints b) { Ints r; EACH_PART r.part[i] = m.part[i] ? a.part[i] : b.part[i]; return r; }
-static inline Floats keep(Mask m, Floats a) { Floats r; EACH_PART r.part[i] = (FloatPart)((IntPart)a.part[i] & m.part[i]); return r; }
-static inline Ints increment(Ints a, Mask m) { Ints r; EACH_PART r.part[i] = a.part[i] - m.part[i]; return r; }
-static inline Floats minimum(Floats a, Floats b) { return select(a < b, a, b); }
-static inline Floats maximum(Floats a, Floats b) { return select(b < a, a, b); }
+INLINE Mask operator&(Mask a, Mask b) { Mask r; EACH_PART r.part[i] = a.part[i] & b.part[i]; return r; }
+INLINE Mask operator|(Mask a, Mask b) { Mask r; EACH_PART r.part[i] = a.part[i] | b.part[i]; return r; }
+INLINE Mask operator!(Mask a) { Mask r; EACH_PART r.part[i] = ~a.part[i]; return r; }
+INLINE Floats select(Mask m, Floats a, Floats b) { Floats r; EACH_PART r.part[i] = m.part[i] ? a.part[i] : b.part[i]; return r; }
+INLINE Ints select(Mask m, Ints a, Ints b) { Ints r; EACH_PART r.part[i] = m.part[i] ? a.part[i] : b.part[i]; return r; }
+INLINE Floats keep(Mask m, Floats a) { Floats r; EACH_PART r.part[i] = (FloatPart)((IntPart)a.part[i] & m.part[i]); return r; }
+INLINE Ints increment(Ints a, Mask m) { Ints r; EACH_PART r.part[i] = a.part[i] - m.part[i]; return r; }
+INLINE Floats minimum(Floats a, Floats b) { return select(a < b, a, b); }
+INLINE Floats maximum(Floats a, Floats b) { return select(b < a, a, b); }
 #if defined(__AVX__)
-static inline uint32_t lanes_of(Mask m) {
+INLINE uint32_t lanes_of(Mask m) {
   return (uint32_t)_mm256_movemask_ps((__m256)m.part[0]) | (uint32_t)_mm256_movemask_ps((__m256)m.part[1]) << 8;
 }
-static inline Floats square_root(Floats a) { Floats r; EACH_PART r.part[i] = (FloatPart)_mm256_sqrt_ps((__m256)a.part[i]); return r; }
+INLINE Floats square_root(Floats a) { Floats r; EACH_PART r.part[i] = (FloatPart)_mm256_sqrt_ps((__m256)a.part[i]); return r; }
 #elif defined(__SSE2__)
-static inline uint32_t lanes_of(Mask m) {
+INLINE uint32_t lanes_of(Mask m) {
   uint32_t r = 0;
   EACH_PART r |= (uint32_t)_mm_movemask_ps((__m128)m.part[i]) << (4 * i);
   return r;
 }
-static inline Floats square_root(Floats a) { Floats r; EACH_PART r.part[i] = (FloatPart)_mm_sqrt_ps((__m128)a.part[i]); return r; }
+INLINE Floats square_root(Floats a) { Floats r; EACH_PART r.part[i] = (FloatPart)_mm_sqrt_ps((__m128)a.part[i]); return r; }
 #else
-static inline uint32_t lanes_of(Mask m) {
+INLINE uint32_t lanes_of(Mask m) {
   uint32_t r = 0;
   for (int lane = 0; lane < 16; lane++) r |= (uint32_t)(((const int32_t *)&m)[lane] < 0) << lane;
   return r;
 }
-static inline Floats square_root(Floats a) {
+INLINE Floats square_root(Floats a) {
   for (int lane = 0; lane < 16; lane++) ((float *)&a)[lane] = __builtin_sqrtf(((float *)&a)[lane]);
   return a;
 }
 #endif
 #endif
 
-static inline bool any(Mask m) { return lanes_of(m) != 0; }
-static inline float lane(const Floats &a, int i) { return ((const float *)&a)[i]; }
+INLINE bool any(Mask m) { return lanes_of(m) != 0; }
+INLINE float lane(const Floats &a, int i) { return ((const float *)&a)[i]; }
 
 // Sum of all lanes in a fixed tree order, so that every instruction set adds alike.
-static inline float sum(Floats a) {
+INLINE float sum(Floats a) {
   typedef float Four __attribute__((vector_size(16), may_alias));
   const Four *q = (const Four *)&a;
   Four s = (q[0] + q[1]) + (q[2] + q[3]);
   return (s[0] + s[2]) + (s[1] + s[3]);
 }
 
-static inline Floats floor_of(Floats a) {  // |a| < 2^31
+INLINE Floats floor_of(Floats a) {  // |a| < 2^31
   Floats t = to_float(truncate(a));
   return select(a < t, t - splat(1.f), t);
 }
 
-// 2^p for p in [-126, 127], relative error 2e-7: Taylor of 2^f on |f| <= 1/2 after rounding p to the
-// nearest integer, which the addition of 1.5 * 2^23 leaves in the low mantissa bits.
-static inline Floats exp2_of(Floats p) {
+// 2^p for p in [-126, 127], relative error 2e-7: minimax polynomial of 2^f on |f| <= 1/2 after rounding
+// p to the nearest integer, which the addition of 1.5 * 2^23 leaves in the low mantissa bits. Forbids
+// -ffast-math.
+INLINE Floats exp2_of(Floats p) {
   const Floats magic = splat(12582912.f);
   Floats t = p + magic, f = p - (t - magic);
-  Floats r = splat(1.5403530e-4f) * f + splat(1.3333558e-3f);
-  r = r * f + splat(9.6181291e-3f);
-  r = r * f + splat(5.5504109e-2f);
-  r = r * f + splat(2.4022651e-1f);
-  r = r * f + splat(6.9314718e-1f);
+  Floats r = splat(1.32764713e-3f) * f + splat(9.67554189e-3f);
+  r = r * f + splat(5.55071309e-2f);
+  r = r * f + splat(2.40221202e-1f);
+  r = r * f + splat(6.93146944e-1f);
   r = r * f + splat(1.f);
   return float_of_bits(bits_of(r) + shift_left(bits_of(t), 23));
 }
 
 // log2(a) for normal a > 0, absolute error 1e-7 times the exponent's size: a = m * 2^e with m in
 // [sqrt(1/2), sqrt(2)), log(m) = 2 atanh((m - 1) / (m + 1)) by its odd series.
-static inline Floats log2_of(Floats a) {
+INLINE Floats log2_of(Floats a) {
   Ints shifted = bits_of(a) - splat_int(0x3f3504f3);
   Ints exponent = shift_right(shifted, 23);
   Floats m = float_of_bits((shifted & splat_int(0x7fffff)) + splat_int(0x3f3504f3));

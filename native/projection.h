@@ -5,13 +5,13 @@ constexpr float kNearPlane = 0.2f, kMinAlpha = 1.f / 255, kBlur = 0.3f, kLog2E =
 constexpr float kLog2MinAlpha = -7.99435344f;
 constexpr float kCullSlack = 1e-4f;  // keeps every cull on the safe side of float rounding
 
-static inline Floats load_some(const float *p, uint32_t n) {
+INLINE Floats load_some(const float *p, uint32_t n) {
   if (n >= 16) return load(p);
   float padded[16] = {};
   memcpy(padded, p, n * sizeof(float));
   return load(padded);
 }
-static inline Floats clamp(Floats a, float low, float high) { return minimum(maximum(a, splat(low)), splat(high)); }
+INLINE Floats clamp(Floats a, float low, float high) { return minimum(maximum(a, splat(low)), splat(high)); }
 
 struct Projected {  // sixteen lanes of Splat and Extent, plus who survived
   Floats splat[6], depth, extent[6];
@@ -20,7 +20,7 @@ struct Projected {  // sixteen lanes of Splat and Extent, plus who survived
 };
 
 // Tiles of the 3-sigma square (the published rule), intersected with the exact box of alpha >= 1/255.
-static inline void tile_range(Floats centre, Floats radius, Floats half, int tiles, Ints &first, Ints &last) {
+INLINE void tile_range(Floats centre, Floats radius, Floats half, int tiles, Ints &first, Ints &last) {
   const Floats tile = splat(1.f / 16), bound = splat(16.f * (float)tiles);
   Floats pixel = centre - splat(0.5f), zero = splat(0.f);
   Floats low = minimum(maximum(pixel - radius, zero), bound), high = minimum(maximum(pixel + radius + splat(15.f), zero), bound);
@@ -31,7 +31,7 @@ static inline void tile_range(Floats centre, Floats radius, Floats half, int til
   last = select(tb < b, tb, b);
 }
 
-static inline Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uint32_t n) {
+INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uint32_t n) {
   Projected out;
   const size_t N = s.count;
   const float *R = c.rotation;
