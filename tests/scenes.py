@@ -1,0 +1,73 @@
+"""Deterministic random scenes, cameras and segment maps for tests.
+
+Cameras hold float32 numbers only, so that a float32 kernel and its float64 twin get the same ones.
+"""
+
+import numpy as np
+
+from drsplat.gaussians import Gaussians
+from drsplat.views import View
+
+
+def random_gaussians(
+    n: int = 3000, seed: int = 0, *, extent: float = 2.0, size: float = 0.15, sh_degree: int = 1
+) -> Gaussians:
+    """Gaussians in a cube of half width `extent` about the origin.
+
+    Scales are anisotropic about `size` (needles and discs among them); a third is nearly opaque, a
+    third translucent, a third faint, as in a trained scene.
+    """
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    scales = size * np.exp(rng.normal(-0.5, 0.7, (n, 3)))
+    faint, translucent, opaque = rng.uniform(0.01, 0.1, n), rng.uniform(0, 1, n), rng.beta(9, 1, n)
+    opacities = np.choose(rng.integers(0, 3, n), [faint, translucent, opaque])
+    sh = rng.normal(0, 0.4, (n, (sh_degree + 1) ** 2, 3))
+    columns = (rng.uniform(-extent, extent, (n, 3)), quats, scales, opacities, sh)
+    return Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+def look_at_view(
+    eye: tuple[float, float, float],
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    width: int = 160,
+    height: int = 112,
+    fov_degrees: float = 60.0,
+    principal: tuple[float, float] | None = None,
+) -> View:
+    """A camera at `eye` that looks at `target`, world +z up; fov is horizontal."""
+    forward = np.subtract(target, eye)
+    forward = forward / np.linalg.norm(forward)
+    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.99 else (0.0, 1.0, 0.0)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
+    center = principal or (width / 2, height / 2)
+    intrinsics = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1.0]])
+    return View("view.png", as_float32(intrinsics), as_float32(pose), width, height)
+
+
+def as_float32(values: np.ndarray) -> np.ndarray:
+    """float64 array of float32-representable numbers."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def random_segment_map(
+    height: int, width: int, num: int, hole_share: float = 0.1, seed: int = 0
+) -> np.ndarray:
+    """Voronoi cells of `num` random sites, int32; about `hole_share` of the area is -1."""
+    rng = np.random.default_rng(seed)
+    sites = rng.uniform(0, 1, (num, 2)) * (height, width)
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    distance = (rows[..., None] - sites[:, 0]) ** 2 + (columns[..., None] - sites[:, 1]) ** 2
+    segment_ids = distance.argmin(axis=2).astype(np.int32)
+    order = rng.permutation(num)
+    area = np.cumsum(np.bincount(segment_ids.ravel(), minlength=num)[order])
+    holes = order[area <= hole_share * height * width]
+    segment_ids[np.isin(segment_ids, holes)] = -1
+    return segment_ids

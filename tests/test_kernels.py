@@ -1,0 +1,333 @@
+"""The native kernels against their float64 twin, on scenes where every rule is at work.
+
+Outside the boundary band the same Gaussians must contribute to the same segments, and the weights
+must agree in sum to 1e-6. Inside it, differences are counted and bounded.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drsplat.errors import InputError
+from drsplat.kernels import (
+    SplatArrays,
+    Triples,
+    available_isas,
+    reference,
+    render_channels,
+    sh_colors,
+    splat_arrays,
+    topk_contributions,
+    view_weights,
+)
+from drsplat.views import View
+from scenes import look_at_view, random_gaussians, random_segment_map
+
+WIDTH, HEIGHT = 128, 96
+SCENES = {
+    "outside": (0, (0.0, -6.0, 1.0), {}),
+    "oblique": (1, (4.0, -4.0, 3.0), {"fov_degrees": 45.0}),
+    "inside": (2, (0.1, 0.2, 0.0), {"target": (1.0, 0.3, 0.1), "fov_degrees": 90.0}),
+    "off-centre": (3, (-1.0, 1.0, 0.5), {"principal": (40.0, 70.0)}),
+}
+KS = (1, 10, 20, 40, 45, None)
+every_scene = pytest.mark.parametrize("scene", SCENES)
+every_isa = pytest.mark.parametrize("isa", available_isas())
+
+
+@lru_cache
+def arrays_of(scene: str) -> SplatArrays:
+    return splat_arrays(random_gaussians(3000, SCENES[scene][0]))
+
+
+@lru_cache
+def view_of(scene: str) -> View:
+    _, eye, options = SCENES[scene]
+    return look_at_view(eye, width=WIDTH, height=HEIGHT, **options)
+
+
+@lru_cache
+def segments_of(scene: str) -> np.ndarray:
+    return random_segment_map(HEIGHT, WIDTH, 40, 0.1, SCENES[scene][0])
+
+
+@lru_cache
+def twin_of(scene: str, first_hits: int | None = None) -> reference.Contributors:
+    return reference.contributors(arrays_of(scene), view_of(scene), first_hits)
+
+
+@lru_cache
+def without_boundary(
+    scene: str, k: int | None, first_hits: int | None = None
+) -> tuple[np.ndarray, reference.Triples]:
+    """The scene's segment map less the boundary pixels, and the twin's weights on it."""
+    return masked(twin_of(scene, first_hits), segments_of(scene), k)
+
+
+def masked(
+    twin: reference.Contributors, segment_ids: np.ndarray, k: int | None
+) -> tuple[np.ndarray, reference.Triples]:
+    sure = np.where(reference.on_boundary(twin, k), np.int32(-1), segment_ids)
+    return sure, reference.segment_sums(reference.largest(twin, k), sure)
+
+
+def table(triples: Triples | reference.Triples) -> dict[tuple[int, int], float]:
+    keys = zip(triples.gaussian_ids.tolist(), triples.segment_ids.tolist(), strict=True)
+    return dict(zip(keys, triples.weights.tolist(), strict=True))
+
+
+def assert_same_triples(native: Triples, twin: reference.Triples, tolerance: float = 1e-6) -> None:
+    """Same keys in the same order; sum |error| / sum <= tolerance; no entry is wrong by much."""
+    assert_array_equal(native.gaussian_ids, twin.gaussian_ids)
+    assert_array_equal(native.segment_ids, twin.segment_ids)
+    error = np.abs(native.weights - twin.weights)
+    assert error.sum() <= tolerance * twin.weights.sum()
+    assert_allclose(native.weights, twin.weights, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("k", KS)
+@every_isa
+@every_scene
+def test_weights_are_those_of_the_twin(scene, isa, k):
+    segment_ids, expected = without_boundary(scene, k)
+    native = view_weights(arrays_of(scene), view_of(scene), segment_ids, k, isa=isa)
+    assert_same_triples(native, expected)
+
+
+@pytest.mark.parametrize("k", [10, 40, None])
+@every_scene
+def test_differences_in_the_boundary_band_are_few_and_small(scene, k):
+    twin, segment_ids = twin_of(scene), segments_of(scene)
+    boundary = reference.on_boundary(twin, k)
+    assert boundary.mean() < 0.03
+    native = table(view_weights(arrays_of(scene), view_of(scene), segment_ids, k))
+    expected = table(reference.segment_sums(reference.largest(twin, k), segment_ids))
+    different = native.keys() ^ expected.keys()
+    # A pixel that decides otherwise swaps, drops or adds about one contributor.
+    assert len(different) <= 2 * boundary.sum()
+    total = sum(expected.values())
+    assert sum(native.get(key, 0) + expected.get(key, 0) for key in different) < 0.01 * total
+    error = sum(abs(native.get(key, 0) - expected.get(key, 0)) for key in native | expected)
+    assert error < 0.01 * total
+
+
+@pytest.mark.parametrize(("first_hits", "k"), [(1, 1), (5, 3), (20, None), (30, 10)])
+@every_isa
+def test_first_hits_cuts_before_the_top_k(first_hits, k, isa):
+    scene = "off-centre"
+    segment_ids, expected = without_boundary(scene, k, first_hits)
+    native = view_weights(
+        arrays_of(scene), view_of(scene), segment_ids, k, first_hits=first_hits, isa=isa
+    )
+    assert_same_triples(native, expected)
+
+
+@every_isa
+def test_threads_change_no_bit(isa):
+    scene, values = "inside", np.random.default_rng(0).normal(size=(3000, 5)).astype(np.float32)
+    arrays, view, segment_ids = arrays_of(scene), view_of(scene), segments_of(scene)
+
+    def everything(threads: int) -> list[np.ndarray]:
+        return [
+            *view_weights(arrays, view, segment_ids, 20, threads=threads, isa=isa),
+            *topk_contributions(arrays, view, 7, threads=threads, isa=isa),
+            *render_channels(arrays, view, values, threads=threads, isa=isa),
+        ]
+
+    alone = everything(1)
+    for threads in (2, 3, 5, 0):
+        for one, many in zip(alone, everything(threads), strict=True):
+            assert one.dtype == many.dtype
+            assert_array_equal(one, many)
+
+
+@pytest.mark.skipif("v4" not in available_isas(), reason="this machine runs no AVX-512")
+@every_scene
+def test_instruction_sets_agree(scene):
+    arguments = (arrays_of(scene), view_of(scene), segments_of(scene), 40)
+    wide, narrow = (view_weights(*arguments, isa=isa) for isa in ("v4", "v3"))
+    assert_array_equal(wide.gaussian_ids, narrow.gaussian_ids)
+    assert_array_equal(wide.segment_ids, narrow.segment_ids)
+    assert np.abs(wide.weights - narrow.weights).sum() <= 1e-6 * narrow.weights.sum()
+
+
+@every_isa
+@pytest.mark.parametrize(
+    ("width", "height"), [(1, 1), (17, 16), (31, 33), (129, 1), (1, 50), (8, 2)]
+)
+def test_rasters_that_fill_no_whole_tiles(width, height, isa):
+    arrays, view = arrays_of("outside"), look_at_view((0, -5, 1), width=width, height=height)
+    twin = reference.contributors(arrays, view)
+    segment_ids, expected = masked(twin, random_segment_map(height, width, 5, 0.0), 20)
+    assert len(expected.weights) > 0
+    assert_same_triples(view_weights(arrays, view, segment_ids, 20, isa=isa), expected)
+
+
+def test_a_map_without_segments_gives_nothing():
+    empty = view_weights(
+        arrays_of("outside"), view_of("outside"), np.full((HEIGHT, WIDTH), -1, np.int32)
+    )
+    assert [len(column) for column in empty] == [0, 0, 0]
+    assert [column.dtype for column in empty] == [np.uint32, np.int32, np.float32]
+
+
+@pytest.mark.parametrize("n", [0, 1, 50])
+def test_nothing_in_front_of_the_camera(n):
+    arrays = splat_arrays(random_gaussians(n, extent=0.5))
+    view = look_at_view((0, -5, 0), (0, -10, 0), width=40, height=20)
+    assert len(view_weights(arrays, view, np.zeros((20, 40), np.int32)).weights) == 0
+    nobody = topk_contributions(arrays, view, 3)
+    assert (nobody.ids == -1).all()
+    assert (nobody.weights == 0).all()
+    background = np.array([0.25, 0.5], np.float32)
+    image = render_channels(arrays, view, np.ones((n, 2), np.float32), background)
+    assert_array_equal(image.channels, np.broadcast_to(background, (20, 40, 2)))
+    assert_array_equal(image.alpha, 0)
+    assert_array_equal(image.depth, 0)
+
+
+@every_isa
+def test_every_pixel_its_own_segment(isa):
+    """256 segments in each tile, thousands in the view, and ids that leave gaps."""
+    crowded = (np.arange(HEIGHT * WIDTH, dtype=np.int32) * 7 + 3).reshape(HEIGHT, WIDTH)
+    segment_ids, expected = masked(twin_of("oblique"), crowded, 20)
+    native = view_weights(arrays_of("oblique"), view_of("oblique"), segment_ids, 20, isa=isa)
+    assert_same_triples(native, expected)
+
+
+@lru_cache
+def overcast() -> tuple[SplatArrays, np.ndarray, reference.Triples]:
+    """Gaussians so large that most of them cover the whole raster."""
+    arrays = splat_arrays(random_gaussians(300, 4, extent=3.0, size=2.5))
+    opacities = np.random.default_rng(4).uniform(0.005, 0.2, 300).astype(np.float32)
+    arrays = arrays._replace(opacities=opacities)
+    twin = reference.contributors(arrays, view_of("outside"))
+    assert np.bincount(twin.pixels).mean() > 40
+    assert reference.on_boundary(twin, 45).mean() < 0.1
+    return arrays, *masked(twin, segments_of("outside"), 45)
+
+
+@every_isa
+def test_gaussians_that_cover_the_screen(isa):
+    arrays, segment_ids, expected = overcast()
+    native = view_weights(arrays, view_of("outside"), segment_ids, 45, isa=isa)
+    assert_same_triples(native, expected)
+
+
+def test_more_than_all_contributors_is_all():
+    arguments = (arrays_of("outside"), view_of("outside"), segments_of("outside"))
+    for generous, unlimited in zip(
+        view_weights(*arguments, 1000), view_weights(*arguments, None), strict=True
+    ):
+        assert_array_equal(generous, unlimited)
+
+
+@lru_cache
+def sure_contributions(scene: str, k: int) -> tuple[np.ndarray, reference.Contributions]:
+    twin = twin_of(scene)
+    sure = ~reference.on_boundary(twin, k)
+    ids, weights = reference.pixel_table(reference.largest(twin, k), k)
+    return sure, reference.Contributions(ids[sure].astype(np.int32), weights[sure])
+
+
+@pytest.mark.parametrize("k", [1, 10, 45])
+@every_isa
+@every_scene
+def test_contributions_are_those_of_the_twin(scene, isa, k):
+    native = topk_contributions(arrays_of(scene), view_of(scene), k, isa=isa)
+    assert (np.diff(native.weights, axis=2) <= 0).all()
+    assert_array_equal(native.ids < 0, native.weights == 0)
+    sure, expected = sure_contributions(scene, k)
+    ids = native.ids[sure]
+    assert_array_equal(np.sort(ids, axis=1), np.sort(expected.ids, axis=1))
+    assert_allclose(native.weights[sure], expected.weights, rtol=3e-4, atol=1e-7)
+    # Weights within rounding of each other may change places; they must be very few.
+    assert (ids != expected.ids).mean() < 1e-3
+
+
+@pytest.mark.parametrize("first_hits", [None, 12])
+def test_contributions_sum_to_the_weights(first_hits):
+    arrays, view, segment_ids = arrays_of("inside"), view_of("inside"), segments_of("inside")
+    per_pixel = topk_contributions(arrays, view, 20, first_hits=first_hits)
+    owned = (per_pixel.ids >= 0) & (segment_ids >= 0)[..., None]
+    sums: dict[tuple[int, int], float] = {}
+    owners = np.broadcast_to(segment_ids[..., None], owned.shape)[owned]
+    for gaussian, segment, weight in zip(
+        per_pixel.ids[owned].tolist(),
+        owners.tolist(),
+        per_pixel.weights[owned].tolist(),
+        strict=True,
+    ):
+        sums[gaussian, segment] = sums.get((gaussian, segment), 0.0) + weight
+    native = table(view_weights(arrays, view, segment_ids, 20, first_hits=first_hits))
+    assert native.keys() == sums.keys()
+    assert_allclose([native[key] for key in sums], list(sums.values()), rtol=1e-5)
+
+
+@every_isa
+def test_equal_depths_go_by_index(isa):
+    means = np.array([[0, 0, 4], [0, 0, 2], [0, 0, 2]], np.float32)
+    covariances = np.tile(np.array([4, 0, 0, 4, 0, 4], np.float32), (3, 1))
+    arrays = SplatArrays(means.T.copy(), covariances.T.copy(), np.full(3, 0.5, np.float32))
+    intrinsics = np.array([[8.0, 0, 0.5], [0, 8.0, 0.5], [0, 0, 1]])
+    nearest = topk_contributions(arrays, View("v", intrinsics, np.eye(4), 1, 1), 3, isa=isa)
+    assert_array_equal(nearest.ids[0, 0], [1, 2, 0])
+    assert_allclose(nearest.weights[0, 0], [0.5, 0.25, 0.125], rtol=1e-6)
+
+
+VALUES = np.random.default_rng(0).normal(size=(3000, 33)).astype(np.float32)
+BACKGROUND = np.linspace(-1, 1, 33, dtype=np.float32)
+
+
+@lru_cache
+def twin_rendering(scene: str) -> reference.Rendering:
+    return reference.weighted_sums(twin_of(scene), VALUES, BACKGROUND)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4, 7, 33])
+@every_isa
+@every_scene
+def test_renderings_are_those_of_the_twin(scene, isa, channels):
+    values, background = VALUES[:, :channels], BACKGROUND[:channels]
+    native = render_channels(arrays_of(scene), view_of(scene), values, background, isa=isa)
+    twin, sure = twin_rendering(scene), ~twin_of(scene).unsure
+    error = np.abs(native.channels - twin.channels[..., :channels])[sure]
+    assert error.mean() < 1e-6
+    assert error.max() < 2e-5
+    assert_allclose(native.alpha[sure], twin.alpha[sure], rtol=0, atol=1e-5)
+    assert_allclose(native.depth[sure], twin.depth[sure], rtol=1e-5, atol=1e-5)
+
+
+def test_no_background_is_black():
+    arrays, view = arrays_of("outside"), view_of("outside")
+    black = render_channels(arrays, view, VALUES[:, :3], np.zeros(3, np.float32))
+    assert_array_equal(render_channels(arrays, view, VALUES[:, :3]).channels, black.channels)
+
+
+@pytest.mark.parametrize("degree", range(4))
+@every_isa
+def test_colors_are_those_of_the_twin(degree, isa):
+    gaussians = random_gaussians(1003, degree, sh_degree=degree)
+    center = np.array([0.25, -3.0, 1.5])
+    native = sh_colors(gaussians.sh, gaussians.means, center, isa=isa)
+    assert native.dtype == np.float32
+    assert_allclose(native, reference.sh_colors(gaussians.sh, gaussians.means, center), atol=2e-6)
+
+
+def test_wrong_arguments_say_so():
+    arrays, view = arrays_of("outside"), view_of("outside")
+    segment_ids = segments_of("outside")
+    with pytest.raises(InputError, match="topk"):
+        view_weights(arrays, view, segment_ids, 0)
+    with pytest.raises(InputError, match="first_hits"):
+        view_weights(arrays, view, segment_ids, first_hits=-1)
+    with pytest.raises(InputError, match="resize"):
+        view_weights(arrays, view, segment_ids[1:])
+    with pytest.raises(InputError, match="instruction set"):
+        view_weights(arrays, view, segment_ids, isa="v9")
+    with pytest.raises(InputError, match="k: expected"):
+        topk_contributions(arrays, view, 0)
+    with pytest.raises(InputError, match="values"):
+        render_channels(arrays, view, np.ones((2, 3), np.float32))
