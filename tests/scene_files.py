@@ -44,7 +44,7 @@ def ply_columns(g: Gaussians) -> dict[str, np.ndarray]:
 def ply_bytes(
     columns: dict[str, np.ndarray], order: str = "<", before: bytes = b"", before_header: str = ""
 ) -> bytes:
-    """Binary ("<", ">") or ASCII ("a") PLY of one vertex element, behind another if one is given."""
+    """PLY, binary ("<", ">") or ASCII ("a"), of the element vertex, behind others if given."""
     n = len(next(iter(columns.values())))
     names = {"<": "binary_little_endian", ">": "binary_big_endian", "a": "ascii"}
     lines = [
@@ -59,10 +59,7 @@ def ply_bytes(
     if order == "a":
         rows = zip(*(c.tolist() for c in columns.values()), strict=True)
         return head + "".join(" ".join(map(repr, row)) + "\n" for row in rows).encode()
-    row_format = order + "".join(
-        {"i4": "i", "f4": "f", "f8": "d"}.get(c.dtype.str[1:], c.dtype.char)
-        for c in columns.values()
-    )
+    row_format = order + "".join(c.dtype.char for c in columns.values())
     rows = zip(*(c.tolist() for c in columns.values()), strict=True)
     return head + b"".join(struct.pack(row_format, *row) for row in rows)
 
@@ -144,7 +141,7 @@ def spz_planes(g: Gaussians, version: int) -> list[bytes]:
 
 
 def _first_three(quat: np.ndarray) -> bytes:
-    w, *xyz = quat * (1 if quat[0] >= 0 else -1)
+    _, *xyz = quat * (1 if quat[0] >= 0 else -1)
     return bytes(round(float(c) * 127.5 + 127.5) for c in xyz)
 
 
@@ -170,7 +167,7 @@ def spz_bytes(g: Gaussians, version: int, flags: int = 0, extensions: bytes = b"
 
 
 def v4_body(planes: list[bytes], extensions: bytes = b"") -> bytes:
-    """All of a version 4 file behind its flags: stream count, offset, extensions, contents, streams."""
+    """All of a version 4 file behind its flags: stream count, offset, extensions, streams."""
     streams = [zstandard.ZstdCompressor().compress(p) for p in planes]
     contents = b"".join(
         struct.pack("<QQ", len(s), len(p)) for s, p in zip(streams, planes, strict=True)

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scene_files
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_files import random_gaussians, turned
 from scipy.spatial import cKDTree
 
+import scene_files
 from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
 from drsplat.gaussians import Gaussians
+from scene_files import random_gaussians, turned
 
 SPLATS = Path(__file__).resolve().parents[2] / "shared" / "data" / "splats"
 no_splats = pytest.mark.skipif(not SPLATS.is_dir(), reason=f"no real captures at {SPLATS}")
@@ -29,7 +29,7 @@ def parsed(data: bytes, suffix: str = "") -> Gaussians:
 
 
 def assert_close(a: Gaussians, b: Gaussians, **tolerances: float) -> None:
-    """tolerances: absolute, of means, scales (of their logarithm), opacities, sh and quats (radians)."""
+    """tolerances: absolute; of scales that of their logarithm, of quats in radians."""
     assert a.sh.shape == b.sh.shape
     assert np.abs(a.means - b.means).max(initial=0) <= tolerances["means"]
     assert np.abs(np.log(a.scales / b.scales)).max(initial=0) <= tolerances["scales"]
@@ -156,7 +156,7 @@ def test_rows_that_are_no_gaussians_are_counted_and_named(name: str, value: floa
     columns = scene_files.ply_columns(random_gaussians(np.random.default_rng(4), 30))
     columns[name] = columns[name].copy()
     columns[name][[17, 21, 29]] = value
-    with pytest.raises(FormatError, match="3 of 30 rows .* first is row 17.*--filter-nan"):
+    with pytest.raises(FormatError, match=r"3 of 30 rows .* first is row 17.*--filter-nan"):
         parsed(scene_files.ply_bytes(columns))
 
 
@@ -173,7 +173,7 @@ def test_quaternions_of_any_length_but_zero() -> None:
     columns = scene_files.ply_columns(g)
     for i in range(4):
         columns[f"rot_{i}"] = g.quats[:, i] * np.array([1e-30, 1e37, 0], np.float32)
-    with pytest.raises(FormatError, match="1 of 3 rows have rotations.* row 2"):
+    with pytest.raises(FormatError, match=r"1 of 3 rows have rotations.* row 2"):
         parsed(scene_files.ply_bytes(columns))
     columns["rot_0"][2] = 1
     assert angles(parsed(scene_files.ply_bytes(columns)), g)[:2].max() < 1e-6
@@ -370,7 +370,7 @@ def test_spz_headers_that_do_not_fit(edit: dict, message: str) -> None:
 
 @pytest.fixture(scope="module")
 def biker() -> tuple[Gaussians, Gaussians]:
-    """The same scene as compressed PLY and as SPZ, rows of the second matched to those of the first."""
+    """The same scene as compressed PLY and as SPZ, the second's rows matched to the first's."""
     packed, spz = (
         read_gaussians(SPLATS / "biker.compressed.ply"),
         read_gaussians(SPLATS / "biker.spz"),

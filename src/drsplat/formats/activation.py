@@ -26,8 +26,7 @@ SMALLEST_THREE = np.array([[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3
 
 def sigmoid(logits: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
     """1 / (1 + exp(-x)); plus and minus infinity, which SuperSplat writes, are exactly 1 and 0."""
-    with np.errstate(over="ignore"):
-        wide: np.ndarray = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    wide: np.ndarray = 1 / (1 + np.exp(-logits.astype(np.float64)))
     return wide.astype(np.float32)
 
 
@@ -41,15 +40,13 @@ def logit(opacities: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
 
 def exp(log_scales: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
     """Natural exponential in place; what overflows is left infinite for `checked` to report."""
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        np.exp(log_scales, out=log_scales)
+    np.exp(log_scales, out=log_scales)
     return log_scales
 
 
 def unit_quats(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     """Normalise in place; a row without a direction becomes NaN or infinite."""
-    with np.errstate(all="ignore"):
-        quats /= np.sqrt(np.einsum("ni,ni->n", quats, quats, dtype=np.float64))[:, None]
+    quats /= np.sqrt(np.einsum("ni,ni->n", quats, quats, dtype=np.float64))[:, None]
     return quats
 
 
@@ -62,6 +59,7 @@ def from_smallest_three(
     return np.take_along_axis(four, SMALLEST_THREE[largest], axis=1)
 
 
+@np.errstate(all="ignore")
 def checked(
     means: Float32[np.ndarray, "n 3"],
     quats: Float32[np.ndarray, "n 4"],
@@ -78,9 +76,8 @@ def checked(
     _require_finite(means, "positions (x, y, z) that are not finite")
     _require_finite(unit_quats(quats), "rotations (rot_0..3) that are zero or not finite")
     _require(np.logical_and(scales > 0, scales < np.inf), f"scales {SCALE_RANGE}")
-    _require(
-        np.logical_and(opacities >= 0, opacities <= 1), "opacities that are not a number in [0, 1]"
-    )
+    shares = np.logical_and(opacities >= 0, opacities <= 1)
+    _require(shares, "opacities that are not a number in [0, 1]")
     _require_finite(sh, "colours (f_dc, f_rest) that are not finite")
     return Gaussians(means, quats, scales, opacities, sh, dict(extra))
 
@@ -94,6 +91,7 @@ def _require_finite(values: Float32[np.ndarray, "n ..."], what: str) -> None:
 def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
     if np.all(good):
         return
-    bad = ~good.reshape(len(good), -1).all(axis=1)
-    count, first = int(np.count_nonzero(bad)), int(bad.argmax())
-    raise FormatError(f"{count} of {len(bad)} rows have {what}; the first is row {first}. {CURE}")
+    bad = np.flatnonzero((~good).reshape(len(good), -1).any(axis=1))
+    raise FormatError(
+        f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {CURE}"
+    )

@@ -10,13 +10,13 @@ Source: PlayCanvas, "Compressed PLY format" (SuperSplat user manual).
 """
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt32
+from jaxtyping import Float32, UInt32
 
 from ..errors import FormatError
 from ..gaussians import SH_COEFFICIENTS, Gaussians
 from .activation import SH_C0, checked, exp, from_smallest_three
 from .gaussian_ply import extra_columns
-from .ply import gather, read_elements
+from .ply import Records, gather, read_elements
 from .ply_header import Header
 
 CHUNK_ROWS = 256
@@ -54,17 +54,14 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
             f"{len(vertex)} packed Gaussians need a chunk per {CHUNK_ROWS}, got {len(chunk)} chunks"
         )
     colour = _unpack(_packed(vertex, 3), (24, 16, 8, 0), (8, 8, 8, 8))
-    with np.errstate(
-        invalid="ignore", over="ignore"
-    ):  # bounds that are not finite end up in rows `checked` refuses
-        means = _unpack(_packed(vertex, 0), (21, 11, 0), (11, 10, 11))
-        _within_chunks(means, gather(chunk, POSITION_BOUNDS))
-        log_scales = _unpack(_packed(vertex, 2), (21, 11, 0), (11, 10, 11))
-        _within_chunks(log_scales, gather(chunk, SCALE_BOUNDS))
-        if set(COLOUR_BOUNDS) <= set(chunk.dtype.names or ()):
-            _within_chunks(colour[:, :3], gather(chunk, COLOUR_BOUNDS))
-        sh = np.empty((len(vertex), 1 + len(rest) // 3, 3), np.float32)
-        sh[:, 0] = (colour[:, :3] - 0.5) / SH_C0
+    means = _unpack(_packed(vertex, 0), (21, 11, 0), (11, 10, 11))
+    _within_chunks(means, gather(chunk, POSITION_BOUNDS))
+    log_scales = _unpack(_packed(vertex, 2), (21, 11, 0), (11, 10, 11))
+    _within_chunks(log_scales, gather(chunk, SCALE_BOUNDS))
+    if set(COLOUR_BOUNDS) <= set(chunk.dtype.names or ()):
+        _within_chunks(colour[:, :3], gather(chunk, COLOUR_BOUNDS))
+    sh = np.empty((len(vertex), 1 + len(rest) // 3, 3), np.float32)
+    sh[:, 0] = (colour[:, :3] - 0.5) / SH_C0
     if rest:
         sh[:, 1:] = _decode_rest(tables["sh"], rest)
     extra = extra_columns(vertex, set(PACKED))
@@ -104,7 +101,7 @@ def _rest_names(header: Header) -> list[str]:
     return names
 
 
-def _packed(vertex: Shaped[np.ndarray, " n"], which: int) -> UInt32[np.ndarray, " n"]:
+def _packed(vertex: Records, which: int) -> UInt32[np.ndarray, " n"]:
     return vertex[PACKED[which]].astype(np.uint32)
 
 
@@ -133,13 +130,13 @@ def _within_chunks(
         block[:] = low * (1 - block) + high * block
 
 
-def _rotations(vertex: Shaped[np.ndarray, " n"]) -> Float32[np.ndarray, "n 4"]:
+def _rotations(vertex: Records) -> Float32[np.ndarray, "n 4"]:
     packed = _packed(vertex, 1)
     three = (_unpack(packed, (20, 10, 0), (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2))
     return from_smallest_three(three, packed >> np.uint32(30))
 
 
-def _decode_rest(table: Shaped[np.ndarray, " n"], names: list[str]) -> Float32[np.ndarray, "n k 3"]:
+def _decode_rest(table: Records, names: list[str]) -> Float32[np.ndarray, "n k 3"]:
     """Bytes to [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step."""
     values = gather(table, names)
     ends = np.where(values == 0, np.float32(-4), np.float32(4))

@@ -9,12 +9,11 @@ Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its 
 """
 
 import numpy as np
-from jaxtyping import Shaped
 
 from ..errors import FormatError, InputError
 from ..gaussians import SH_COEFFICIENTS, Gaussians
 from .activation import checked, exp, logit, sigmoid
-from .ply import gather, read_elements
+from .ply import Records, gather, read_elements
 from .ply_header import Header
 
 MEANS = ("x", "y", "z")
@@ -68,7 +67,7 @@ def _sh_names(names: list[str]) -> list[str]:
     return [*DC, *rest]
 
 
-def extra_columns(rows: Shaped[np.ndarray, " n"], known: set[str]) -> dict[str, np.ndarray]:
+def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
     """Copies, in native byte order, of the columns that are not `known`."""
     names = [name for name in rows.dtype.names or () if name not in known]
     extra = {name: rows[name].astype(rows.dtype[name].newbyteorder("=")) for name in names}

@@ -16,13 +16,12 @@ from ..errors import DrSplatWarning, FormatError, InputError
 from .ply_header import SCALAR_TYPES, Element, Header
 from .replacing import replacing
 
+Records = np.ndarray  # structured: a row each; jaxtyping would spell out its dtype at every call
 BLOCK_ROWS = 2048  # of 62 floats fit a core's second-level cache
 WRITTEN_TYPES = {code: name for name, code in reversed(SCALAR_TYPES.items()) if name.isalpha()}
 
 
-def read_elements(
-    buffer: memoryview, header: Header, names: Collection[str]
-) -> dict[str, Shaped[np.ndarray, " _"]]:
+def read_elements(buffer: memoryview, header: Header, names: Collection[str]) -> dict[str, Records]:
     """The named elements, each as a structured array with one row per entry.
 
     Rows of a binary file are views of `buffer`: nothing is copied, whatever its size. All elements
@@ -42,9 +41,7 @@ def read_elements(
     return _read_binary(buffer, header, names)
 
 
-def _read_binary(
-    buffer: memoryview, header: Header, names: Collection[str]
-) -> dict[str, Shaped[np.ndarray, " _"]]:
+def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> dict[str, Records]:
     found: dict[str, np.ndarray] = {}
     offset = header.body
     for element in header.elements.values():
@@ -94,9 +91,7 @@ def _end_of_lists(buffer: memoryview, offset: int, element: Element, order: str)
     return offset
 
 
-def _read_ascii(
-    text: io.BytesIO, header: Header, names: Collection[str]
-) -> dict[str, Shaped[np.ndarray, " _"]]:
+def _read_ascii(text: io.BytesIO, header: Header, names: Collection[str]) -> dict[str, Records]:
     found: dict[str, np.ndarray] = {}
     rows = (line for line in text if not line.isspace())
     for element in header.elements.values():
@@ -111,7 +106,7 @@ def _read_ascii(
     return found
 
 
-def _ascii_rows(rows: Iterator[bytes], element: Element) -> Shaped[np.ndarray, " _"]:
+def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
     result: np.ndarray = np.empty(0, element.record("="))
     lines = list(islice(rows, element.count))
     if len(lines) < element.count:
@@ -130,33 +125,31 @@ def _ascii_rows(rows: Iterator[bytes], element: Element) -> Shaped[np.ndarray, "
             f"got {table.shape[1]}"
         )
     result = np.empty(element.count, result.dtype)
-    with np.errstate(all="ignore"):
-        for column, p in zip(table.T, element.properties, strict=True):
-            result[p.name] = column
-            if p.code[0] != "f" and (result[p.name] != column).any():
-                raise FormatError(
-                    f"PLY property '{p.name}' is declared {p.code} but holds other numbers"
-                )
+    for column, p in zip(table.T, element.properties, strict=True):
+        result[p.name] = column
+        if p.code[0] != "f" and (result[p.name] != column).any():
+            raise FormatError(
+                f"PLY property '{p.name}' is declared {p.code} but holds other numbers"
+            )
     return result
 
 
-def gather(records: Shaped[np.ndarray, " n"], names: Sequence[str]) -> Float32[np.ndarray, "n c"]:
+def gather(records: Records, names: Sequence[str]) -> Float32[np.ndarray, "n c"]:
     """Columns `names` of a structured array side by side as float32, whatever their type.
 
     A value that float32 cannot hold becomes infinite: judging it is the caller's.
     """
     result = np.empty((len(records), len(names)), np.float32)
     words = _float32_words(records.dtype, names)
-    with np.errstate(all="ignore"):
-        for start in range(0, len(records), BLOCK_ROWS):
-            rows = slice(start, start + BLOCK_ROWS)
-            block = records[rows]
-            if words is not None:
-                table = block.view(np.float32).reshape(len(block), -1)
-                np.take(table, words, axis=1, out=result[rows], mode="clip")
-                continue
-            for column, name in enumerate(names):
-                result[rows, column] = block[name]
+    for start in range(0, len(records), BLOCK_ROWS):
+        rows = slice(start, start + BLOCK_ROWS)
+        block = records[rows]
+        if words is not None:
+            table = block.view(np.float32).reshape(len(block), -1)
+            np.take(table, words, axis=1, out=result[rows], mode="clip")
+            continue
+        for column, name in enumerate(names):
+            result[rows, column] = block[name]
     return result
 
 

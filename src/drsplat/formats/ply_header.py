@@ -3,7 +3,9 @@
 Source: Greg Turk, "The PLY Polygon File Format" (1994).
 """
 
+from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +17,11 @@ SCALAR_TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+LENGTH_TYPES = {name for name, code in SCALAR_TYPES.items() if code[0] != "f"}
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 
 
-@dataclass(frozen=True)
-class Property:
+class Property(NamedTuple):
     """One property: `code` is its NumPy type; `count_code` that of a list's length, else empty."""
 
     name: str
@@ -34,6 +36,11 @@ class Element:
     name: str
     count: int
     properties: tuple[Property, ...]
+
+    def __post_init__(self) -> None:
+        twice = [name for name, times in Counter(self.names()).items() if times > 1]
+        if twice:
+            raise FormatError(f"PLY header names the property '{twice[0]}' twice")
 
     @property
     def has_lists(self) -> bool:
@@ -77,39 +84,27 @@ def read_header(buffer: memoryview) -> Header:
 def _parse_lines(lines: list[str]) -> tuple[str, dict[str, Element]]:
     order = ""
     counts: dict[str, int] = {}
-    properties: dict[str, dict[str, Property]] = {}
-    current: dict[str, Property] | None = None
+    properties: dict[str, list[Property]] = {}
+    current: list[Property] | None = None
     for line in lines:
         match line.split():
             case [] | ["comment" | "obj_info", *_]:
                 continue
             case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS and not order:
                 order = BYTE_ORDERS[encoding]
-            case ["element", name, count] if _is_count(count) and name not in counts:
-                counts[name] = int(count)
-                current = properties[name] = {}
-            case ["property", kind, name] if kind in SCALAR_TYPES and current is not None:
-                _add(current, Property(name, SCALAR_TYPES[kind]))
-            case ["property", "list", length, kind, name] if (
-                kind in SCALAR_TYPES
-                and SCALAR_TYPES.get(length, "f")[0] != "f"
-                and current is not None
+            case ["element", name, count] if (
+                count.isdecimal() and len(count) < 19 and name not in counts
             ):
-                _add(current, Property(name, SCALAR_TYPES[kind], SCALAR_TYPES[length]))
+                counts[name] = int(count)
+                current = properties[name] = []
+            case ["property", kind, name] if kind in SCALAR_TYPES and current is not None:
+                current.append(Property(name, SCALAR_TYPES[kind]))
+            case ["property", "list", length, kind, name] if (
+                kind in SCALAR_TYPES and length in LENGTH_TYPES and current is not None
+            ):
+                current.append(Property(name, SCALAR_TYPES[kind], SCALAR_TYPES[length]))
             case _:
                 raise FormatError(f"PLY header line not understood: {line[:80]!r}")
     if not order:
         raise FormatError("PLY header has no 'format' line")
-    return order, {
-        name: Element(name, counts[name], tuple(properties[name].values())) for name in counts
-    }
-
-
-def _is_count(word: str) -> bool:
-    return word.isdecimal() and len(word) <= 18
-
-
-def _add(properties: dict[str, Property], added: Property) -> None:
-    if added.name in properties:
-        raise FormatError(f"PLY header names the property '{added.name}' twice")
-    properties[added.name] = added
+    return order, {name: Element(name, counts[name], tuple(properties[name])) for name in counts}

@@ -44,6 +44,7 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
         raise FormatError(f"{path}: {error}") from None
 
 
+@np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end, row by row
 def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
     """`read_gaussians` for bytes in memory; `suffix` (".splat") decides only where no mark does.
 
