@@ -114,10 +114,11 @@ struct Record {
   float *weights;   // 16 per hit, front to back
   uint32_t *index;  // list index of each hit
   uint32_t size;
+  Ints lane_sizes;  // hits of each lane
 };
 
 static Record record_block(Walk &w, int block, Mask wanted, const Selection &selection, TileScratch &scratch) {
-  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0};
+  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0, splat_int(0)};
   walk_block(
       w, block, wanted, selection.first_hits,
       [&](uint32_t n) {
@@ -126,9 +127,11 @@ static Record record_block(Walk &w, int block, Mask wanted, const Selection &sel
         r.weights = (float *)scratch.hits.data, r.index = (uint32_t *)scratch.hit_list.data;
       },
       [&](uint32_t i, Floats weight) __attribute__((always_inline)) {  // branch-free append
+        const Mask positive = splat(0.f) < weight;
         store(r.weights + 16 * r.size, weight);
         r.index[r.size] = i;
-        r.size += any(splat(0.f) < weight);
+        r.size += any(positive);
+        r.lane_sizes = increment(r.lane_sizes, positive);
       });
   return r;
 }
@@ -155,19 +158,23 @@ static void drop_late_ties(const Record &r, Floats threshold, Mask tied, int32_t
   }
 }
 
+constexpr int32_t kTinyWeightBits = 0x34000000;  // 1.2e-7, below any weight: at least 1/255 * 1e-4
+constexpr int32_t kOneBits = 0x3f800000;
+constexpr int32_t kFirstGuessBits = 0x3b800000;  // 2^-8
+
 // Per lane, a threshold that exactly its k largest weights reach (all of them, where it has fewer).
 // Positive floats order as their bits do, so the search runs on bits: between `low` (reached by more
-// than k) and `high` (by fewer), guessing by linear interpolation of the counts, and halving every
-// third round so that it always ends.
-static Floats topk_threshold(const Record &r, int32_t k) {
+// than k) and `high` (by fewer), starting at `guess`, going on by linear interpolation of the counts,
+// and halving every third round so that it always ends.
+static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
   const Ints wanted = splat_int(k), one = splat_int(1);
-  Ints low = one, high = splat_int(0x3f800000), threshold = one;
-  Ints count_low = count_from(r, float_of_bits(low)), count_high = splat_int(0);
+  Ints low = splat_int(kTinyWeightBits), high = splat_int(kOneBits), threshold = low;
+  Ints count_low = r.lane_sizes, count_high = splat_int(0);
   Mask busy = wanted < count_low;
   for (int round = 0; any(busy); round++) {
     const Ints width = high - low;
     const Floats share = to_float(count_low - wanted) / to_float(count_low - count_high);
-    Ints step = round == 0 ? splat_int(0x3c000000) - low : round % 3 == 2 ? shift_right(width, 1) : truncate(to_float(width) * share);
+    Ints step = round == 0 ? guess - low : round % 3 == 2 ? shift_right(width, 1) : truncate(to_float(width) * share);
     step = select(step < one, one, select(step < width, step, width - one));
     const Ints middle = low + step, count = count_from(r, float_of_bits(middle));
     const Mask more = busy & (wanted < count), fewer = busy & (count < wanted);
@@ -182,11 +189,15 @@ static Floats topk_threshold(const Record &r, int32_t k) {
       busy = busy & !tied;
     }
   }
-  return float_of_bits(threshold);
+  return threshold;
 }
 
-static Floats selection_threshold(const Record &r, const Selection &s) {
-  return s.topk && r.size > (uint32_t)s.topk ? topk_threshold(r, s.topk) : float_of_bits(splat_int(1));
+// Thresholds change little from block to block: `guess` carries the last one over.
+static Floats selection_threshold(const Record &r, const Selection &s, Ints &guess) {
+  if (!s.topk || r.size <= (uint32_t)s.topk) return float_of_bits(splat_int(kTinyWeightBits));
+  const Ints threshold = topk_threshold(r, s.topk, guess);
+  guess = select(splat_int(kTinyWeightBits) < threshold, threshold, guess);
+  return float_of_bits(threshold);
 }
 
 // --- registration: (Gaussian, segment, weight) triples of a tile --------------------------------
@@ -243,6 +254,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   find_segments(tile, segment_ids, segments);
   if (!segments.count || !tile.count) return;
   Walk walk(tile, scratch);
+  Ints guess = splat_int(kFirstGuessBits);
   const size_t slots = segments.count;
   const bool tabled = tile.count * slots <= kTableLimit;
   if (tabled) reserve(scratch.table, tile.count * slots * sizeof(Floats));
@@ -252,7 +264,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
     const Mask wanted = splat_int(-1) < segments.slot_of_lane[b];
     if (!any(wanted)) continue;
     const Record r = record_block(walk, b, wanted, selection, scratch);
-    const Floats threshold = selection_threshold(r, selection);
+    const Floats threshold = selection_threshold(r, selection, guess);
     if (tabled && cleared < walk.known) {
       memset(table + cleared * slots, 0, (walk.known - cleared) * slots * sizeof(Floats));
       cleared = walk.known;
@@ -285,12 +297,13 @@ static void tile_contributions(const Tile &tile, const Selection &selection, Til
   if (!tile.count) return;
   Walk walk(tile, scratch);
   const size_t k = selection.topk;
+  Ints guess = splat_int(kFirstGuessBits);
   for (int b = 0; b < kBlocks; b++) {
     const int left = tile.x * 16 + b % 2 * kBlockWidth, top = tile.y * 16 + b / 2 * kBlockHeight;
     const Mask inside = (walk.lane_x < splat((float)(tile.width - left))) & (walk.lane_y < splat((float)(tile.height - top)));
     if (!any(inside)) continue;
     const Record r = record_block(walk, b, inside, selection, scratch);
-    const Floats threshold = selection_threshold(r, selection);
+    const Floats threshold = selection_threshold(r, selection, guess);
     int filled[16] = {};
     for (uint32_t i = 0; i < r.size; i++) {
       const Floats w = load(r.weights + 16 * i);

@@ -19,10 +19,13 @@ void free_buffers(std::initializer_list<Buffer *> buffers) {
   for (Buffer *b : buffers) std::free(b->data);
 }
 
+struct SegmentWeight { int32_t segment; float weight; };
+
 struct Worker {
   TileScratch scratch;
   Triples triples;
-  std::vector<uint32_t> spans, tile_counts, depth_counts;
+  std::vector<uint32_t> spans, tile_counts, depth_counts, row_start;
+  std::vector<SegmentWeight> by_row;
 
   Worker() = default;
   Worker(const Worker &) = delete;
@@ -196,36 +199,44 @@ void each_tile(Workspace &w, const Camera &camera, int threads, Work work) {
 
 struct TileRun { int worker; size_t begin, end; };  // where a tile's triples lie
 
+// Adds one weight to the last Gaussian's entries, which begin at `first` and stay sorted by segment.
+void add_weight(ViewTriples &out, size_t first, uint32_t id, SegmentWeight entry) {
+  size_t at = out.weights.size();
+  while (at > first && out.segment_ids[at - 1] > entry.segment) at--;
+  if (at > first && out.segment_ids[at - 1] == entry.segment) {
+    out.weights[at - 1] += entry.weight;
+    return;
+  }
+  out.gaussian_ids.push_back(id);
+  out.segment_ids.insert(out.segment_ids.begin() + at, entry.segment);
+  out.weights.insert(out.weights.begin() + at, entry.weight);
+}
+
 // Sorts the triples of Gaussians [ids.begin, ids.end) by Gaussian (in tile order, so that sums do not
 // depend on who computed which tile), then adds up equal segments of each Gaussian.
-void merge_part(const Workspace &w, const std::vector<TileRun> &runs, Part ids, ViewTriples &out) {
-  std::vector<uint32_t> start(ids.end - ids.begin + 1, 0);
+void merge_part(const Workspace &w, const std::vector<TileRun> &runs, Part ids, Worker &worker, ViewTriples &out) {
+  const uint32_t rows = ids.end - ids.begin;
+  auto &start = worker.row_start;
+  start.assign(rows + 2, 0);  // counts of row r go to r + 2, so that filling leaves starts in place
   const auto each_triple = [&](auto visit) {
     for (const TileRun &run : runs) {
       const Triples &triples = w.workers[run.worker]->triples;
       const auto *id = (const uint32_t *)triples.gaussian_ids.data;
       for (size_t i = run.begin; i < run.end; i++)
-        if (id[i] - ids.begin < ids.end - ids.begin) visit(id[i] - ids.begin, triples, i);
+        if (id[i] - ids.begin < rows) visit(id[i] - ids.begin, triples, i);
     }
   };
-  each_triple([&](uint32_t row, const Triples &, size_t) { start[row + 1]++; });
-  for (size_t i = 1; i < start.size(); i++) start[i] += start[i - 1];
-  std::vector<std::pair<int32_t, float>> sorted(start.back());
-  std::vector<uint32_t> next(start.begin(), start.end() - 1);
+  each_triple([&](uint32_t row, const Triples &, size_t) { start[row + 2]++; });
+  for (uint32_t r = 2; r < rows + 2; r++) start[r] += start[r - 1];
+  grow(worker.by_row, start[rows + 1]);
   each_triple([&](uint32_t row, const Triples &triples, size_t i) {
-    sorted[next[row]++] = {((const int32_t *)triples.segment_ids.data)[i], ((const float *)triples.weights.data)[i]};
+    worker.by_row[start[row + 1]++] = {((const int32_t *)triples.segment_ids.data)[i], ((const float *)triples.weights.data)[i]};
   });
-  out.gaussian_ids.reserve(sorted.size()), out.segment_ids.reserve(sorted.size()), out.weights.reserve(sorted.size());
-  for (uint32_t row = 0; row + 1 < start.size(); row++) {
-    if (start[row] == start[row + 1]) continue;
-    std::stable_sort(sorted.begin() + start[row], sorted.begin() + start[row + 1], [](auto &a, auto &b) { return a.first < b.first; });
-    for (uint32_t i = start[row]; i < start[row + 1]; i++) {
-      if (i > start[row] && sorted[i].first == out.segment_ids.back()) {
-        out.weights.back() += sorted[i].second;
-        continue;
-      }
-      out.gaussian_ids.push_back(ids.begin + row), out.segment_ids.push_back(sorted[i].first), out.weights.push_back(sorted[i].second);
-    }
+  const uint32_t size = start[rows];
+  out.gaussian_ids.reserve(size), out.segment_ids.reserve(size), out.weights.reserve(size);
+  for (uint32_t row = 0; row < rows; row++) {
+    const size_t first = out.weights.size();
+    for (uint32_t i = start[row]; i < start[row + 1]; i++) add_weight(out, first, ids.begin + row, worker.by_row[i]);
   }
 }
 
@@ -234,7 +245,7 @@ void append(std::vector<T> &to, const std::vector<T> &from) { to.insert(to.end()
 
 ViewTriples merge(const Workspace &w, const std::vector<TileRun> &runs, uint32_t count, int threads) {
   std::vector<ViewTriples> parts(threads);
-  parallel(threads, [&](int t) { merge_part(w, runs, part_of(count, threads, t), parts[t]); });
+  parallel(threads, [&](int t) { merge_part(w, runs, part_of(count, threads, t), *w.workers[t], parts[t]); });
   for (int t = 1; t < threads; t++) {
     append(parts[0].gaussian_ids, parts[t].gaussian_ids);
     append(parts[0].segment_ids, parts[t].segment_ids);
