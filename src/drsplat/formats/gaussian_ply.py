@@ -82,7 +82,9 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
     Raises: InputError: values that could not be read back.
     """
     _refuse_unwritable(gaussians)
-    rest = gaussians.sh[:, 1:].transpose(2, 1, 0).reshape(-1, len(gaussians))
+    rest = [
+        gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])
+    ]
     log_scales = np.log(gaussians.scales)
     return {
         **dict(zip(MEANS, gaussians.means.T, strict=True)),
