@@ -125,7 +125,10 @@ nb::object colors_of(Array<float, nb::ndim<3>> sh, Rows means, Vector center, in
 
 }  // namespace
 
+void bind_algebra(nb::module_ &m);
+
 NB_MODULE(_native, m) {
+  bind_algebra(m);
   m.def("available_isas", [] {
     nb::list names;
     for (auto list = available_kernels(); *list; list++) names.append((*list)->name);

@@ -17,9 +17,10 @@ namespace DRSPLAT_ISA {
 #include "projection.h"
 #include "compositing.h"
 #include "colors.h"
+#include "algebra.h"
 
 extern const Kernels table;
-const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA), project, tile_spans, tile_weights, tile_contributions, tile_render, sh_colors};
+const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA), project, tile_spans, tile_weights, tile_contributions, tile_render, sh_colors, weighted_rows, pq_encode, pq_scores};
 
 }  // namespace DRSPLAT_ISA
 }  // namespace drsplat

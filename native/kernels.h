@@ -63,6 +63,31 @@ struct Selection {
   int32_t first_hits;  // 0 = all
 };
 
+struct SparseRows {  // CSR
+  const int64_t *starts;  // one more than there are rows
+  const int32_t *columns;
+  const float *weights;
+};
+
+struct Embeddings {
+  const float *values;  // count x dim
+  uint32_t count, dim;
+};
+
+struct Quantizer {
+  const float *centroids;    // subvectors x 256 x dim
+  uint32_t subvectors, dim;  // dim: of one sub-vector
+};
+constexpr size_t kEncodeScratch = 32;  // floats of scratch per dimension of a sub-vector
+
+// score = (bias + sum over m of lut[m][code m]) * scale
+struct Scan {
+  const uint8_t *codes;  // rows x subvectors
+  const float *lut;      // subvectors x 256
+  const float *scale, *bias;  // per row; bias may be null
+  uint32_t subvectors;
+};
+
 struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
@@ -71,6 +96,9 @@ struct Kernels {
   void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
   void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &, float *image, float *alpha, float *depth);
   void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin, uint32_t end, float *colors);
+  bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
+  void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch, uint8_t *codes);
+  void (*pq_scores)(const Scan &, uint64_t begin, uint64_t end, float *scores);
 };
 
 // Every instruction set that this build holds and this machine runs, best first; null at the end.

@@ -1,5 +1,6 @@
 """The native core: arrays in, arrays out. `kernels.reference` is its slow float64 twin."""
 
+from .algebra import pq_encode, pq_scores, weighted_rows
 from .splatting import (
     Contributions,
     Rendering,
@@ -19,9 +20,12 @@ __all__ = [
     "SplatArrays",
     "Triples",
     "available_isas",
+    "pq_encode",
+    "pq_scores",
     "render_channels",
     "sh_colors",
     "splat_arrays",
     "topk_contributions",
     "view_weights",
+    "weighted_rows",
 ]

@@ -1,0 +1,85 @@
+"""Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
+
+import math
+
+import numpy as np
+from jaxtyping import Bool
+
+from ..codes import BLOCK, TRAINING_POINTS, Codebook, Codes, train_codebook
+from ..encoders import EncoderIdentity
+from ..errors import InputError, MismatchError
+from ..evidence import Evidence
+from .language_field import LanguageField
+
+SUBVECTORS = 128
+
+
+def build_field(
+    evidence: Evidence,
+    scene: str,
+    encoder: EncoderIdentity,
+    codebook: Codebook | None = None,
+    num_subvectors: int | None = None,
+    threads: int = 0,
+) -> LanguageField:
+    """Mean embedding of each Gaussian, normalised and coded. Gaussians without any are left out.
+
+    evidence: one row per Gaussian of the scene. scene: fingerprint of those Gaussians. codebook None
+    trains one on features spread over the scene, with num_subvectors parts (None: 128, or the largest
+    power of two below it that divides D). The same to the bit for any number of threads.
+
+    Raises: InputError: no Gaussian has evidence. MismatchError: the embeddings, the encoder and the
+    codebook are not of one dimension.
+    Source: Dr. Splat Sec. A "Training stage".
+    """
+    if evidence.dim != encoder.dim:
+        raise MismatchError(
+            f"embeddings of {evidence.dim} numbers, but {encoder.name} makes {encoder.dim}"
+        )
+    seen = np.flatnonzero(np.diff(evidence.weights.indptr) > 0)
+    if not len(seen):
+        raise InputError(
+            "no Gaussian is under any mask: check that poses, photos and scene belong together"
+        )
+    registered = evidence.rows(seen)
+    if codebook is None:
+        parts = num_subvectors or math.gcd(SUBVECTORS, encoder.dim)
+        codebook = _scene_codebook(registered, encoder, parts, threads)
+    codes, directed = _encode_rows(registered, codebook, threads)
+    if not directed.all():  # embeddings that cancel out exactly
+        seen, codes, registered = (
+            seen[directed],
+            codes.rows(directed),
+            registered.rows(np.flatnonzero(directed)),
+        )
+    norms = codebook.inverse_norms(codes, threads=threads)
+    ids = seen.astype(np.uint32)
+    return LanguageField(ids, *codes, norms, codebook, encoder, scene, len(evidence), registered)
+
+
+def _scene_codebook(
+    registered: Evidence, encoder: EncoderIdentity, parts: int, threads: int
+) -> Codebook:
+    count = min(len(registered), TRAINING_POINTS)
+    spread = np.linspace(0, len(registered) - 1, count).astype(np.int64)
+    features = registered.rows(spread).features(0, count, threads=threads)
+    return train_codebook(features[features.any(axis=1)], parts, encoder=encoder, threads=threads)
+
+
+def _encode_rows(
+    evidence: Evidence, codebook: Codebook, threads: int
+) -> tuple[Codes, Bool[np.ndarray, " r"]]:
+    """Codes of all rows, and which of them have a direction."""
+    rows = len(evidence)
+    codes = np.empty((rows, codebook.num_subvectors), np.uint8)
+    coarse_ids = None if codebook.coarse is None else np.empty(rows, np.uint16)
+    directed = np.empty(rows, np.bool_)
+    for begin in range(0, rows, BLOCK):
+        block = slice(begin, min(begin + BLOCK, rows))
+        features = evidence.features(block.start, block.stop, threads=threads)
+        directed[block] = features.any(axis=1)
+        coded = codebook.encode(features, threads=threads)
+        codes[block] = coded.codes
+        if coarse_ids is not None:
+            coarse_ids[block] = coded.coarse_ids
+    return Codes(codes, coarse_ids), directed

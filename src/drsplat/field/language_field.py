@@ -1,0 +1,304 @@
+"""The language field: what every Gaussian means, as codes that are searched by a query's embedding."""
+
+import hashlib
+import importlib.metadata
+import os
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Integer, UInt8, UInt16, UInt32
+
+from ..codes import Codebook, Codes
+from ..encoders import EncoderIdentity
+from ..errors import InputError, MismatchError
+from ..evidence import Evidence, Explanation
+from ..formats.field_folder import TensorFile, write_folder
+from ..gaussians import Gaussians
+from ..kernels import pq_scores
+
+FORMAT, VERSION = "drsplat field", 1
+CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
+TEMPERATURE = 10.0
+
+
+def relevancy_from_scores(
+    scores: Float32[np.ndarray, " r"], negative_maxima: Float32[np.ndarray, " r"]
+) -> Float32[np.ndarray, " r"]:
+    """sigmoid(10 (s - max_n s_n)): equal to LERF's minimum over negatives of a two-way softmax."""
+    return 1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima)))
+
+
+@dataclass(frozen=True, eq=False)
+class Negatives:
+    """What a query is compared with. maxima: each row's best score among `embeddings` (unit vectors).
+
+    texts: the words they came from, () where there were none.
+    """
+
+    texts: tuple[str, ...]
+    embeddings: Float32[np.ndarray, "n D"]
+    maxima: Float32[np.ndarray, " r"]
+
+
+@dataclass(frozen=True, eq=False)
+class LanguageField:
+    """Features of the R Gaussians of a scene that have one; the others are absent, not zero.
+
+    gaussian_ids: rows of the scene, ascending. codes, coarse_ids: features as the codebook codes them.
+    inverse_norms: 1 / norm of each decoded feature. scene: fingerprint of the N Gaussians.
+    evidence: rows aligned with gaussian_ids, or None where it was not kept.
+
+    Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another encoder.
+    """
+
+    gaussian_ids: UInt32[np.ndarray, " r"]
+    codes: UInt8[np.ndarray, "r L"]
+    coarse_ids: UInt16[np.ndarray, " r"] | None
+    inverse_norms: Float32[np.ndarray, " r"]
+    codebook: Codebook
+    encoder: EncoderIdentity
+    scene: str
+    num_gaussians: int
+    evidence: Evidence | None = None
+    negatives: Negatives | None = None
+
+    def __post_init__(self) -> None:
+        ids, rows = self.gaussian_ids, len(self.gaussian_ids)
+        if ids.ndim != 1 or ids.dtype != np.uint32 or not (ids[1:] > ids[:-1]).all():
+            raise InputError("gaussian_ids: expected ascending uint32 (R,)")
+        if rows and ids[-1] >= self.num_gaussians:
+            raise InputError(
+                f"gaussian_ids: {ids[-1]} in a scene of {self.num_gaussians} Gaussians"
+            )
+        if self.codes.shape[:1] != (rows,) or self.codes.dtype != np.uint8:
+            raise InputError(
+                f"codes: expected uint8 ({rows}, L), got {self.codes.dtype} {self.codes.shape}"
+            )
+        self.codebook.check(self.coded)
+        norms = self.inverse_norms
+        if norms.shape != (rows,) or norms.dtype != np.float32 or not np.isfinite(norms).all():
+            raise InputError(f"inverse_norms: expected {rows} finite float32")
+        if not self.encoder.matches(self.codebook.encoder):
+            raise MismatchError(
+                f"the embeddings are of {self.encoder.name} ({self.encoder.dim}-d), the codebook of "
+                f"{self.codebook.encoder.name} ({self.codebook.encoder.dim}-d): use a codebook of the same encoder"
+            )
+        if self.evidence is not None and (len(self.evidence), self.evidence.dim) != (
+            rows,
+            self.encoder.dim,
+        ):
+            raise InputError(
+                f"evidence: expected {rows} rows of {self.encoder.dim}-d embeddings, got "
+                f"{len(self.evidence)} of {self.evidence.dim}"
+            )
+        if self.negatives is not None and self.negatives.maxima.shape != (rows,):
+            raise InputError(
+                f"negatives: expected {rows} maxima, got {self.negatives.maxima.shape}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.gaussian_ids)
+
+    @property
+    def coded(self) -> Codes:
+        return Codes(self.codes, self.coarse_ids)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Of the scene, the codebook and every code: ties the files of one field together."""
+        digest = hashlib.blake2b(f"{self.scene} {self.codebook.hash}".encode(), digest_size=16)
+        for part in (self.gaussian_ids, self.codes, self.coarse_ids, self.inverse_norms):
+            if part is not None:
+                digest.update(np.ascontiguousarray(part).data)
+        return digest.hexdigest()
+
+    def scores(
+        self, query: Float32[np.ndarray, " D"], *, threads: int = 0
+    ) -> Float32[np.ndarray, " r"]:
+        """Cosine of the query with each feature. The query may have any length; it is never quantised.
+
+        Raises: MismatchError: a query of another dimension. InputError: one without direction.
+        Source: Dr. Splat Eq. 5-6, asymmetric: see docs/method.md.
+        """
+        if query.shape != (self.encoder.dim,):
+            raise MismatchError(
+                f"the query has {query.size} numbers; this field was written with {self.encoder.name} "
+                f"({self.encoder.dim}-d): embed the query with that encoder"
+            )
+        unit = _unit(query)
+        coarse = self.codebook.coarse_scores(unit)
+        bias = None if coarse is None else coarse[self.coarse_ids]
+        return pq_scores(
+            self.codes, self.codebook.lookup_table(unit), self.inverse_norms, bias, threads=threads
+        )
+
+    def relevancy(
+        self,
+        query: Float32[np.ndarray, " D"],
+        negatives: Float32[np.ndarray, "n D"] | None = None,
+        *,
+        threads: int = 0,
+    ) -> Float32[np.ndarray, " r"]:
+        """How much better the query fits than any negative, in (0, 1); one scan if they are cached.
+
+        min over n of softmax(10 [<q, f>, <n, f>])_0, which is sigmoid(10 (<q, f> - max_n <n, f>)).
+        negatives None: those of `with_negatives`.
+
+        Raises: InputError: no negatives given and none cached.
+        Source: Kerr et al. 2023 (LERF) Sec. 3.3.
+        """
+        known = self.negatives
+        if negatives is not None and not (
+            known and np.array_equal(known.embeddings, _unit(negatives))
+        ):
+            known = self.score_negatives(negatives, threads=threads)
+        if known is None:
+            raise InputError(
+                "relevancy needs negatives: pass their embeddings, or call with_negatives first"
+            )
+        return relevancy_from_scores(self.scores(query, threads=threads), known.maxima)
+
+    def score_negatives(
+        self,
+        embeddings: Float32[np.ndarray, "n D"],
+        texts: tuple[str, ...] = (),
+        *,
+        threads: int = 0,
+    ) -> Negatives:
+        """Each row's best score among some negatives.
+
+        Raises: InputError: no embeddings, or not one per text.
+        """
+        if not len(embeddings) or (texts and len(texts) != len(embeddings)):
+            raise InputError(
+                f"expected one or more negatives, one per text; got {len(embeddings)}, {len(texts)} texts"
+            )
+        unit = _unit(embeddings)
+        maxima = self.scores(unit[0], threads=threads)
+        for embedding in unit[1:]:
+            np.maximum(maxima, self.scores(embedding, threads=threads), out=maxima)
+        return Negatives(texts, unit, maxima)
+
+    def with_negatives(
+        self,
+        embeddings: Float32[np.ndarray, "n D"],
+        texts: tuple[str, ...] = (),
+        *,
+        threads: int = 0,
+    ) -> "LanguageField":
+        """The same field with its negatives scored once and for all; `save` keeps them."""
+        return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
+
+    def dense(
+        self, scores: Float32[np.ndarray, " r"], fill: float = -1.0
+    ) -> Float32[np.ndarray, " N"]:
+        """Per-row values as one per Gaussian of the scene; `fill` where a Gaussian has no feature."""
+        values = np.full(self.num_gaussians, fill, np.float32)
+        values[self.gaussian_ids] = scores
+        return values
+
+    def feature(self, rows: Integer[np.ndarray, " b"] | slice) -> Float32[np.ndarray, "b D"]:
+        """Decoded unit features of some rows."""
+        return self.codebook.decode(self.coded.rows(rows)) * self.inverse_norms[rows, None]
+
+    def explain(
+        self, gaussian_id: int, query: Float32[np.ndarray, " D"], top: int = 5
+    ) -> list[Explanation]:
+        """The photos and masks that speak most for `query` at a Gaussian; none where it has no feature.
+
+        Raises: InputError: no such Gaussian, or the field was made without evidence.
+        """
+        if not 0 <= gaussian_id < self.num_gaussians:
+            raise InputError(f"Gaussian {gaussian_id} of a scene of {self.num_gaussians}")
+        if self.evidence is None:
+            raise InputError("this field holds no evidence: register again and keep it")
+        row = int(np.searchsorted(self.gaussian_ids, gaussian_id))
+        if row == len(self) or self.gaussian_ids[row] != gaussian_id:
+            return []
+        return self.evidence.explain(row, _unit(query), top)
+
+    def check_scene(self, gaussians: Gaussians) -> None:
+        """Refuse another scene than the one registered.
+
+        Raises: MismatchError.
+        """
+        if len(gaussians) != self.num_gaussians:
+            raise MismatchError(
+                f"this field belongs to a scene of {self.num_gaussians} Gaussians, the given one has "
+                f"{len(gaussians)}: give the file that was registered, or register this one"
+            )
+        if gaussians.fingerprint != self.scene:
+            raise MismatchError(
+                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as many Gaussians, but "
+                "positions or row order differ; this is what compressing does; register against the file you query"
+            )
+
+    def check_encoder(self, identity: EncoderIdentity) -> None:
+        """Refuse an encoder whose embeddings mean something else.
+
+        Raises: MismatchError.
+        """
+        if not self.encoder.matches(identity):
+            raise MismatchError(
+                f"this field was written with {_named(self.encoder)}; the given encoder is {_named(identity)}: "
+                f"use {self.encoder.name} with the same weights, or register again with {identity.name}"
+            )
+
+    def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Write the field to a folder (by custom NAME.field); see `load_field`.
+
+        A killed process leaves the old field or the new one.
+
+        Raises: InputError: `path` exists and `overwrite` is false, or cannot be written.
+        """
+        tie = {"field": self.fingerprint}
+        arrays = {
+            "gaussian_ids": self.gaussian_ids,
+            "codes": self.codes,
+            "inverse_norms": self.inverse_norms,
+        }
+        if self.coarse_ids is not None:
+            arrays["coarse_ids"] = self.coarse_ids
+        files = {CODES: TensorFile(arrays | self.codebook.tensors(), tie)}
+        if self.evidence is not None:
+            files[EVIDENCE] = TensorFile(self.evidence.tensors(), self.evidence.metadata() | tie)
+        if self.negatives is not None:
+            known = {"embeddings": self.negatives.embeddings, "maxima": self.negatives.maxima}
+            files[NEGATIVES] = TensorFile(known, tie)
+        write_folder(Path(path), self._manifest(list(files)), files, overwrite)
+
+    def _manifest(self, files: list[str]) -> dict[str, object]:
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "drsplat": importlib.metadata.version("drsplat"),
+            "field": self.fingerprint,
+            "files": files,
+            "scene": self.scene,
+            "num_gaussians": self.num_gaussians,
+            "num_registered": len(self),
+            "encoder": _identity_json(self.encoder),
+            "codebook": {
+                "hash": self.codebook.hash,
+                "encoder": _identity_json(self.codebook.encoder),
+            },
+            "negatives": list(self.negatives.texts) if self.negatives else [],
+        }
+
+
+def _unit(vectors: Float32[np.ndarray, "*n D"]) -> Float32[np.ndarray, "*n D"]:
+    norms = np.linalg.norm(vectors.astype(np.float64), axis=-1, keepdims=True)
+    if not (np.isfinite(norms) & (norms > 0)).all():
+        raise InputError("embeddings to compare with must be finite and not zero")
+    return (vectors / norms).astype(np.float32)
+
+
+def _named(encoder: EncoderIdentity) -> str:
+    weights = f", weights {encoder.weights[:12]}" if encoder.weights else ""
+    return f"{encoder.name} ({encoder.dim}-d{weights})"
+
+
+def _identity_json(encoder: EncoderIdentity) -> dict[str, object]:
+    return {"name": encoder.name, "dim": encoder.dim, "weights": encoder.weights}

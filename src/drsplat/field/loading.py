@@ -1,0 +1,132 @@
+"""Fields from disk: mapped, not copied, and believed only as far as their files agree."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..codes import codebook_from_tensors, encoder_from_json
+from ..errors import FormatError, InputError, MismatchError
+from ..evidence import Evidence, evidence_from_tensors
+from ..formats.field_folder import read_manifest
+from ..formats.tensors import map_tensors
+from .language_field import (
+    CODES,
+    EVIDENCE,
+    FORMAT,
+    NEGATIVES,
+    VERSION,
+    LanguageField,
+    Negatives,
+)
+
+_Tensors = dict[str, np.memmap]  # type: ignore[type-arg]
+_DTYPES = {
+    "gaussian_ids": "uint32",
+    "codes": "uint8",
+    "coarse_ids": "uint16",
+    "inverse_norms": "float32",
+}
+
+
+def load_field(path: str | os.PathLike[str]) -> LanguageField:
+    """Read what `LanguageField.save` wrote. Arrays are read-only memory maps.
+
+    Raises: InputError: there is no such field. FormatError: damaged, or written by a newer version.
+    MismatchError: files of different fields are mixed.
+    """
+    path = Path(path)
+    manifest = read_manifest(path)
+    if manifest.get("format") != FORMAT:
+        raise FormatError(
+            f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}"
+        )
+    if manifest.get("version") != VERSION:
+        raise FormatError(
+            f"{path}: field version {ascii(manifest.get('version'))[:20]}; this drsplat reads {VERSION}: "
+            f"upgrade it, or register again (written by drsplat {ascii(manifest.get('drsplat'))[:20]})"
+        )
+    tensors, _ = _tied(path, CODES, manifest)
+    listed = manifest.get("codebook")
+    if not isinstance(listed, dict):
+        raise FormatError(f"{path}: expected the hash and encoder of the codebook")
+    codebook = codebook_from_tensors(
+        tensors, listed.get("encoder"), listed.get("hash"), str(path / CODES)
+    )
+    scene, count = manifest.get("scene"), manifest.get("num_gaussians")
+    if not isinstance(scene, str) or not isinstance(count, int) or isinstance(count, bool):
+        raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
+    for name, dtype in _DTYPES.items():
+        if name in tensors and tensors[name].dtype != dtype:
+            raise FormatError(
+                f"{path / CODES}: expected {name} as {dtype}, got {tensors[name].dtype}"
+            )
+    try:
+        return LanguageField(
+            tensors["gaussian_ids"],
+            tensors["codes"],
+            tensors.get("coarse_ids"),
+            tensors["inverse_norms"],
+            codebook,
+            encoder_from_json(manifest.get("encoder"), str(path)),
+            scene,
+            count,
+            _evidence(path, manifest),
+            _negatives(path, manifest, codebook.dim),
+        )
+    except KeyError as error:
+        raise FormatError(f"{path / CODES}: there is no {error} in it") from None
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def _has(manifest: dict[str, object], name: str) -> bool:
+    files = manifest.get("files")
+    return isinstance(files, list) and name in files
+
+
+def _tied(path: Path, name: str, manifest: dict[str, object]) -> tuple[_Tensors, dict[str, str]]:
+    """The arrays of one file, if it was written together with the manifest."""
+    try:
+        tensors, metadata = map_tensors(path / name)
+    except InputError as error:
+        raise FormatError(f"{path}: incomplete: {error}") from None
+    if metadata.get("field") != manifest.get("field"):
+        raise MismatchError(
+            f"{path / name} was written with another field: do not mix files of two fields"
+        )
+    return tensors, metadata
+
+
+def _evidence(path: Path, manifest: dict[str, object]) -> Evidence | None:
+    if not _has(manifest, EVIDENCE):
+        return None
+    tensors, metadata = _tied(path, EVIDENCE, manifest)
+    return evidence_from_tensors(tensors, metadata, str(path / EVIDENCE))
+
+
+def _negatives(path: Path, manifest: dict[str, object], dim: int) -> Negatives | None:
+    if not _has(manifest, NEGATIVES):
+        return None
+    tensors, _ = _tied(path, NEGATIVES, manifest)
+    texts, embeddings, maxima = (
+        manifest.get("negatives"),
+        tensors.get("embeddings"),
+        tensors.get("maxima"),
+    )
+    if (
+        embeddings is None
+        or maxima is None
+        or embeddings.dtype != np.float32
+        or maxima.dtype != np.float32
+    ):
+        raise FormatError(f"{path / NEGATIVES}: expected float32 embeddings and maxima")
+    if embeddings.ndim != 2 or embeddings.shape[1] != dim:
+        raise FormatError(
+            f"{path / NEGATIVES}: expected embeddings (n, {dim}), got {embeddings.shape}"
+        )
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise FormatError(f"{path}: negatives must be a list of texts")
+    if texts and len(texts) != len(embeddings):
+        raise FormatError(f"{path}: {len(texts)} negative texts for {len(embeddings)} embeddings")
+    return Negatives(tuple(texts), np.asarray(embeddings), np.asarray(maxima))

@@ -1,0 +1,101 @@
+"""A folder of files that appears whole or not at all: a JSON manifest and named tensor files.
+
+Knows nothing of what is in them; `drsplat.field` does.
+"""
+
+import ctypes
+import json
+import os
+import secrets
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import FormatError, InputError
+from .tensors import write_tensors
+
+MANIFEST = "field.json"
+_MAX_MANIFEST = 1 << 20
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+
+class TensorFile(NamedTuple):
+    tensors: Mapping[str, np.ndarray]
+    metadata: Mapping[str, str]
+
+
+def write_folder(
+    path: Path,
+    manifest: Mapping[str, object],
+    files: Mapping[str, TensorFile],
+    overwrite: bool = False,
+) -> None:
+    """Write all files beside `path`, then give the folder its name.
+
+    A killed process leaves the old folder or the new one, never a mixture; a hidden `.tmp` folder that
+    it may leave beside them can be deleted. Where the file system cannot exchange two folders in one
+    step, a kill in the instant between two renames leaves the old folder under such a hidden name.
+
+    Raises: InputError: `path` exists and `overwrite` is false or it is not such a folder, or it has no
+    folder to be in.
+    """
+    if path.exists() or path.is_symlink():
+        if not overwrite:
+            raise InputError(f"{path} exists already: pass overwrite=True to replace it")
+        if not (path / MANIFEST).is_file():
+            raise InputError(f"{path} exists and has no {MANIFEST}: it is not ours to replace")
+    if not path.parent.is_dir():
+        raise InputError(
+            f"there is no folder {path.parent} to write {path.name} into: make it first"
+        )
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
+    temporary.mkdir()
+    try:
+        for name, file in files.items():
+            write_tensors(temporary / name, file.tensors, file.metadata)
+        (temporary / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        _take_place(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def read_manifest(path: Path) -> dict[str, object]:
+    """The JSON object of a folder.
+
+    Raises: InputError: there is no such folder. FormatError: not a JSON object.
+    """
+    try:
+        with (path / MANIFEST).open("rb") as file:
+            manifest = json.loads(file.read(_MAX_MANIFEST))
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        raise InputError(f"{path}: there is no such field (no {MANIFEST} in it)") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path / MANIFEST}: expected JSON: {error}") from None
+    if not isinstance(manifest, dict):
+        raise FormatError(f"{path / MANIFEST}: expected an object")
+    return manifest
+
+
+def _take_place(temporary: Path, path: Path) -> None:
+    """Rename `temporary` to `path`; what was there gets the temporary name or is gone."""
+    if not path.exists():
+        os.rename(temporary, path)
+    elif not _exchange(temporary, path):
+        aside = temporary.with_suffix(".old.tmp")
+        os.rename(path, aside)
+        os.rename(temporary, path)
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Let two folders change names in one step, where the system can."""
+    if not sys.platform.startswith("linux"):
+        return False
+    rename = getattr(ctypes.CDLL(None), "renameat2", None)
+    if rename is None:
+        return False
+    return rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0

@@ -1,0 +1,148 @@
+"""Safetensors files: written whole or not at all, mapped and not loaded, headers never trusted.
+
+Source: the safetensors format (8 bytes little-endian header length, JSON header, tensor bytes).
+"""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FormatError, InputError
+from .replacing import replacing
+
+_DTYPES = {
+    "BOOL": np.dtype("?"), "U8": np.dtype("u1"), "I8": np.dtype("i1"),
+    "U16": np.dtype("<u2"), "I16": np.dtype("<i2"), "F16": np.dtype("<f2"),
+    "U32": np.dtype("<u4"), "I32": np.dtype("<i4"), "F32": np.dtype("<f4"),
+    "U64": np.dtype("<u8"), "I64": np.dtype("<i8"), "F64": np.dtype("<f8"),
+}  # fmt: skip
+_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
+_MAX_HEADER = 64 << 20
+
+
+def write_tensors(
+    path: str | os.PathLike[str],
+    tensors: Mapping[str, np.ndarray],
+    metadata: Mapping[str, str] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write named arrays and text metadata, whole or not at all.
+
+    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite` is
+    false.
+    """
+    arrays = {name: np.asarray(array) for name, array in tensors.items()}
+    for name, array in arrays.items():
+        if array.dtype not in _NAMES:
+            raise InputError(f"tensor '{name}': safetensors has no name for {array.dtype}")
+    # Widest first, as the format's own library does: then every tensor is aligned to its items.
+    order = sorted(arrays, key=lambda name: (-arrays[name].dtype.itemsize, name))
+    header: dict[str, object] = {"__metadata__": dict(metadata)} if metadata else {}
+    offset = 0
+    for name in order:
+        array, end = arrays[name], offset + arrays[name].nbytes
+        header[name] = {
+            "dtype": _NAMES[array.dtype],
+            "shape": array.shape,
+            "data_offsets": [offset, end],
+        }
+        offset = end
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    with replacing(path, overwrite) as file:
+        file.write(len(text).to_bytes(8, "little") + text)
+        for name in order:
+            file.write(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+
+
+def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.memmap], dict[str, str]]:  # type: ignore[type-arg]
+    """Read-only views of the file's arrays, and its metadata. Nothing is copied or read ahead.
+
+    Raises: InputError: there is no such file. FormatError: not safetensors, truncated, or a header that
+    does not describe exactly the bytes that follow it.
+    """
+    path = Path(path)
+    try:
+        raw = np.memmap(path, np.uint8, "r")
+    except (FileNotFoundError, IsADirectoryError):
+        raise InputError(f"{path}: there is no such file") from None
+    except ValueError:
+        raise FormatError(f"{path}: empty file") from None
+    header, payload = _header(raw, path)
+    metadata = header.pop("__metadata__", {})
+    if not isinstance(metadata, dict) or not all(
+        isinstance(value, str) for value in metadata.values()
+    ):
+        raise FormatError(f"{path}: metadata must be text by name")
+    spans = {name: _span(entry, f"{path}: tensor {name!a}") for name, entry in header.items()}
+    _check_layout([(begin, end) for begin, end, _, _ in spans.values()], payload.size, path)
+    tensors = {}
+    for name, (begin, end, dtype, shape) in spans.items():
+        if (raw.size - payload.size + begin) % dtype.itemsize:
+            raise FormatError(
+                f"{path}: tensor {name!a} is not aligned to its {dtype.itemsize}-byte items"
+            )
+        tensors[name] = payload[begin:end].view(dtype).reshape(shape)
+    return tensors, metadata
+
+
+def _header(raw: np.memmap, path: Path) -> tuple[dict[str, object], np.memmap]:  # type: ignore[type-arg]
+    length = int.from_bytes(raw[:8].tobytes(), "little")
+    if raw.size < 8 or length > min(raw.size - 8, _MAX_HEADER):
+        raise FormatError(
+            f"{path}: expected safetensors: a header of {length} bytes in a file of {raw.size}"
+        )
+    try:
+        header = json.loads(raw[8 : 8 + length].tobytes(), object_pairs_hook=_unique)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: the safetensors header is not JSON: {error}") from None
+    if not isinstance(header, dict):
+        raise FormatError(f"{path}: the safetensors header must be an object")
+    return header, raw[8 + length :]
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        raise ValueError("a name is given twice")
+    return entries
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 48
+
+
+def _counts(value: object, where: str) -> list[int]:
+    if not isinstance(value, list) or len(value) > 16 or not all(_is_count(item) for item in value):
+        raise FormatError(f"{where}: expected a short list of counts")
+    return value
+
+
+def _span(entry: object, where: str) -> tuple[int, int, np.dtype, list[int]]:  # type: ignore[type-arg]
+    """(begin, end, dtype, shape) of one tensor, consistent with itself."""
+    if not isinstance(entry, dict) or set(entry) != {"dtype", "shape", "data_offsets"}:
+        raise FormatError(f"{where}: expected dtype, shape and data_offsets")
+    name, offsets = entry["dtype"], _counts(entry["data_offsets"], where)
+    if not isinstance(name, str) or name not in _DTYPES:
+        raise FormatError(f"{where}: dtype {ascii(name)[:40]} is none of {', '.join(_DTYPES)}")
+    dtype, shape = _DTYPES[name], _counts(entry["shape"], where)
+    if len(offsets) != 2 or offsets[1] - offsets[0] != math.prod(shape) * dtype.itemsize:
+        raise FormatError(f"{where}: {name} {shape} does not fill bytes {offsets}")
+    return offsets[0], offsets[1], dtype, shape
+
+
+def _check_layout(spans: list[tuple[int, int]], size: int, path: Path) -> None:
+    """Tensors follow each other without holes or overlap, to the last byte."""
+    position = 0
+    for begin, end in sorted(spans):
+        if begin != position:
+            raise FormatError(f"{path}: tensors overlap or leave a hole at byte {position}")
+        position = end
+    if position != size:
+        raise FormatError(
+            f"{path}: the header describes {position} bytes of tensors, the file has {size}"
+        )

@@ -1,0 +1,56 @@
+"""The float64 twins of `kernels.algebra`: slow, plain, and what the native kernels must compute."""
+
+import numpy as np
+from jaxtyping import Float, Float64, Integer, UInt8
+from scipy import sparse
+
+
+def weighted_rows(
+    indptr: Integer[np.ndarray, " n1"],
+    indices: Integer[np.ndarray, " e"],
+    data: Float[np.ndarray, " e"],
+    embeddings: Float[np.ndarray, "m d"],
+    begin: int,
+    end: int,
+) -> Float64[np.ndarray, "b d"]:
+    """Rows [begin, end) of W @ E, each divided by its L2 norm; a row of zero norm stays zero."""
+    shape = (len(indptr) - 1, len(embeddings))
+    weights = sparse.csr_array((data.astype(np.float64), indices, indptr), shape=shape)
+    rows = weights[begin:end] @ embeddings.astype(np.float64)
+    norms = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 0))
+
+
+def pq_distances(
+    features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]
+) -> Float64[np.ndarray, "n L c"]:
+    """Squared L2 distance of every sub-vector to every centroid."""
+    subvectors, _, dim = centroids.shape
+    parts = features.astype(np.float64).reshape(len(features), subvectors, 1, dim)
+    return np.asarray(((parts - centroids.astype(np.float64)) ** 2).sum(axis=3))
+
+
+def pq_encode(
+    features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]
+) -> UInt8[np.ndarray, "n L"]:
+    """The nearest centroid of each sub-vector, ties to the lowest index."""
+    return pq_distances(features, centroids).argmin(axis=2).astype(np.uint8)
+
+
+def pq_decode(
+    codes: UInt8[np.ndarray, "n L"], centroids: Float[np.ndarray, "L c d"]
+) -> Float64[np.ndarray, "n D"]:
+    """The centroids that the codes name, side by side."""
+    rows = centroids.astype(np.float64)[np.arange(codes.shape[1]), codes]
+    return np.asarray(rows.reshape(len(codes), -1))
+
+
+def pq_scores(
+    codes: UInt8[np.ndarray, "n L"],
+    lut: Float[np.ndarray, "L c"],
+    scale: Float[np.ndarray, " n"],
+    bias: Float[np.ndarray, " n"] | None = None,
+) -> Float64[np.ndarray, " n"]:
+    """score_i = (bias_i + sum_m lut[m, codes[i, m]]) * scale_i."""
+    sums = lut.astype(np.float64)[np.arange(codes.shape[1]), codes].sum(axis=1)
+    return np.asarray((sums + (0.0 if bias is None else bias)) * scale)

@@ -1,0 +1,72 @@
+"""K-means of each sub-vector on its own, all of them at once (Lloyd's algorithm on the native encoder).
+
+The same points and seed give the same bits for any number of threads.
+"""
+
+import numpy as np
+from jaxtyping import Float32, Int, UInt8, UInt64
+
+from .kernels import pq_encode
+from .kernels.algebra import CENTROIDS
+
+ITERATIONS = 12
+
+
+def train_centroids(
+    points: Float32[np.ndarray, "n D"], num_subvectors: int, seed: int, threads: int = 0
+) -> Float32[np.ndarray, "L c d"]:
+    """256 centroids per sub-vector. A sub-vector of at most 256 distinct values gets exactly those.
+
+    Starts from distinct points. A centroid that no point is nearest to moves to the worst-served point.
+
+    Source: Jegou et al. 2011; Lloyd 1982.
+    """
+    parts = points.reshape(len(points), num_subvectors, -1)
+    rng = np.random.default_rng(seed)
+    starts = [_starts(keys, rng) for keys in _keys(parts).T]
+    centroids = np.stack([parts[index, m] for m, index in enumerate(starts)])
+    columns = np.ascontiguousarray(parts.transpose(1, 2, 0), np.float64)
+    previous = None
+    for _ in range(ITERATIONS):
+        codes = pq_encode(points, centroids, threads=threads)
+        if previous is not None and np.array_equal(codes, previous):
+            break
+        for m in range(num_subvectors):
+            _update(centroids[m], columns[m], codes[:, m])
+        previous = codes
+    return centroids
+
+
+def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:
+    """A 64-bit hash of each sub-vector: equal for equal values."""
+    words = (parts + np.float32(0)).view(np.uint32).astype(np.uint64)  # + 0 makes -0 equal 0
+    keys = np.zeros(parts.shape[:2], np.uint64)
+    for word in range(words.shape[2]):
+        keys = (keys ^ words[:, :, word]) * np.uint64(0x9E3779B97F4A7C15)
+        keys ^= keys >> np.uint64(29)
+    return keys
+
+
+def _starts(keys: UInt64[np.ndarray, " n"], rng: np.random.Generator) -> Int[np.ndarray, " c"]:
+    """256 points of distinct values; all of them, the first one repeated, where there are fewer."""
+    distinct = np.sort(np.unique(keys, return_index=True)[1])
+    if len(distinct) <= CENTROIDS:
+        return np.pad(distinct, (0, CENTROIDS - len(distinct)), constant_values=distinct[0])
+    return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
+
+
+def _update(
+    centroids: Float32[np.ndarray, "c d"], columns: np.ndarray, codes: UInt8[np.ndarray, " n"]
+) -> None:
+    """Move each centroid to the mean of its points, in place."""
+    counts = np.bincount(codes, minlength=CENTROIDS)
+    served = counts > 0
+    for d, column in enumerate(columns):
+        sums = np.bincount(codes, column, CENTROIDS)
+        centroids[served, d] = sums[served] / counts[served]
+    idle = np.flatnonzero(~served)
+    if len(idle):
+        distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)
+        worst = np.argsort(-distances, kind="stable")[: len(idle)]
+        worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
+        centroids[idle[: len(worst)]] = columns[:, worst].T
