@@ -302,7 +302,8 @@ def test_spz_comes_back_in_the_axes_of_a_ply(seed: int, degree: int, version: in
 
 @pytest.mark.parametrize("version", [3, 4])
 @pytest.mark.parametrize(
-    ("system", "signs"), [(6, (1, 1, 1)), (4, (1, -1, -1)), (7, (-1, -1, 1)), (1, (-1, 1, -1))]
+    ("system", "signs"),
+    [(6, (1, 1, 1)), (4, (1, -1, -1)), (7, (-1, -1, 1)), (1, (-1, 1, -1)), (8, (1, -1, 1))],
 )
 def test_spz_that_names_its_axes_is_believed(
     version: int, system: int, signs: tuple[int, int, int]
