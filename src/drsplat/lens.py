@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from .errors import InputError
 from .views import View
 
-Points = Float64[np.ndarray, "*n 2"]
+Points = Float64[np.ndarray, "*n xy"]
 Coefficients = tuple[float, float, float, float]
 
 

@@ -210,8 +210,8 @@ def _map_embeddings(path: Path) -> np.ndarray:
 def _unit_rows(
     rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path
 ) -> Float32[np.ndarray, "s d"]:
-    taken = rows[wanted].astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        taken = rows[wanted].astype(np.float64)
         norms = np.sqrt((taken**2).sum(1))
     bad = wanted[~(np.isfinite(norms) & (norms > 0))]
     if len(bad):

@@ -5,6 +5,7 @@ Source: the NPY format 1.0 and 2.0 of NumPy (numpy.lib.format).
 """
 
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
@@ -29,24 +30,30 @@ def map_npy(path: Path) -> np.ndarray:
     """
     try:
         with path.open("rb") as file:
-            dtype, shape, order = _header(file, path)
-            offset, size = file.tell(), path.stat().st_size
+            return _mapped(file, path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    expected = offset + math.prod(shape) * dtype.itemsize
-    if size < expected:
-        raise FormatError(
-            f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}"
-        )
-    if 0 in shape:  # nothing to map
-        return np.zeros(shape, dtype)
-    return np.memmap(path, dtype, "r", offset, shape, order)
 
 
 def write_npy(path: Path, array: np.ndarray, overwrite: bool = False) -> None:
     """Write `array`, whole or not at all."""
     with replacing(path, overwrite) as file:
         np.save(file, array, allow_pickle=False)
+
+
+def _mapped(file: BinaryIO, path: Path) -> np.ndarray:
+    dtype, shape, order = _header(file, path)
+    size, expected = (
+        os.fstat(file.fileno()).st_size,
+        file.tell() + math.prod(shape) * dtype.itemsize,
+    )
+    if size < expected:
+        raise FormatError(
+            f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}"
+        )
+    if 0 in shape:  # nothing to map
+        return np.zeros(shape, dtype)
+    return np.memmap(file, dtype, "r", file.tell(), shape, order)
 
 
 def _header(file: BinaryIO, path: Path) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]:

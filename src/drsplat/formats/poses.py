@@ -14,6 +14,7 @@ Vector3 = Float64[np.ndarray, "3"]
 
 MAX_SIDE = 1 << 17  # pixels; larger than any photo, small enough that nobody allocates by a lie
 MAX_COORDINATE = 1e12
+MIN_FOCAL = 1e-3  # pixels
 RIGID_TOLERANCE = 1e-3
 
 
@@ -91,6 +92,9 @@ def posed_view(
     numbers = [*intrinsics.flat, *cam_from_world.flat, *distortion]
     if not all(abs(number) <= MAX_COORDINATE for number in numbers):
         raise FormatError(f"{where}: a camera parameter is not finite or beyond {MAX_COORDINATE:g}")
+    if not min(intrinsics[0, 0], intrinsics[1, 1]) >= MIN_FOCAL:
+        focal = f"{intrinsics[0, 0]:g}, {intrinsics[1, 1]:g}"
+        raise FormatError(f"{where}: expected focal lengths in pixels, got {focal}")
     lens = tuple(distortion) if any(distortion) else None
     try:
         return View(name, intrinsics, cam_from_world, *size, distortion=lens)  # type: ignore[arg-type]

@@ -150,8 +150,8 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
 
 
 def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Float32[np.ndarray, "t d"]:
-    wide = vectors.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        wide = vectors.astype(np.float64)
         norms = np.sqrt((wide**2).sum(1))
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
     if len(bad):
