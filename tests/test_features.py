@@ -218,7 +218,7 @@ def test_writing_what_cannot_be_read_back(tmp_path):
     ):
         with pytest.raises(InputError, match="segment_ids"):
             write_features(tmp_path, "a", maps, ROWS)
-    for stem in ("../a", "/tmp/a", ""):
+    for stem in ("../a", "/a", ""):
         with pytest.raises(InputError, match="stem"):
             write_features(tmp_path, stem, MAPS, ROWS)
     assert list(tmp_path.iterdir()) == []
