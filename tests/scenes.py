@@ -3,6 +3,8 @@
 Cameras hold float32 numbers only, so that a float32 kernel and its float64 twin get the same ones.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drsplat.gaussians import Gaussians
@@ -29,8 +31,8 @@ def random_gaussians(
 
 
 def look_at_view(
-    eye: tuple[float, float, float],
-    target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    eye: Sequence[float],
+    target: Sequence[float] = (0.0, 0.0, 0.0),
     *,
     width: int = 160,
     height: int = 112,

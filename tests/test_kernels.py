@@ -165,6 +165,28 @@ def test_rasters_that_fill_no_whole_tiles(width, height, isa):
     assert_same_triples(view_weights(arrays, view, segment_ids, 20, isa=isa), expected)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_any_camera_sees_what_the_twin_sees(seed):
+    """Grazing, near and wide cameras: the same keys; weights as well as float32 conditions them."""
+    rng = np.random.default_rng(seed)
+    eye = rng.uniform(-3, 3, 3)
+    view = look_at_view(
+        eye,
+        eye + rng.normal(size=3),
+        width=int(rng.integers(20, 100)),
+        height=int(rng.integers(20, 100)),
+        fov_degrees=float(rng.uniform(20, 120)),
+        principal=tuple(rng.uniform(0, 80, 2)),
+    )
+    gaussians = random_gaussians(1000, seed, extent=float(rng.uniform(1, 3)))
+    arrays, topk = splat_arrays(gaussians), int(rng.integers(1, 50))
+    twin = reference.contributors(arrays, view)
+    segment_ids, expected = masked(twin, random_segment_map(view.height, view.width, 20), topk)
+    for isa in available_isas():
+        native = view_weights(arrays, view, segment_ids, topk, isa=isa)
+        assert_same_triples(native, expected, tolerance=2e-5)
+
+
 def test_a_map_without_segments_gives_nothing():
     empty = view_weights(
         arrays_of("outside"), view_of("outside"), np.full((HEIGHT, WIDTH), -1, np.int32)

@@ -1,5 +1,6 @@
 """The float64 twin against closed forms and the laws of the method."""
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -119,17 +120,49 @@ def test_what_is_near_or_faint_is_culled(depth, opacity, visible):
     assert (image[AXIS_PIXEL] > 0) == visible
 
 
+def strip_view(center: float) -> View:
+    intrinsics = np.array([[FOCAL, 0, center], [0, FOCAL, 8], [0, 0, 1]])
+    return View("strip", intrinsics, np.eye(4), 64, 16)
+
+
 def test_the_three_sigma_square_of_tiles_cuts():
-    """At full opacity 1/255 lies at 3.33 sigma; the tiles of the 3-sigma square end before."""
-    sigma_pixels = np.sqrt((FOCAL * 0.25) ** 2 + 0.3)  # at z = 1
-    assert np.ceil(3 * sigma_pixels) == 25
-    view = View("v", np.array([[FOCAL, 0, 8.0], [0, FOCAL, 8], [0, 0, 1]]), np.eye(4), 64, 16)
-    image = weight_images(arrays_of([[0, 0, 1.0]], [1.0], 0.25), view)[0]
-    # Square: [8 - 0.5 + 25] = 32.5; + 15 in tiles of 16 makes 2: columns below 32 only.
-    assert image[8, 31] > 1.5 / 255 * 0.5
-    assert_array_equal(image[:, 32:], 0)
-    inside = np.exp(-0.5 * ((32.5 - 8) ** 2 + 0.25) / sigma_pixels**2)
-    assert inside > 1 / 255  # the cut is by the tile, not by alpha
+    """At full opacity 1/255 lies at 3.33 sigma; the tiles of the 3-sigma square may end before."""
+    variance = (FOCAL * 0.25) ** 2 + 0.3
+    assert np.ceil(3 * np.sqrt(variance)) == 25
+    arrays = arrays_of([[0, 0, 1.0]], [1.0], 0.25)
+    image = weight_images(arrays, strip_view(8.0))[0]
+    assert_array_equal(image[:, 32:], 0)  # 8 - 0.5 + 25 + 15 = 47.5 is two tiles
+    assert np.exp(-0.5 * (24.5**2 + 0.25) / variance) > 1 / 255
+    assert weight_images(arrays, strip_view(9.0))[0][8, 32] > 1 / 255  # 48.5 is three
+
+
+def test_a_square_that_ends_on_a_tile_border_is_unsure():
+    arrays = arrays_of([[0, 0, 1.0]], [1.0], 0.25)
+    assert reference.contributors(arrays, strip_view(8.5)).unsure[8, 32]  # 8.5 - 0.5 + 25 + 15 = 48
+    for center in (8.0, 9.0):
+        assert not reference.contributors(arrays, strip_view(center)).unsure[8, 32]
+
+
+@pytest.mark.parametrize("sigma", [0.005, 0.04, 0.13, 0.5])
+def test_tile_rectangles_of_round_gaussians(sigma):
+    """Half width ceil(3 sqrt(s^2 + sqrt(0.1))): 3DGS floors the discriminant at 0.1."""
+    columns = np.linspace(-40, 88, 400) + 0.0123
+    means = [[(column - 24.5) / FOCAL, 0, 1.0] for column in columns]
+    view = replace(on_axis_view(), width=480)  # wide enough for the Jacobian not to be clamped
+    tiles = project(arrays_of(means, np.ones(400), sigma), view)
+    squared = (FOCAL * sigma) ** 2 + 0.3
+    shear = squared + (FOCAL * sigma * (columns - 24.5) / FOCAL) ** 2  # x spread grows off axis
+    mid, det = (squared + shear) / 2, squared * shear
+    reach = np.ceil(3 * np.sqrt(mid + np.sqrt(np.maximum(0.1, mid**2 - det))))
+    assert (reach > 0).all()
+    first = [math.floor(low / 16) for low in columns - 0.5 - reach]
+    end = [math.floor((high + 15) / 16) for high in columns - 0.5 + reach]
+    assert_array_equal(tiles.tiles[:, 0], np.maximum(first, -1))
+    assert_array_equal(tiles.tiles[:, 2], np.maximum(end, -1))
+    assert (tiles.possible_tiles[:, :2] <= tiles.tiles[:, :2]).all()
+    assert (tiles.tiles[:, :2] <= tiles.certain_tiles[:, :2]).all()
+    assert (tiles.possible_tiles[:, 2:] >= tiles.tiles[:, 2:]).all()
+    assert (tiles.tiles[:, 2:] >= tiles.certain_tiles[:, 2:]).all()
 
 
 def test_the_jacobian_is_clamped_outside_the_frustum():
