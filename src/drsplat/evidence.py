@@ -1,4 +1,4 @@
-"""What a field was made from: the sparse weights W, the segments behind its columns, their embeddings."""
+"""What a field was made from: sparse weights, the segments behind them, and their embeddings."""
 
 import json
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ UNIT_TOLERANCE = 1e-3
 
 
 class Explanation(NamedTuple):
-    """One photo and mask behind an answer. share: its part of all that spoke for the answer, (0, 1]."""
+    """One photo and mask behind an answer. share: its part of all that spoke for it, (0, 1]."""
 
     view_name: str
     segment_id: int
@@ -25,7 +25,7 @@ class Explanation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """The columns of W. views: an index into view_names per column. ids: the segment within that view.
+    """The columns of W. views: per column an index into view_names. ids: the segment in that view.
 
     Raises: InputError: shapes disagree, or a column of no view.
     """
@@ -93,7 +93,7 @@ class Evidence:
 
     @property
     def dim(self) -> int:
-        return self.embeddings.shape[1]
+        return int(self.embeddings.shape[1])
 
     def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
         """Mean embedding of rows [begin, end), weighted and normalised; zero where there is none.

@@ -17,7 +17,10 @@ NEGATIVES = ("object", "things", "stuff", "texture")
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """One number per row of the field. scores: cosines. relevancy: in (0, 1), 0.5 = as good as a negative."""
+    """One number per row of the field.
+
+    scores: cosines. relevancy: in (0, 1), 0.5 where the query fits no better than a negative.
+    """
 
     scores: Float32[np.ndarray, " r"]
     relevancy: Float32[np.ndarray, " r"]
@@ -56,7 +59,7 @@ def query(
     *,
     threads: int = 0,
 ) -> Answer:
-    """Score every registered Gaussian against a text: one scan, if the field has cached the negatives.
+    """Score every registered Gaussian against a text: one scan if the negatives are cached.
 
     Raises: MismatchError: the field was written with another encoder. InputError: no negatives.
     Source: Dr. Splat Sec. A "Inference stage"; Kerr et al. 2023 (LERF) for relevancy.

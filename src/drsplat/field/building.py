@@ -5,7 +5,8 @@ import math
 import numpy as np
 from jaxtyping import Bool
 
-from ..codes import BLOCK, TRAINING_POINTS, Codebook, Codes, train_codebook
+from ..codes import Codebook, Codes, train_codebook
+from ..codes.codebook import BLOCK, TRAINING_POINTS
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..evidence import Evidence
@@ -24,9 +25,9 @@ def build_field(
 ) -> LanguageField:
     """Mean embedding of each Gaussian, normalised and coded. Gaussians without any are left out.
 
-    evidence: one row per Gaussian of the scene. scene: fingerprint of those Gaussians. codebook None
-    trains one on features spread over the scene, with num_subvectors parts (None: 128, or the largest
-    power of two below it that divides D). The same to the bit for any number of threads.
+    evidence: one row per Gaussian of the scene. scene: fingerprint of those Gaussians. codebook
+    None trains one on features spread over the scene, with num_subvectors parts (None: 128, or the
+    largest power of two below it that divides D). The same to the bit for any number of threads.
 
     Raises: InputError: no Gaussian has evidence. MismatchError: the embeddings, the encoder and the
     codebook are not of one dimension.
@@ -78,8 +79,7 @@ def _encode_rows(
         block = slice(begin, min(begin + BLOCK, rows))
         features = evidence.features(block.start, block.stop, threads=threads)
         directed[block] = features.any(axis=1)
-        coded = codebook.encode(features, threads=threads)
-        codes[block] = coded.codes
-        if coarse_ids is not None:
-            coarse_ids[block] = coded.coarse_ids
+        codes[block], nearest = codebook.encode(features, threads=threads)
+        if coarse_ids is not None and nearest is not None:
+            coarse_ids[block] = nearest
     return Codes(codes, coarse_ids), directed

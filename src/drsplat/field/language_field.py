@@ -1,4 +1,4 @@
-"""The language field: what every Gaussian means, as codes that are searched by a query's embedding."""
+"""The language field: what every Gaussian means, as codes that an embedding can search."""
 
 import hashlib
 import importlib.metadata
@@ -27,12 +27,12 @@ def relevancy_from_scores(
     scores: Float32[np.ndarray, " r"], negative_maxima: Float32[np.ndarray, " r"]
 ) -> Float32[np.ndarray, " r"]:
     """sigmoid(10 (s - max_n s_n)): equal to LERF's minimum over negatives of a two-way softmax."""
-    return 1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima)))
+    return np.asarray(1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima))))
 
 
 @dataclass(frozen=True, eq=False)
 class Negatives:
-    """What a query is compared with. maxima: each row's best score among `embeddings` (unit vectors).
+    """What a query is compared with. maxima: each row's best score among the unit `embeddings`.
 
     texts: the words they came from, () where there were none.
     """
@@ -46,11 +46,12 @@ class Negatives:
 class LanguageField:
     """Features of the R Gaussians of a scene that have one; the others are absent, not zero.
 
-    gaussian_ids: rows of the scene, ascending. codes, coarse_ids: features as the codebook codes them.
+    gaussian_ids: rows of the scene, ascending. codes, coarse_ids: features, as coded by `codebook`.
     inverse_norms: 1 / norm of each decoded feature. scene: fingerprint of the N Gaussians.
     evidence: rows aligned with gaussian_ids, or None where it was not kept.
 
-    Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another encoder.
+    Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
+    encoder.
     """
 
     gaussian_ids: UInt32[np.ndarray, " r"]
@@ -82,8 +83,8 @@ class LanguageField:
             raise InputError(f"inverse_norms: expected {rows} finite float32")
         if not self.encoder.matches(self.codebook.encoder):
             raise MismatchError(
-                f"the embeddings are of {self.encoder.name} ({self.encoder.dim}-d), the codebook of "
-                f"{self.codebook.encoder.name} ({self.codebook.encoder.dim}-d): use a codebook of the same encoder"
+                f"the embeddings are of {_named(self.encoder)}, the codebook is of "
+                f"{_named(self.codebook.encoder)}: use a codebook of the same encoder"
             )
         if self.evidence is not None and (len(self.evidence), self.evidence.dim) != (
             rows,
@@ -117,15 +118,15 @@ class LanguageField:
     def scores(
         self, query: Float32[np.ndarray, " D"], *, threads: int = 0
     ) -> Float32[np.ndarray, " r"]:
-        """Cosine of the query with each feature. The query may have any length; it is never quantised.
+        """Cosine of the query, of any length, with each feature. The query is never quantised.
 
         Raises: MismatchError: a query of another dimension. InputError: one without direction.
         Source: Dr. Splat Eq. 5-6, asymmetric: see docs/method.md.
         """
         if query.shape != (self.encoder.dim,):
             raise MismatchError(
-                f"the query has {query.size} numbers; this field was written with {self.encoder.name} "
-                f"({self.encoder.dim}-d): embed the query with that encoder"
+                f"the query has {query.size} numbers; this field was written with "
+                f"{_named(self.encoder)}: embed the query with that encoder"
             )
         unit = _unit(query)
         coarse = self.codebook.coarse_scores(unit)
@@ -173,7 +174,8 @@ class LanguageField:
         """
         if not len(embeddings) or (texts and len(texts) != len(embeddings)):
             raise InputError(
-                f"expected one or more negatives, one per text; got {len(embeddings)}, {len(texts)} texts"
+                "expected one or more negatives, one per text; "
+                f"got {len(embeddings)} and {len(texts)} texts"
             )
         unit = _unit(embeddings)
         maxima = self.scores(unit[0], threads=threads)
@@ -194,19 +196,20 @@ class LanguageField:
     def dense(
         self, scores: Float32[np.ndarray, " r"], fill: float = -1.0
     ) -> Float32[np.ndarray, " N"]:
-        """Per-row values as one per Gaussian of the scene; `fill` where a Gaussian has no feature."""
+        """Per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
         values = np.full(self.num_gaussians, fill, np.float32)
         values[self.gaussian_ids] = scores
         return values
 
     def feature(self, rows: Integer[np.ndarray, " b"] | slice) -> Float32[np.ndarray, "b D"]:
         """Decoded unit features of some rows."""
-        return self.codebook.decode(self.coded.rows(rows)) * self.inverse_norms[rows, None]
+        decoded = self.codebook.decode(self.coded.rows(rows))
+        return np.asarray(decoded * self.inverse_norms[rows, None])
 
     def explain(
         self, gaussian_id: int, query: Float32[np.ndarray, " D"], top: int = 5
     ) -> list[Explanation]:
-        """The photos and masks that speak most for `query` at a Gaussian; none where it has no feature.
+        """The photos and masks that speak most for `query` at a Gaussian; none without a feature.
 
         Raises: InputError: no such Gaussian, or the field was made without evidence.
         """
@@ -226,13 +229,14 @@ class LanguageField:
         """
         if len(gaussians) != self.num_gaussians:
             raise MismatchError(
-                f"this field belongs to a scene of {self.num_gaussians} Gaussians, the given one has "
-                f"{len(gaussians)}: give the file that was registered, or register this one"
+                f"this field belongs to a scene of {self.num_gaussians} Gaussians, the given one "
+                f"has {len(gaussians)}: give the file that was registered, or register this one"
             )
         if gaussians.fingerprint != self.scene:
             raise MismatchError(
-                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as many Gaussians, but "
-                "positions or row order differ; this is what compressing does; register against the file you query"
+                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as "
+                "many Gaussians, but positions or row order differ; this is what compressing does; "
+                "register against the file you query"
             )
 
     def check_encoder(self, identity: EncoderIdentity) -> None:
@@ -242,8 +246,9 @@ class LanguageField:
         """
         if not self.encoder.matches(identity):
             raise MismatchError(
-                f"this field was written with {_named(self.encoder)}; the given encoder is {_named(identity)}: "
-                f"use {self.encoder.name} with the same weights, or register again with {identity.name}"
+                f"this field was written with {_named(self.encoder)}; the given encoder is "
+                f"{_named(identity)}: use {self.encoder.name} with the same weights, or register "
+                f"again with {identity.name}"
             )
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
@@ -292,7 +297,7 @@ def _unit(vectors: Float32[np.ndarray, "*n D"]) -> Float32[np.ndarray, "*n D"]:
     norms = np.linalg.norm(vectors.astype(np.float64), axis=-1, keepdims=True)
     if not (np.isfinite(norms) & (norms > 0)).all():
         raise InputError("embeddings to compare with must be finite and not zero")
-    return (vectors / norms).astype(np.float32)
+    return np.asarray(vectors / norms, np.float32)
 
 
 def _named(encoder: EncoderIdentity) -> str:

@@ -20,7 +20,7 @@ from .language_field import (
     Negatives,
 )
 
-_Tensors = dict[str, np.memmap]  # type: ignore[type-arg]
+_Tensors = dict[str, np.ndarray]
 _DTYPES = {
     "gaussian_ids": "uint32",
     "codes": "uint8",
@@ -43,8 +43,9 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
         )
     if manifest.get("version") != VERSION:
         raise FormatError(
-            f"{path}: field version {ascii(manifest.get('version'))[:20]}; this drsplat reads {VERSION}: "
-            f"upgrade it, or register again (written by drsplat {ascii(manifest.get('drsplat'))[:20]})"
+            f"{path}: version {ascii(manifest.get('version'))[:20]}, written by drsplat "
+            f"{ascii(manifest.get('drsplat'))[:20]}; this one reads {VERSION}: upgrade, or register "
+            "again"
         )
     tensors, _ = _tied(path, CODES, manifest)
     listed = manifest.get("codebook")

@@ -1,7 +1,7 @@
-"""Product quantisers out of FAISS index files, read without FAISS: it believes every count it reads.
+"""Product quantisers out of FAISS index files, without FAISS: it believes every count it reads.
 
-Two kinds: a plain IndexPQ, and IndexIVFPQ (coarse centroids plus coded residuals), which is what the
-authors of Dr. Splat publish. Lists of stored vectors, if any, are left alone.
+Two kinds: a plain IndexPQ, and IndexIVFPQ (coarse centroids plus coded residuals), which is what
+the authors of Dr. Splat publish. Lists of stored vectors, if any, are left alone.
 Source: the layout that FAISS's write_index produces (fourcc "IxPQ", "IwPQ").
 """
 
@@ -19,7 +19,7 @@ _MAX_FILE = 1 << 31
 
 
 class FaissQuantizer(NamedTuple):
-    """centroids (L, 256, d); coarse (C, D) where codes are residuals to one of C coarse centroids."""
+    """coarse: None, or the centroids whose residuals are coded."""
 
     centroids: Float32[np.ndarray, "L c d"]
     coarse: Float32[np.ndarray, "C D"] | None
@@ -49,8 +49,8 @@ class _Bytes:
 def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
     """The centroids of the index in `path`.
 
-    Raises: InputError: there is no such file. FormatError: another kind of index, damaged, not 8 bits
-    per code, or centroids that are not finite.
+    Raises: InputError: there is no such file. FormatError: another kind of index, damaged, not 8
+    bits per code, or centroids that are not finite.
     """
     path = Path(path)
     try:

@@ -36,12 +36,12 @@ def write_folder(
 ) -> None:
     """Write all files beside `path`, then give the folder its name.
 
-    A killed process leaves the old folder or the new one, never a mixture; a hidden `.tmp` folder that
-    it may leave beside them can be deleted. Where the file system cannot exchange two folders in one
-    step, a kill in the instant between two renames leaves the old folder under such a hidden name.
+    A killed process leaves the old folder or the new one, never a mixture; a hidden `.tmp` folder
+    that it may leave beside them can be deleted. Where the file system cannot exchange two folders
+    in one step, a kill between two renames leaves the old folder under such a hidden name.
 
-    Raises: InputError: `path` exists and `overwrite` is false or it is not such a folder, or it has no
-    folder to be in.
+    Raises: InputError: `path` exists and `overwrite` is false or it is not such a folder, or it has
+    no folder to be in.
     """
     if path.exists() or path.is_symlink():
         if not overwrite:
@@ -98,4 +98,5 @@ def _exchange(one: Path, other: Path) -> bool:
     rename = getattr(ctypes.CDLL(None), "renameat2", None)
     if rename is None:
         return False
-    return rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0
+    names = os.fsencode(one), os.fsencode(other)
+    return bool(rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) == 0)

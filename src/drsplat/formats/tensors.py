@@ -8,6 +8,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +33,8 @@ def write_tensors(
 ) -> None:
     """Write named arrays and text metadata, whole or not at all.
 
-    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite` is
-    false.
+    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite`
+    is false.
     """
     arrays = {name: np.asarray(array) for name, array in tensors.items()}
     for name, array in arrays.items():
@@ -59,11 +60,11 @@ def write_tensors(
             file.write(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
 
 
-def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.memmap], dict[str, str]]:  # type: ignore[type-arg]
-    """Read-only views of the file's arrays, and its metadata. Nothing is copied or read ahead.
+def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """The file's arrays as read-only memory maps, and its metadata. Nothing is copied or read ahead.
 
-    Raises: InputError: there is no such file. FormatError: not safetensors, truncated, or a header that
-    does not describe exactly the bytes that follow it.
+    Raises: InputError: there is no such file. FormatError: not safetensors, truncated, or a header
+    that does not describe exactly the bytes that follow it.
     """
     path = Path(path)
     try:
@@ -90,7 +91,7 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.memmap], dic
     return tensors, metadata
 
 
-def _header(raw: np.memmap, path: Path) -> tuple[dict[str, object], np.memmap]:  # type: ignore[type-arg]
+def _header(raw: np.ndarray, path: Path) -> tuple[dict[str, Any], np.ndarray]:
     length = int.from_bytes(raw[:8].tobytes(), "little")
     if raw.size < 8 or length > min(raw.size - 8, _MAX_HEADER):
         raise FormatError(

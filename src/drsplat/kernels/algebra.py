@@ -1,4 +1,4 @@
-"""The algebra after registration (native; float32): rows of W @ E, nearest centroids, table look-ups.
+"""The algebra after registration (native; float32): rows of W @ E, codes, table look-ups.
 
 Every function is the same to the bit for any number of threads; `threads=0` takes all cores and
 `isa` names an instruction set of `available_isas()`, "" the best.
@@ -78,8 +78,8 @@ def pq_encode(
     subvectors, count, dim = centroids.shape
     if count != CENTROIDS or subvectors * dim != features.shape[1] or dim == 0:
         raise InputError(
-            f"features of {features.shape[1]} numbers cannot be coded with centroids {centroids.shape}: "
-            f"expected (L, {CENTROIDS}, D / L)"
+            f"features of {features.shape[1]} numbers cannot be coded with centroids "
+            f"{centroids.shape}: expected (L, {CENTROIDS}, D / L)"
         )
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")

@@ -34,7 +34,7 @@ def pq_encode(
     features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]
 ) -> UInt8[np.ndarray, "n L"]:
     """The nearest centroid of each sub-vector, ties to the lowest index."""
-    return pq_distances(features, centroids).argmin(axis=2).astype(np.uint8)
+    return np.asarray(pq_distances(features, centroids).argmin(axis=2), np.uint8)
 
 
 def pq_decode(

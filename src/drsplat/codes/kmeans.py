@@ -1,4 +1,4 @@
-"""K-means of each sub-vector on its own, all of them at once (Lloyd's algorithm on the native encoder).
+"""K-means of all sub-vectors at once: Lloyd's algorithm on the native encoder.
 
 The same points and seed give the same bits for any number of threads.
 """
@@ -6,8 +6,8 @@ The same points and seed give the same bits for any number of threads.
 import numpy as np
 from jaxtyping import Float32, Int, UInt8, UInt64
 
-from .kernels import pq_encode
-from .kernels.algebra import CENTROIDS
+from ..kernels import pq_encode
+from ..kernels.algebra import CENTROIDS
 
 ITERATIONS = 12
 
@@ -17,7 +17,7 @@ def train_centroids(
 ) -> Float32[np.ndarray, "L c d"]:
     """256 centroids per sub-vector. A sub-vector of at most 256 distinct values gets exactly those.
 
-    Starts from distinct points. A centroid that no point is nearest to moves to the worst-served point.
+    Starts from distinct points. A centroid that serves no point moves to the worst-served one.
 
     Source: Jegou et al. 2011; Lloyd 1982.
     """

@@ -1,0 +1,24 @@
+"""Product quantisation: a feature as one byte per sub-vector.
+
+A plain codebook is the paper's. A residual one is what its authors publish: a code is then the
+index of a coarse centroid plus the bytes of what that centroid leaves over.
+Source: Dr. Splat Sec. B; Jegou et al. 2011.
+"""
+
+from .codebook import Codebook, Codes, train_codebook
+from .files import codebook_from_tensors, encoder_from_json, load_codebook, save_codebook
+from .official import OfficialRows, from_official_bytes, official_bytes, read_faiss_codebook
+
+__all__ = [
+    "Codebook",
+    "Codes",
+    "OfficialRows",
+    "codebook_from_tensors",
+    "encoder_from_json",
+    "from_official_bytes",
+    "load_codebook",
+    "official_bytes",
+    "read_faiss_codebook",
+    "save_codebook",
+    "train_codebook",
+]

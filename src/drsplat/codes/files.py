@@ -1,0 +1,78 @@
+"""Codebooks on disk: safetensors with the encoder's identity, checked by their hash."""
+
+import json
+import os
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..encoders import EncoderIdentity
+from ..errors import FormatError, InputError, MismatchError
+from ..formats.tensors import map_tensors, write_tensors
+from .codebook import Codebook
+
+CODEBOOK_FORMAT = "drsplat codebook 1"
+
+
+def save_codebook(
+    codebook: Codebook, path: str | os.PathLike[str], overwrite: bool = False
+) -> None:
+    """Write a codebook to one safetensors file."""
+    encoder = codebook.encoder
+    metadata = {
+        "format": CODEBOOK_FORMAT,
+        "hash": codebook.hash,
+        "encoder": json.dumps(
+            {"name": encoder.name, "dim": encoder.dim, "weights": encoder.weights}
+        ),
+    }
+    write_tensors(path, codebook.tensors(), metadata, overwrite)
+
+
+def load_codebook(path: str | os.PathLike[str]) -> Codebook:
+    """Read what `save_codebook` wrote.
+
+    Raises: FormatError: another kind of file or version, or damaged.
+    """
+    tensors, metadata = map_tensors(path)
+    if metadata.get("format") != CODEBOOK_FORMAT:
+        raise FormatError(
+            f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}"
+        )
+    try:
+        identity = json.loads(metadata.get("encoder", ""))
+    except (ValueError, RecursionError):
+        identity = None
+    return codebook_from_tensors(tensors, identity, metadata.get("hash"), str(path))
+
+
+def codebook_from_tensors(
+    tensors: Mapping[str, np.ndarray], identity: object, expected_hash: object, where: str
+) -> Codebook:
+    """A codebook from a file's arrays and the JSON identity of its encoder, checked by its hash.
+
+    Raises: FormatError: something is missing or ill-formed, or the hash differs.
+    """
+    encoder = encoder_from_json(identity, where)
+    parts = [tensors[name] for name in ("centroids", "coarse") if name in tensors]
+    if "centroids" not in tensors or any(part.dtype != np.float32 for part in parts):
+        raise FormatError(f"{where}: expected centroids as float32")
+    try:
+        codebook = Codebook(parts[0], parts[1] if len(parts) > 1 else None, encoder)
+    except (InputError, MismatchError) as error:
+        raise FormatError(f"{where}: {error}") from error
+    if codebook.hash != expected_hash:
+        raise FormatError(
+            f"{where}: the codebook is not the one that was written (hash {codebook.hash})"
+        )
+    return codebook
+
+
+def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
+    """Raises: FormatError: not an object of name, dim and weights."""
+    if not isinstance(identity, dict):
+        raise FormatError(f"{where}: expected the encoder's name, dim and weights")
+    name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
+    if isinstance(name, str) and isinstance(weights, str) and type(dim) is int and dim > 0:
+        return EncoderIdentity(name, dim, weights)
+    raise FormatError(f"{where}: expected the encoder's name, dim and weights")

@@ -1,0 +1,61 @@
+"""The codebook and the codes that the authors of Dr. Splat publish."""
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8, UInt32
+
+from ..encoders import EncoderIdentity
+from ..errors import FormatError, InputError
+from ..formats.faiss_index import read_faiss_quantizer
+from .codebook import Codebook, Codes
+
+
+def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) -> Codebook:
+    """A codebook from a FAISS index: IndexPQ, or the IndexIVFPQ that Dr. Splat's authors publish.
+
+    Raises: FormatError: another kind of file, or damaged. MismatchError: another dimension than the
+    encoder's.
+    """
+    try:
+        return Codebook(*read_faiss_quantizer(path), encoder)
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def official_bytes(codes: Codes) -> UInt8[np.ndarray, "n b"]:
+    """Residual codes as the authors' files hold them: list id (two bytes, little-endian), codes."""
+    if codes.coarse_ids is None:
+        raise InputError("plain codes have no official form: encode with the authors' codebook")
+    return np.hstack([codes.coarse_ids.astype("<u2")[:, None].view(np.uint8), codes.codes])
+
+
+class OfficialRows(NamedTuple):
+    """ids: the rows that hold a code, ascending. codes: theirs."""
+
+    ids: UInt32[np.ndarray, " r"]
+    codes: Codes
+
+
+def from_official_bytes(rows: UInt8[np.ndarray, "n b"], codebook: Codebook) -> OfficialRows:
+    """Codes out of the authors' files. Rows of 255 are their mark for "no feature": left out.
+
+    Raises: InputError: a plain codebook. FormatError: rows of another length, or a list id that the
+    codebook does not have.
+    """
+    if codebook.coarse is None:
+        raise InputError(
+            "official codes are residuals: read the authors' .faiss file for their codebook"
+        )
+    if rows.ndim != 2 or rows.shape[1] != 2 + codebook.num_subvectors:
+        raise FormatError(f"expected rows of {2 + codebook.num_subvectors} bytes, got {rows.shape}")
+    ids = np.flatnonzero((rows != 255).any(axis=1)).astype(np.uint32)
+    coarse_ids = np.ascontiguousarray(rows[ids, :2]).view("<u2")[:, 0].astype(np.uint16)
+    bad = np.flatnonzero(coarse_ids >= len(codebook.coarse))
+    if len(bad):
+        raise FormatError(
+            f"row {ids[bad[0]]} names list {coarse_ids[bad[0]]} of {len(codebook.coarse)}: these "
+            "codes were made with another codebook, or are damaged"
+        )
+    return OfficialRows(ids, Codes(np.ascontiguousarray(rows[ids, 2:]), coarse_ids))
