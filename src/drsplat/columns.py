@@ -44,19 +44,26 @@ def view_columns(
     segment_ids = features.resized(view.width, view.height).segment_ids
     settings = f"{COLUMNS_VERSION} {topk} {first_hits} {available_isas()[0]}"
     key = _key(splats, view, segment_ids, settings)
-    path = folder / f"{hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()}.columns.safetensors"
+    path = (
+        folder
+        / f"{hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()}.columns.safetensors"
+    )
     if not _is_finished(path, key):
-        triples = view_weights(splats, view, segment_ids, topk, first_hits=first_hits, threads=threads)
+        triples = view_weights(
+            splats, view, segment_ids, topk, first_hits=first_hits, threads=threads
+        )
         folder.mkdir(parents=True, exist_ok=True)
-        write_tensors(path, triples._asdict(), {"key": key, "view": view.name})
+        write_tensors(path, triples._asdict(), {"key": key, "view": view.name}, overwrite=True)
     return Columns(view.name, path, features.embeddings)
 
 
-def _key(splats: SplatArrays, view: View, segment_ids: Int32[np.ndarray, "h w"], settings: str) -> str:
+def _key(
+    splats: SplatArrays, view: View, segment_ids: Int32[np.ndarray, "h w"], settings: str
+) -> str:
     digest = hashlib.blake2b(settings.encode(), digest_size=16)
     for array in (*splats, view.K, view.cam_from_world, segment_ids):
         digest.update(str(array.shape).encode())
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 

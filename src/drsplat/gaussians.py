@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Float64, Integer
+from jaxtyping import Bool, Float32, Float64, Integer
 
 from .errors import InputError
 
@@ -38,10 +38,14 @@ class Gaussians:
         for name, shape in expected.items():
             given = getattr(self, name)
             if given.shape != shape or given.dtype != np.float32:
-                raise InputError(f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}")
+                raise InputError(
+                    f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}"
+                )
         k = self.sh.shape[1] if self.sh.ndim == 3 else -1
         if self.sh.shape != (n, k, 3) or k not in SH_COEFFICIENTS or self.sh.dtype != np.float32:
-            raise InputError(f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}")
+            raise InputError(
+                f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}"
+            )
         for name, column in self.extra.items():
             if len(column) != n:
                 raise InputError(f"extra column '{name}': expected {n} values, got {len(column)}")
@@ -63,16 +67,27 @@ class Gaussians:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
         w, x, y, z = self.quats.astype(np.float64).T
         rotation = np.empty((len(self), 3, 3))
-        rotation[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1)
-        rotation[:, 1] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1)
-        rotation[:, 2] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)
+        rotation[:, 0] = np.stack(
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1
+        )
+        rotation[:, 1] = np.stack(
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1
+        )
+        rotation[:, 2] = np.stack(
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1
+        )
         axes = rotation * self.scales.astype(np.float64)[:, None, :]
         rows, columns = np.triu_indices(3)
-        return np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns])
+        return np.asarray(np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns]))
 
-    def subset(self, index: Integer[np.ndarray, " m"]) -> "Gaussians":
+    def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "Gaussians":
         """The Gaussians at `index` (integers or a boolean mask), in that order."""
         extra = {name: column[index] for name, column in self.extra.items()}
         return Gaussians(
-            self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra
+            self.means[index],
+            self.quats[index],
+            self.scales[index],
+            self.opacities[index],
+            self.sh[index],
+            extra,
         )

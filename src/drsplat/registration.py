@@ -46,6 +46,21 @@ class Registration:
     scene: str
     encoder: EncoderIdentity
 
+    @classmethod
+    def from_field(cls, field: LanguageField) -> "Registration":
+        """What a field was made from, to add views or change the encoder without any photo.
+
+        Raises: InputError: the field was saved without its evidence.
+        """
+        if field.evidence is None:
+            raise InputError("this field holds no evidence: register again and keep it")
+        kept = field.evidence.weights
+        starts = np.zeros(field.num_gaussians + 1, np.int64)
+        starts[1 + field.gaussian_ids.astype(np.int64)] = np.diff(kept.indptr)
+        shape = (field.num_gaussians, kept.shape[1])
+        weights = csr_array((kept.data, kept.indices, np.cumsum(starts)), shape=shape)
+        return cls(replace(field.evidence, weights=weights), field.scene, field.encoder)
+
     @property
     def weights(self) -> csr_array:
         """W, (N, M) float32: row i of Gaussian i, columns ordered by view name, then segment id."""
@@ -71,14 +86,20 @@ class Registration:
         """
         return build_field(self.evidence, self.scene, self.encoder, codebook, threads=threads)
 
-    def with_embeddings(self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity) -> "Registration":
+    def with_embeddings(
+        self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity
+    ) -> "Registration":
         """The same weights with another encoder's embeddings: no photo is looked at again.
 
         Raises: InputError: not one unit vector per segment.
         """
         if len(embeddings) != len(self.embeddings):
-            raise InputError(f"expected {len(self.embeddings)} embeddings, one per segment; got {len(embeddings)}")
-        return replace(self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder)
+            raise InputError(
+                f"expected {len(self.embeddings)} embeddings, one per segment; got {len(embeddings)}"
+            )
+        return replace(
+            self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder
+        )
 
     def merged(self, other: "Registration") -> "Registration":
         """This registration and one of further views of the same scene: equal to one pass over all.
@@ -92,7 +113,9 @@ class Registration:
             )
         twice = sorted(set(self.segments.view_names) & set(other.segments.view_names))
         if twice:
-            raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
+            raise InputError(
+                f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one"
+            )
         return replace(self, evidence=_merge(self.evidence, other.evidence))
 
 
@@ -123,21 +146,33 @@ def register(
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
         columns: list[Columns] = []
         for view, key in track_pairs(chosen, track):
-            columns.append(view_columns(splats, view, features[key], folder, topk, first_hits, threads))
+            columns.append(
+                view_columns(splats, view, features[key], folder, topk, first_hits, threads)
+            )
         _check_one_size(columns)
         weights = stack_columns(columns, len(gaussians))
-    evidence = Evidence(weights, _segments_of(columns), np.concatenate([c.embeddings for c in columns]))
-    return Registration(evidence, gaussians.fingerprint, _encoder_of(features, evidence.embeddings.shape[1]))
+    evidence = Evidence(
+        weights, _segments_of(columns), np.concatenate([c.embeddings for c in columns])
+    )
+    return Registration(
+        evidence, gaussians.fingerprint, _encoder_of(features, evidence.embeddings.shape[1])
+    )
 
 
-def track_pairs(chosen: Sequence[tuple[View, str]], track: Track | None) -> Iterable[tuple[View, str]]:
+def track_pairs(
+    chosen: Sequence[tuple[View, str]], track: Track | None
+) -> Iterable[tuple[View, str]]:
     if track is None:
         return chosen
     keys = {id(view): key for view, key in chosen}
-    return ((view, keys[id(view)]) for view in track([view for view, _ in chosen], "registering views"))
+    return (
+        (view, keys[id(view)]) for view in track([view for view, _ in chosen], "registering views")
+    )
 
 
-def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
+def _views_with_features(
+    views: Sequence[View], features: Mapping[str, ViewFeatures]
+) -> list[tuple[View, str]]:
     """In canonical order: by view name."""
     chosen, missing = [], []
     for view in sorted(views, key=lambda v: v.name):
@@ -147,20 +182,40 @@ def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatu
             missing.append(view.name)
         else:
             chosen.append((view, key))
+    _refuse_shared_features(chosen)
     if not chosen:
         example = next(iter(features), "(there are none)")
         given = views[0].name if views else "(there are none)"
-        raise InputError(f"no view has features: views are named like '{given}', features like '{example}'")
+        raise InputError(
+            f"no view has features: views are named like '{given}', features like '{example}'"
+        )
     if missing:
-        warn(f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}", DrSplatWarning, stacklevel=3)
+        warn(
+            f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}",
+            DrSplatWarning,
+            stacklevel=3,
+        )
     return chosen
+
+
+def _refuse_shared_features(chosen: Sequence[tuple[View, str]]) -> None:
+    owner: dict[str, str] = {}
+    for view, key in chosen:
+        if key in owner:
+            raise InputError(
+                f"views '{owner[key]}' and '{view.name}' both find the features '{key}': name the feature "
+                "files after the whole path of the photo"
+            )
+        owner[key] = view.name
 
 
 def _check_one_size(columns: Sequence[Columns]) -> None:
     sizes = {c.embeddings.shape[1]: c.view_name for c in columns}
     if len(sizes) > 1:
         listed = ", ".join(f"{size} ('{name}')" for size, name in sizes.items())
-        raise InputError(f"embeddings of different sizes: {listed}: embed all views with one encoder")
+        raise InputError(
+            f"embeddings of different sizes: {listed}: embed all views with one encoder"
+        )
 
 
 def _segments_of(columns: Sequence[Columns]) -> Segments:
@@ -174,13 +229,17 @@ def _segments_of(columns: Sequence[Columns]) -> Segments:
 
 def _encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
     encoder = getattr(features, "encoder", None)
-    return encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
+    return (
+        encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
+    )
 
 
 def _merge(a: Evidence, b: Evidence) -> Evidence:
     names = sorted(a.segments.view_names + b.segments.view_names)
     rank = {name: i for i, name in enumerate(names)}
-    views = np.concatenate([[rank[s.view_names[v]] for v in s.views] for s in (a.segments, b.segments)]).astype(np.int32)
+    views = np.concatenate(
+        [[rank[s.view_names[v]] for v in s.views] for s in (a.segments, b.segments)]
+    ).astype(np.int32)
     ids = np.concatenate([a.segments.ids, b.segments.ids])
     order = np.lexsort((ids, views))
     weights = csr_array(hstack([a.weights, b.weights], format="csr")[:, order])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64, Integer
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -14,7 +14,10 @@ from .gaussians import Gaussians
 
 NEIGHBOURS = 8
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
-BOX_QUANTILES = (0.01, 0.99)  # of the member centres along each axis: a stray Gaussian does not stretch it
+BOX_QUANTILES = (
+    0.01,
+    0.99,
+)  # of the member centres along each axis: a stray Gaussian does not stretch it
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,9 @@ def select(
     Source: Dr. Splat Sec. B "3D object selection".
     """
     if scores.shape != (len(field.gaussian_ids),):
-        raise InputError(f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}")
+        raise InputError(
+            f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
+        )
     return field.gaussian_ids[scores > threshold].astype(np.int64)
 
 
@@ -78,20 +83,51 @@ def locate(
     return sorted(found, key=lambda thing: (-thing.score, int(thing.gaussian_ids[0])))
 
 
-def _components(points: Float64[np.ndarray, "n 3"], link_distance: float | None) -> Int64[np.ndarray, " n"]:
-    """Label of each point; labels count from 0 in order of first appearance."""
+def _components(
+    points: Float64[np.ndarray, "n 3"], link_distance: float | None
+) -> Int64[np.ndarray, " n"]:
+    """Label of each point: those joined by steps of at most the link distance share one."""
     k = min(NEIGHBOURS, len(points) - 1)
     distances, neighbours = cKDTree(points).query(points, k=k + 1)
-    reach = LINK_FACTOR * float(np.median(distances[:, -1])) if link_distance is None else link_distance
+    reach = link_distance or LINK_FACTOR * float(np.median(distances[:, -1]))
     near = distances[:, 1:] <= reach
     source = np.broadcast_to(np.arange(len(points))[:, None], near.shape)[near]
-    edges = coo_array((np.ones(len(source), bool), (source, neighbours[:, 1:][near])), shape=(len(points),) * 2)
-    _, labels = connected_components(edges, directed=False)
-    return labels.astype(np.int64)
+    labels = _connected(len(points), source, neighbours[:, 1:][near])
+    return np.asarray(_join_near_parts(points, labels, reach)[labels])
 
 
-def _instance(gaussians: Gaussians, scores: Float32[np.ndarray, " n"], ids: Int64[np.ndarray, " m"]) -> Instance:
-    points, mass = gaussians.means[ids].astype(np.float64), gaussians.opacities[ids].astype(np.float64)
+def _connected(
+    count: int, source: Int64[np.ndarray, " e"], target: Integer[np.ndarray, " e"]
+) -> Int64[np.ndarray, " n"]:
+    edges = coo_array((np.ones(len(source), bool), (source, target)), shape=(count, count))
+    return np.asarray(connected_components(edges, directed=False)[1], np.int64)
+
+
+def _join_near_parts(
+    points: Float64[np.ndarray, "n 3"], labels: Int64[np.ndarray, " n"], reach: float
+) -> Int64[np.ndarray, " p"]:
+    """New label of each part: nearest neighbours alone can leave a gap narrower than the reach."""
+    order = np.argsort(labels, kind="stable")
+    parts = np.split(points[order], np.flatnonzero(np.diff(labels[order])) + 1)
+    low, high = np.array([p.min(0) for p in parts]), np.array([p.max(0) for p in parts])
+    trees, edges = [cKDTree(part) for part in parts], []
+    for i, part in enumerate(parts):
+        gap = np.maximum(low[i + 1 :] - high[i], low[i] - high[i + 1 :])
+        for j in i + 1 + np.flatnonzero((gap <= reach).all(axis=1)):
+            small, large = (i, j) if len(part) < len(parts[j]) else (j, i)
+            if trees[large].query(parts[small], distance_upper_bound=reach)[0].min() <= reach:
+                edges.append((i, int(j)))
+    ends = np.array(edges, np.int64).reshape(-1, 2)
+    return _connected(len(parts), ends[:, 0], ends[:, 1])
+
+
+def _instance(
+    gaussians: Gaussians, scores: Float32[np.ndarray, " n"], ids: Int64[np.ndarray, " m"]
+) -> Instance:
+    points, mass = (
+        gaussians.means[ids].astype(np.float64),
+        gaussians.opacities[ids].astype(np.float64),
+    )
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
     offsets = points - mass @ points
     axes = np.linalg.eigh((offsets * mass[:, None]).T @ offsets)[1].T[::-1]

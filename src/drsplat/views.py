@@ -33,19 +33,26 @@ class View:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise InputError(f"view '{self.name}': empty raster {self.width}x{self.height}")
-        for label, matrix, shape in (("K", self.K, (3, 3)), ("cam_from_world", self.cam_from_world, (4, 4))):
+        for label, matrix, shape in (
+            ("K", self.K, (3, 3)),
+            ("cam_from_world", self.cam_from_world, (4, 4)),
+        ):
             if matrix.shape != shape or not np.isfinite(matrix).all():
                 raise InputError(f"view '{self.name}': {label} must be a finite {shape} matrix")
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
-            raise InputError(f"view '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}")
+            raise InputError(
+                f"view '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}"
+            )
         rotation = self.cam_from_world[:3, :3]
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-            raise InputError(f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)")
+            raise InputError(
+                f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)"
+            )
 
     @property
     def center(self) -> Float64[np.ndarray, " 3"]:
         """Camera centre in world coordinates."""
-        return -self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3]
+        return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
     def resized(self, width: int, height: int) -> "View":
         """The same camera on another raster: K and size scale together."""

@@ -67,9 +67,13 @@ def splat_arrays(gaussians: Gaussians) -> SplatArrays:
 
 def _camera(view: View) -> Float32[np.ndarray, "16"]:
     if max(view.width, view.height) > MAX_SIDE:
-        raise InputError(f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE} pixels a side: resize it")
+        raise InputError(
+            f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE} pixels a side: resize it"
+        )
     if abs(view.K[0, 1]) > 1e-6 * view.K[0, 0]:
-        raise InputError(f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported")
+        raise InputError(
+            f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported"
+        )
     pose, K = view.cam_from_world, view.K
     numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
     return np.array(numbers, np.float32)
@@ -77,7 +81,9 @@ def _camera(view: View) -> Float32[np.ndarray, "16"]:
 
 def _checked_isa(isa: str) -> str:
     if isa and isa not in available_isas():
-        raise InputError(f"instruction set '{isa}' is not available; this machine and build have {available_isas()}")
+        raise InputError(
+            f"instruction set '{isa}' is not available; this machine and build have {available_isas()}"
+        )
     return isa
 
 
@@ -111,14 +117,25 @@ def view_weights(
             f"the view {view.width}x{view.height}: resize one of them"
         )
     ids, segments, weights, _ = _native.view_weights(
-        *splats, _camera(view), np.ascontiguousarray(segment_ids, np.int32),
-        _positive("topk", topk), _positive("first_hits", first_hits), threads, _checked_isa(isa),
+        *splats,
+        _camera(view),
+        np.ascontiguousarray(segment_ids, np.int32),
+        _positive("topk", topk),
+        _positive("first_hits", first_hits),
+        threads,
+        _checked_isa(isa),
     )
     return Triples(ids, segments, weights)
 
 
 def topk_contributions(
-    splats: SplatArrays, view: View, k: int, *, first_hits: int | None = None, threads: int = 0, isa: str = ""
+    splats: SplatArrays,
+    view: View,
+    k: int,
+    *,
+    first_hits: int | None = None,
+    threads: int = 0,
+    isa: str = "",
 ) -> Contributions:
     """Return the k largest blending weights of each pixel and the Gaussians that own them.
 
@@ -128,8 +145,14 @@ def topk_contributions(
     Source: Dr. Splat Sec. A; 3DGS Eq. 3.  Twin: kernels.reference.topk_contributions.
     """
     ids, weights = _native.topk_contributions(
-        *splats, _camera(view), view.width, view.height,
-        _positive("k", k), _positive("first_hits", first_hits), threads, _checked_isa(isa),
+        *splats,
+        _camera(view),
+        view.width,
+        view.height,
+        _positive("k", k),
+        _positive("first_hits", first_hits),
+        threads,
+        _checked_isa(isa),
     )
     return Contributions(ids, weights)
 
@@ -151,10 +174,18 @@ def render_channels(
     n, channels = len(splats.opacities), values.shape[1]
     behind = np.zeros(channels, np.float32) if background is None else background
     if len(values) != n or behind.shape != (channels,):
-        raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
+        raise InputError(
+            f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}"
+        )
     image, alpha, depth = _native.render(
-        *splats, _camera(view), view.width, view.height,
-        np.ascontiguousarray(values), np.ascontiguousarray(behind), threads, _checked_isa(isa),
+        *splats,
+        _camera(view),
+        view.width,
+        view.height,
+        np.ascontiguousarray(values),
+        np.ascontiguousarray(behind),
+        threads,
+        _checked_isa(isa),
     )
     return Rendering(image, alpha, depth)
 
@@ -173,6 +204,10 @@ def sh_colors(
     """
     return np.asarray(
         _native.sh_colors(
-            np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32), threads, _checked_isa(isa)
+            np.ascontiguousarray(sh),
+            np.ascontiguousarray(means),
+            np.asarray(center, np.float32),
+            threads,
+            _checked_isa(isa),
         )
     )

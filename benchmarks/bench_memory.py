@@ -1,0 +1,71 @@
+"""Peak memory and time of a whole registration: a million Gaussians, 200 views, 30,000 segments.
+
+    python benchmarks/bench_memory.py [--gaussians 1000000] [--views 200] [--segments 150] [--dim 512]
+
+Runs in this process from a clean start; the peak is the kernel's own count of resident memory.
+"""
+
+import argparse
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+from machine import describe
+from rooms import SyntheticFeatures, room, room_views
+
+
+def peak_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--gaussians", type=int, default=1_000_000)
+    parser.add_argument("--views", type=int, default=200)
+    parser.add_argument("--segments", type=int, default=150, help="per view")
+    parser.add_argument("--dim", type=int, default=512)
+    parser.add_argument("--topk", type=int, default=40)
+    parser.add_argument("--threads", type=int, default=0)
+    args = parser.parse_args()
+    from drsplat import load_field, register
+
+    print(describe())
+    views = room_views(args.views)
+    features = SyntheticFeatures(views, args.segments, args.dim)
+    clock = time.perf_counter()
+    gaussians = room(args.gaussians)
+    print(f"made the scene: {time.perf_counter() - clock:.1f} s, peak {peak_mib():,.0f} MiB")
+
+    start = clock = time.perf_counter()
+    registration = register(gaussians, views, features, topk=args.topk, threads=args.threads)
+    took = time.perf_counter() - clock
+    print(
+        f"registered {args.views} views, {registration.weights.shape[1]:,} segments: {took:.1f} s, of which "
+        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, peak {peak_mib():,.0f} MiB"
+    )
+
+    clock = time.perf_counter()
+    field = registration.to_field(threads=args.threads)
+    print(
+        f"coded {len(field.gaussian_ids):,} features: {time.perf_counter() - clock:.1f} s, peak {peak_mib():,.0f} MiB"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        clock = time.perf_counter()
+        field.save(Path(folder) / "room.field")
+        size = sum(f.stat().st_size for f in (Path(folder) / "room.field").iterdir()) / 2**20
+        print(f"saved {size:,.0f} MiB: {time.perf_counter() - clock:.1f} s")
+        clock = time.perf_counter()
+        scores = load_field(Path(folder) / "room.field").scores(registration.embeddings[0])
+        print(
+            f"loaded and scored {len(scores):,} Gaussians: {(time.perf_counter() - clock) * 1e3:.0f} ms"
+        )
+    print(
+        f"end to end without the masks: {time.perf_counter() - start - features.seconds:.1f} s; peak resident memory {peak_mib():,.0f} MiB"
+    )
+
+
+if __name__ == "__main__":
+    main()

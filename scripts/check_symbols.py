@@ -1,0 +1,49 @@
+"""Fail if a per-instruction-set object file could leak its code into the others.
+
+A template of std:: instantiated in the AVX-512 copy of the kernels is a weak symbol: the linker may
+keep that copy for the whole extension, which then dies on a machine without AVX-512. So every weak
+symbol of such an object must lie in the object's own namespace.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+NATIVE = Path(__file__).resolve().parent.parent / "native"
+LEVELS = ("v2", "v3", "v4")
+
+
+def shared_weak_symbols(level: str, folder: Path) -> list[str]:
+    """Weak symbols, demangled, outside the namespace drsplat::LEVEL."""
+    target = folder / f"{level}.o"
+    compiler = os.environ.get("CXX", "g++")
+    flags = ["-O1", "-std=c++17", "-fPIC", "-w", f"-march=x86-64-{level}", f"-DDRSPLAT_ISA={level}"]
+    subprocess.run([compiler, *flags, "-c", NATIVE / "kernels.cpp", "-o", target], check=True)
+    listing = subprocess.run(
+        ["nm", "-C", target], check=True, capture_output=True, text=True
+    ).stdout
+    weak = [line.split(maxsplit=2)[-1] for line in listing.splitlines() if line[17:18] in "WVu"]
+    return [name for name in weak if f"drsplat::{level}::" not in name]
+
+
+def main() -> int:
+    if os.uname().machine not in ("x86_64", "amd64"):
+        print("not an x86-64 machine: there is only one copy of the kernels")
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        shared = {level: shared_weak_symbols(level, Path(folder)) for level in LEVELS}
+    for level, names in shared.items():
+        for name in names:
+            print(f"{level}: {name} is weak and outside drsplat::{level}", file=sys.stderr)
+    print(
+        f"{', '.join(LEVELS)}: no weak symbol outside its own namespace"
+        if not any(shared.values())
+        else ""
+    )
+    return int(any(shared.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""Types of the native core; shapes and meaning are documented in drsplat.kernels."""
+
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+
+def available_isas() -> list[str]: ...
+def view_weights(
+    means: Array,
+    covariances: Array,
+    opacities: Array,
+    camera: Array,
+    segment_ids: Array,
+    topk: int,
+    first_hits: int,
+    threads: int,
+    isa: str,
+) -> tuple[Array, Array, Array, tuple[float, float, float, float, float]]: ...
+def topk_contributions(
+    means: Array,
+    covariances: Array,
+    opacities: Array,
+    camera: Array,
+    width: int,
+    height: int,
+    topk: int,
+    first_hits: int,
+    threads: int,
+    isa: str,
+) -> tuple[Array, Array]: ...
+def render(
+    means: Array,
+    covariances: Array,
+    opacities: Array,
+    camera: Array,
+    width: int,
+    height: int,
+    values: Array,
+    background: Array,
+    threads: int,
+    isa: str,
+) -> tuple[Array, Array, Array]: ...
+def sh_colors(sh: Array, means: Array, center: Array, threads: int, isa: str) -> Array: ...
+def weighted_rows(
+    starts: Array, columns: Array, weights: Array, embeddings: Array, threads: int, isa: str
+) -> Array: ...
+def pq_encode(features: Array, centroids: Array, threads: int, isa: str) -> Array: ...
+def pq_scores(
+    codes: Array, lut: Array, scale: Array, bias: Array | None, threads: int, isa: str
+) -> Array: ...

@@ -1,0 +1,244 @@
+"""Registration: W by hand and by twin, shards, resuming, new encoders, and what it refuses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drsplat.encoders import EncoderIdentity
+from drsplat.errors import DrSplatWarning, InputError, MismatchError
+from drsplat.features import ViewFeatures
+from drsplat.kernels import reference, splat_arrays, view_weights
+from drsplat.registration import Registration, register
+from drsplat.views import View
+from scenes import look_at_view, random_gaussians, random_segment_map
+
+DIM = 32
+
+
+def named_view(i: int) -> View:
+    angle = 0.9 * i
+    view = look_at_view((6 * np.cos(angle), 6 * np.sin(angle), 1.0 + 0.2 * i), width=64, height=48)
+    return View(f"{i:03d}.png", view.K, view.cam_from_world, view.width, view.height)
+
+
+def unit_rows(count: int, seed: int, dim: int = DIM) -> np.ndarray:
+    rows = np.random.default_rng(seed).normal(size=(count, dim)).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def capture(count: int = 4, segments: int = 5) -> tuple[list[View], dict[str, ViewFeatures]]:
+    views = [named_view(i) for i in range(count)]
+    features = {
+        view.name.removesuffix(".png"): ViewFeatures(
+            random_segment_map(view.height, view.width, segments, seed=i), unit_rows(segments, i)
+        )
+        for i, view in enumerate(views)
+    }
+    return views, features
+
+
+@pytest.fixture(scope="module")
+def gaussians():
+    return random_gaussians(400, seed=3)
+
+
+@pytest.fixture(scope="module")
+def registration(gaussians):
+    views, features = capture()
+    return register(gaussians, views, features, topk=10)
+
+
+def same(a: Registration, b: Registration) -> bool:
+    left, right = a.weights, b.weights
+    return (
+        a.segments.view_names == b.segments.view_names
+        and np.array_equal(left.indptr, right.indptr)
+        and np.array_equal(left.indices, right.indices)
+        and np.array_equal(left.data, right.data)
+        and np.array_equal(a.embeddings, b.embeddings)
+        and np.array_equal(a.segments.ids, b.segments.ids)
+    )
+
+
+def test_columns_are_those_of_the_twin(gaussians, registration):
+    views, features = capture()
+    dense = registration.weights.toarray()
+    for i, view in enumerate(views):
+        twin = reference.view_weights(
+            splat_arrays(gaussians), view, features[f"{i:03d}"].segment_ids, 10
+        )
+        expected = np.zeros((len(gaussians), 5))
+        expected[twin.gaussian_ids, twin.segment_ids] = twin.weights
+        ours = dense[:, registration.segments.views == i]
+        assert np.abs(ours - expected).sum() <= 1e-4 * expected.sum()
+
+
+def test_the_feature_is_the_normalised_weighted_mean(registration):
+    expected = registration.weights.toarray().astype(float) @ registration.embeddings
+    norms = np.linalg.norm(expected, axis=1, keepdims=True)
+    seen = norms[:, 0] > 0
+    ours = registration.evidence.features(0, len(seen))
+    np.testing.assert_allclose(
+        ours[seen], (expected / np.where(norms > 0, norms, 1))[seen], atol=2e-6
+    )
+    assert not ours[~seen].any()
+    assert registration.num_registered == seen.sum()
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(st.permutations(range(4)), st.sampled_from([1, 2, 3]))
+def test_neither_the_order_of_views_nor_the_number_of_threads_matters(order, threads):
+    gaussians, (views, features) = random_gaussians(400, seed=3), capture()
+    shuffled = register(gaussians, [views[i] for i in order], features, topk=10, threads=threads)
+    assert same(shuffled, register(gaussians, views, features, topk=10))
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.sets(st.integers(0, 3), min_size=1, max_size=3))
+def test_merged_shards_are_one_pass(first):
+    gaussians, (views, features) = random_gaussians(400, seed=3), capture()
+    shards = [
+        register(gaussians, [views[i] for i in part], features, topk=10)
+        for part in (sorted(first), sorted(set(range(4)) - first))
+    ]
+    assert same(shards[0].merged(shards[1]), register(gaussians, views, features, topk=10))
+
+
+def test_a_second_run_computes_nothing_and_a_damaged_part_again(
+    tmp_path: Path, gaussians, registration
+):
+    views, features = capture()
+    first = register(gaussians, views, features, topk=10, parts=tmp_path)
+    parts = sorted(tmp_path.iterdir())
+    stamps = [part.stat().st_mtime_ns for part in parts]
+    assert len(parts) == len(views)
+    assert same(first, registration)
+    parts[0].write_bytes(parts[0].read_bytes()[:50])
+    again = register(gaussians, views, features, topk=10, parts=tmp_path)
+    assert same(again, registration)
+    assert [part.stat().st_mtime_ns for part in parts][1:] == stamps[1:]
+    assert parts[0].stat().st_size > 50
+
+
+@pytest.mark.parametrize("change", ["topk", "first_hits", "scene", "camera", "mask"])
+def test_parts_of_other_settings_are_not_used(change: str, tmp_path: Path, gaussians):
+    views, features = capture(1)
+    register(gaussians, views, features, topk=10, parts=tmp_path)
+    settings_ = {"topk": 10, "first_hits": None}
+    if change == "topk":
+        settings_["topk"] = 2
+    if change == "first_hits":
+        settings_["first_hits"] = 3
+    if change == "scene":
+        gaussians = random_gaussians(400, seed=4)
+    if change == "camera":
+        views = [View("000.png", views[0].K, named_view(2).cam_from_world, 64, 48)]
+    if change == "mask":
+        features = {"000": ViewFeatures(random_segment_map(48, 64, 5, seed=9), unit_rows(5, 0))}
+    resumed = register(gaussians, views, features, parts=tmp_path, **settings_)
+    assert same(resumed, register(gaussians, views, features, **settings_))
+
+
+def test_another_encoder_needs_no_photo(gaussians, registration):
+    views, features = capture()
+    other = EncoderIdentity("other", 16)
+    wide = np.concatenate([unit_rows(5, 100 + i, 16) for i in range(4)])
+    swapped = registration.with_embeddings(wide, other)
+    fresh = register(
+        gaussians,
+        views,
+        {
+            k: ViewFeatures(f.segment_ids, unit_rows(5, 100 + i, 16))
+            for i, (k, f) in enumerate(features.items())
+        },
+        topk=10,
+    )
+    assert same(swapped, fresh)
+    assert swapped.encoder == other
+    with pytest.raises(InputError, match="one per segment"):
+        registration.with_embeddings(wide[1:], other)
+
+
+def test_a_field_gives_its_registration_back(registration):
+    field = registration.to_field()
+    back = Registration.from_field(field)
+    assert same(back, registration)
+    assert len(field) == registration.num_registered
+    bare = type(field)(
+        *(getattr(field, n) for n in ("gaussian_ids", "codes", "coarse_ids", "inverse_norms")),
+        *(getattr(field, n) for n in ("codebook", "encoder", "scene", "num_gaussians")),
+    )
+    with pytest.raises(InputError, match="no evidence"):
+        Registration.from_field(bare)
+
+
+def test_only_unseen_gaussians_are_pruned(registration):
+    field = registration.to_field()
+    rows = np.diff(registration.weights.indptr)
+    assert np.array_equal(field.gaussian_ids, np.flatnonzero(rows))
+    assert (rows == 0).any()  # or the test shows nothing
+
+
+def test_masks_are_resized_to_the_view_by_nearest_pixel(gaussians):
+    view = named_view(0)
+    small = random_segment_map(24, 32, 5, seed=1)
+    large = np.repeat(np.repeat(small, 2, 0), 2, 1)
+    a = register(gaussians, [view], {"000": ViewFeatures(small, unit_rows(5, 0))})
+    b = register(gaussians, [view], {"000": ViewFeatures(large, unit_rows(5, 0))})
+    assert same(a, b)
+
+
+def test_views_without_features_are_named(gaussians):
+    views, features = capture(3)
+    del features["001"]
+    with pytest.warns(DrSplatWarning, match=r"1 of 3 views have no features: 001\.png"):
+        partial = register(gaussians, views, features)
+    assert partial.segments.view_names == ("000.png", "002.png")
+
+
+def test_what_does_not_belong_together_is_refused(gaussians, registration):
+    views, features = capture(2)
+    with pytest.raises(
+        InputError, match=r"views are named like '000\.png', features like 'elsewhere'"
+    ):
+        register(gaussians, views, {"elsewhere": features["000"]})
+    mixed = features | {"001": ViewFeatures(features["001"].segment_ids, unit_rows(5, 0, 8))}
+    with pytest.raises(InputError, match=r"different sizes: 32 .*8 "):
+        register(gaussians, views, mixed)
+    with pytest.raises(InputError, match="topk"):
+        register(gaussians, views, features, topk=0)
+    with pytest.raises(InputError, match="4 views are in both"):
+        registration.merged(registration)
+    other = register(random_gaussians(400, seed=5), views, features)
+    with pytest.raises(MismatchError, match="cannot merge"):
+        registration.merged(other)
+
+
+def test_two_views_may_not_share_features(gaussians):
+    view = named_view(0)
+    nested = [View(f"{c}/000.png", view.K, view.cam_from_world, 64, 48) for c in ("left", "right")]
+    features = {"000": capture(1)[1]["000"]}
+    with pytest.raises(InputError, match=r"'left/000\.png' and 'right/000\.png' both find"):
+        register(gaussians, nested, features)
+
+
+def test_a_view_that_sees_nothing_adds_empty_columns(gaussians):
+    away = look_at_view((0, 0, 50), (0, 0, 90), width=64, height=48)
+    view = View("000.png", away.K, away.cam_from_world, 64, 48)
+    features = {"000": capture(1)[1]["000"]}
+    empty = register(gaussians, [view], features)
+    assert empty.weights.shape == (400, 5)
+    assert empty.weights.nnz == 0
+    with pytest.raises(InputError, match="no Gaussian is under any mask"):
+        empty.to_field()
+
+
+def test_first_hits_can_lose_weight_that_topk_keeps(gaussians):
+    view, segments = named_view(0), random_segment_map(48, 64, 5, seed=0)
+    arrays = splat_arrays(gaussians)
+    exact = view_weights(arrays, view, segments, 5).weights.sum(dtype=float)
+    capped = view_weights(arrays, view, segments, 5, first_hits=5).weights.sum(dtype=float)
+    assert capped < exact
