@@ -12,7 +12,7 @@ constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
 
 static void reserve(Buffer &b, size_t bytes) {
   if (bytes <= b.bytes) return;
-  size_t wanted = (b.bytes * 2 > bytes ? b.bytes * 2 : bytes) + 63 & ~(size_t)63;
+  const size_t wanted = ((b.bytes * 2 > bytes ? b.bytes * 2 : bytes) + 63) & ~(size_t)63;
   void *grown = aligned_alloc(64, wanted);
   if (!grown) out_of_memory();
   if (b.bytes) memcpy(grown, b.data, b.bytes);

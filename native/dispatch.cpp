@@ -7,35 +7,39 @@
 
 namespace drsplat {
 
+namespace portable { extern const Kernels table; }
 #if DRSPLAT_X86
 namespace v2 { extern const Kernels table; }
 namespace v3 { extern const Kernels table; }
 namespace v4 { extern const Kernels table; }
+#endif
 
-const Kernels *const *available_kernels() {
-  static const Kernels *list[4] = {};
-  static const bool filled = [] {
+namespace {
+
+struct Available {
+  const Kernels *list[5] = {};  // null at the end
+  Available() {
+    int n = 0;
+#if DRSPLAT_X86
     __builtin_cpu_init();
-    const bool has_v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+    const bool has_v2 = __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
+    const bool has_v3 = has_v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
     const bool has_v4 = has_v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
                         __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd");
-    int n = 0;
     if (has_v4) list[n++] = &v4::table;
     if (has_v3) list[n++] = &v3::table;
-    list[n++] = &v2::table;
-    return true;
-  }();
-  (void)filled;
-  return list;
-}
-#else
-namespace portable { extern const Kernels table; }
+    if (has_v2) list[n++] = &v2::table;
+#endif
+    list[n++] = &portable::table;
+  }
+};
+
+}  // namespace
 
 const Kernels *const *available_kernels() {
-  static const Kernels *list[2] = {&portable::table, nullptr};
-  return list;
+  static const Available available;
+  return available.list;
 }
-#endif
 
 const Kernels *find_kernels(const char *name) {
   const Kernels *const *list = available_kernels();

@@ -12,14 +12,14 @@ import tempfile
 from pathlib import Path
 
 NATIVE = Path(__file__).resolve().parent.parent / "native"
-LEVELS = ("v2", "v3", "v4")
+LEVELS = {"portable": [], **{level: [f"-march=x86-64-{level}"] for level in ("v2", "v3", "v4")}}
 
 
 def shared_weak_symbols(level: str, folder: Path) -> list[str]:
     """Weak symbols, demangled, outside the namespace drsplat::LEVEL."""
     target = folder / f"{level}.o"
     compiler = os.environ.get("CXX", "g++")
-    flags = ["-O1", "-std=c++17", "-fPIC", "-w", f"-march=x86-64-{level}", f"-DDRSPLAT_ISA={level}"]
+    flags = ["-O1", "-std=c++17", "-fPIC", "-w", *LEVELS[level], f"-DDRSPLAT_ISA={level}"]
     subprocess.run([compiler, *flags, "-c", NATIVE / "kernels.cpp", "-o", target], check=True)
     listing = subprocess.run(
         ["nm", "-C", target], check=True, capture_output=True, text=True
