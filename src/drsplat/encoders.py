@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
@@ -25,6 +25,7 @@ class EncoderIdentity:
         return (self.name, self.dim) == (other.name, other.dim) and same_weights
 
 
+@runtime_checkable
 class Encoder(Protocol):
     """Words to unit vectors in the space of the scene's embeddings."""
 

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Int32, Integer
 from scipy.sparse import csr_array
 
 from .errors import FormatError, InputError
+from .formats.tensors import check_tensors
 from .kernels import weighted_rows
 
 UNIT_TOLERANCE = 1e-3
@@ -169,6 +170,16 @@ class Evidence:
         return {"view_names": json.dumps(self.segments.view_names)}
 
 
+_ARRAYS = {
+    "indptr": ("int32 int64", "r"),
+    "indices": ("int32 int64", "e"),
+    "data": ("float32", "e"),
+    "embeddings": ("float32", "m d"),
+    "segment_views": ("int32", "m"),
+    "segment_ids": ("int32", "m"),
+}
+
+
 def evidence_from_tensors(
     tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str
 ) -> Evidence:
@@ -176,40 +187,16 @@ def evidence_from_tensors(
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.
     """
-    kinds = {
-        "indptr": "i48",
-        "indices": "i48",
-        "data": "f4",
-        "embeddings": "f4",
-        "segment_views": "i4",
-        "segment_ids": "i4",
-    }
-    for name, kind in kinds.items():
-        array = tensors.get(name)
-        if (
-            array is None
-            or array.dtype.kind != kind[0]
-            or str(array.dtype.itemsize) not in kind[1:]
-        ):
-            raise FormatError(f"{where}: expected the array '{name}' of numbers of kind {kind}")
-    arrays = {name: np.asarray(tensors[name]) for name in kinds}
-    indptr, indices, data = arrays["indptr"], arrays["indices"], arrays["data"]
-    if any(array.ndim != 1 for array in (indptr, indices, data)) or arrays["embeddings"].ndim != 2:
-        raise FormatError(f"{where}: the sparse weights must be three flat arrays")
+    check_tensors(tensors, _ARRAYS, where)
+    indptr, indices, data, embeddings, views, ids = (np.asarray(tensors[name]) for name in _ARRAYS)
     # SciPy checks neither; it would read where the row starts point.
-    if (
-        not len(indptr)
-        or indptr[0] != 0
-        or (np.diff(indptr) < 0).any()
-        or indptr[-1] != len(indices)
-    ):
+    whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
+    if not whole or (indptr[1:] < indptr[:-1]).any():
         raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
-    shape = (len(indptr) - 1, len(arrays["embeddings"]))
+    shape = (len(indptr) - 1, len(embeddings))
     try:
-        segments = Segments(_view_names(metadata), arrays["segment_views"], arrays["segment_ids"])
-        return Evidence(
-            csr_array((data, indices, indptr), shape=shape), segments, arrays["embeddings"]
-        )
+        segments = Segments(_view_names(metadata), views, ids)
+        return Evidence(csr_array((data, indices, indptr), shape=shape), segments, embeddings)
     except ValueError as error:  # ours, or SciPy's
         raise FormatError(f"{where}: {error}") from error
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
-from ..formats.tensors import map_tensors, write_tensors
+from ..formats.tensors import check_tensors, map_tensors, write_tensors
 from .codebook import Codebook
 
 CODEBOOK_FORMAT = "drsplat codebook 1"
@@ -54,11 +54,12 @@ def codebook_from_tensors(
     Raises: FormatError: something is missing or ill-formed, or the hash differs.
     """
     encoder = encoder_from_json(identity, where)
-    parts = [tensors[name] for name in ("centroids", "coarse") if name in tensors]
-    if "centroids" not in tensors or any(part.dtype != np.float32 for part in parts):
-        raise FormatError(f"{where}: expected centroids as float32")
+    expected = {"centroids": ("float32", "L c d"), "coarse": ("float32", "C D")}
+    check_tensors(
+        tensors, {k: v for k, v in expected.items() if k != "coarse" or k in tensors}, where
+    )
     try:
-        codebook = Codebook(parts[0], parts[1] if len(parts) > 1 else None, encoder)
+        codebook = Codebook(tensors["centroids"], tensors.get("coarse"), encoder)
     except (InputError, MismatchError) as error:
         raise FormatError(f"{where}: {error}") from error
     if codebook.hash != expected_hash:

@@ -18,8 +18,9 @@ def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) 
     Raises: FormatError: another kind of file, or damaged. MismatchError: another dimension than the
     encoder's.
     """
+    quantizer = read_faiss_quantizer(path)
     try:
-        return Codebook(*read_faiss_quantizer(path), encoder)
+        return Codebook(*quantizer, encoder)
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
 

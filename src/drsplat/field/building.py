@@ -48,11 +48,8 @@ def build_field(
         codebook = _scene_codebook(registered, encoder, parts, threads)
     codes, directed = _encode_rows(registered, codebook, threads)
     if not directed.all():  # embeddings that cancel out exactly
-        seen, codes, registered = (
-            seen[directed],
-            codes.rows(directed),
-            registered.rows(np.flatnonzero(directed)),
-        )
+        rows = np.flatnonzero(directed)
+        seen, codes, registered = seen[rows], codes.rows(rows), registered.rows(rows)
     norms = codebook.inverse_norms(codes, threads=threads)
     ids = seen.astype(np.uint32)
     return LanguageField(ids, *codes, norms, codebook, encoder, scene, len(evidence), registered)

@@ -194,7 +194,7 @@ class LanguageField:
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
 
     def dense(
-        self, scores: Float32[np.ndarray, " r"], fill: float = -1.0
+        self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0
     ) -> Float32[np.ndarray, " N"]:
         """Per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
         values = np.full(self.num_gaussians, fill, np.float32)

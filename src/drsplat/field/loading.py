@@ -9,7 +9,7 @@ from ..codes import codebook_from_tensors, encoder_from_json
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
 from ..formats.field_folder import read_manifest
-from ..formats.tensors import map_tensors
+from ..formats.tensors import check_tensors, map_tensors
 from .language_field import (
     CODES,
     EVIDENCE,
@@ -21,11 +21,11 @@ from .language_field import (
 )
 
 _Tensors = dict[str, np.ndarray]
-_DTYPES = {
-    "gaussian_ids": "uint32",
-    "codes": "uint8",
-    "coarse_ids": "uint16",
-    "inverse_norms": "float32",
+_ARRAYS = {
+    "gaussian_ids": ("uint32", "r"),
+    "codes": ("uint8", "r L"),
+    "coarse_ids": ("uint16", "r"),
+    "inverse_norms": ("float32", "r"),
 }
 
 
@@ -43,7 +43,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
         )
     if manifest.get("version") != VERSION:
         raise FormatError(
-            f"{path}: version {ascii(manifest.get('version'))[:20]}, written by drsplat "
+            f"{path}: version {ascii(manifest.get('version'))[:20]} of drsplat "
             f"{ascii(manifest.get('drsplat'))[:20]}; this one reads {VERSION}: upgrade, or register "
             "again"
         )
@@ -57,11 +57,10 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or not isinstance(count, int) or isinstance(count, bool):
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
-    for name, dtype in _DTYPES.items():
-        if name in tensors and tensors[name].dtype != dtype:
-            raise FormatError(
-                f"{path / CODES}: expected {name} as {dtype}, got {tensors[name].dtype}"
-            )
+    optional = {name for name in ("coarse_ids",) if name not in tensors}
+    check_tensors(
+        tensors, {k: v for k, v in _ARRAYS.items() if k not in optional}, str(path / CODES)
+    )
     try:
         return LanguageField(
             tensors["gaussian_ids"],
@@ -75,8 +74,6 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             _evidence(path, manifest),
             _negatives(path, manifest, codebook.dim),
         )
-    except KeyError as error:
-        raise FormatError(f"{path / CODES}: there is no {error} in it") from None
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
 
@@ -110,19 +107,10 @@ def _negatives(path: Path, manifest: dict[str, object], dim: int) -> Negatives |
     if not _has(manifest, NEGATIVES):
         return None
     tensors, _ = _tied(path, NEGATIVES, manifest)
-    texts, embeddings, maxima = (
-        manifest.get("negatives"),
-        tensors.get("embeddings"),
-        tensors.get("maxima"),
-    )
-    if (
-        embeddings is None
-        or maxima is None
-        or embeddings.dtype != np.float32
-        or maxima.dtype != np.float32
-    ):
-        raise FormatError(f"{path / NEGATIVES}: expected float32 embeddings and maxima")
-    if embeddings.ndim != 2 or embeddings.shape[1] != dim:
+    expected = {"embeddings": ("float32", "n D"), "maxima": ("float32", "r")}
+    check_tensors(tensors, expected, str(path / NEGATIVES))
+    texts, embeddings = manifest.get("negatives"), tensors["embeddings"]
+    if embeddings.shape[1] != dim:
         raise FormatError(
             f"{path / NEGATIVES}: expected embeddings (n, {dim}), got {embeddings.shape}"
         )
@@ -130,4 +118,4 @@ def _negatives(path: Path, manifest: dict[str, object], dim: int) -> Negatives |
         raise FormatError(f"{path}: negatives must be a list of texts")
     if texts and len(texts) != len(embeddings):
         raise FormatError(f"{path}: {len(texts)} negative texts for {len(embeddings)} embeddings")
-    return Negatives(tuple(texts), np.asarray(embeddings), np.asarray(maxima))
+    return Negatives(tuple(texts), embeddings, tensors["maxima"])

@@ -2,7 +2,7 @@
 
 Two kinds: a plain IndexPQ, and IndexIVFPQ (coarse centroids plus coded residuals), which is what
 the authors of Dr. Splat publish. Lists of stored vectors, if any, are left alone.
-Source: the layout that FAISS's write_index produces (fourcc "IxPQ", "IwPQ").
+Source: the layout that FAISS's write_index produces (marks "IxPq", "IwPQ").
 """
 
 import os
@@ -14,6 +14,7 @@ from jaxtyping import Float32
 
 from ..errors import FormatError, InputError
 
+_PLAIN = {b"IxPq", b"IxPQ"}
 _FLAT = {b"IxFI", b"IxF2", b"IxFl"}
 _MAX_FILE = 1 << 31
 
@@ -59,7 +60,7 @@ def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"{path}: there is no such file") from None
     kind = source.take(4)
-    if kind == b"IxPQ":
+    if kind in _PLAIN:
         dim, coarse = _index_header(source), None
     elif kind == b"IwPQ":
         dim, coarse = _inverted_file(source, path)

@@ -61,7 +61,7 @@ def write_tensors(
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The file's arrays as read-only memory maps, and its metadata. Nothing is copied or read ahead.
+    """The arrays of a file as read-only memory maps, and its metadata. Nothing is copied.
 
     Raises: InputError: there is no such file. FormatError: not safetensors, truncated, or a header
     that does not describe exactly the bytes that follow it.
@@ -89,6 +89,28 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
             )
         tensors[name] = payload[begin:end].view(dtype).reshape(shape)
     return tensors, metadata
+
+
+def check_tensors(
+    tensors: Mapping[str, np.ndarray], expected: Mapping[str, tuple[str, str]], where: str
+) -> None:
+    """Refuse a file whose arrays are not as expected: name -> (dtypes, dimensions).
+
+    Dimensions are named, one letter or word each; those of one name must be of one length.
+
+    Raises: FormatError: an array is missing, or of another dtype or shape.
+    """
+    lengths: dict[str, int] = {}
+    for name, (dtypes, dimensions) in expected.items():
+        array, names = tensors.get(name), dimensions.split()
+        if array is None or str(array.dtype) not in dtypes.split() or array.ndim != len(names):
+            given = "nothing" if array is None else f"{array.dtype} {array.shape}"
+            raise FormatError(f"{where}: {name}: expected {dtypes} ({dimensions}), got {given}")
+        for dimension, length in zip(names, array.shape, strict=True):
+            if lengths.setdefault(dimension, length) != length:
+                raise FormatError(
+                    f"{where}: {name}: expected {dimension} = {lengths[dimension]}, got {length}"
+                )
 
 
 def _header(raw: np.ndarray, path: Path) -> tuple[dict[str, Any], np.ndarray]:

@@ -91,14 +91,16 @@ def pq_encode(
 
 def pq_scores(
     codes: UInt8[np.ndarray, "n L"],
-    lut: Float32[np.ndarray, "L c"],
-    scale: Float32[np.ndarray, " n"],
-    bias: Float32[np.ndarray, " n"] | None = None,
+    lut: Float32[np.ndarray, "l c"],
+    scale: Float32[np.ndarray, " s"],
+    bias: Float32[np.ndarray, " b"] | None = None,
     *,
     threads: int = 0,
     isa: str = "",
 ) -> Float32[np.ndarray, " n"]:
     """score_i = (bias_i + sum_m lut[m, codes[i, m]]) * scale_i, summed in one order everywhere.
+
+    lut: (L, 256). scale, bias: one per row.
 
     Raises: InputError: not one table of 256 per sub-vector, or not one scale and bias per row.
     Source: Jegou et al. 2011, asymmetric distance.  Twin: kernels.reference_algebra.pq_scores.

@@ -1,0 +1,60 @@
+"""Small evidence, codebooks and encoders for tests."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import csr_array, random_array
+
+from drsplat.encoders import EncoderIdentity
+from drsplat.evidence import Evidence, Segments
+from drsplat.field import LanguageField, build_field
+
+OFFICIAL_INDEX = Path(__file__).resolve().parents[2] / "shared/data/official/pq_index.faiss"
+TOY = EncoderIdentity("toy", 32, "w0")
+SCENE = "600-0123456789abcdef"
+
+
+def unit_rows(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
+    rows = rng.standard_normal((count, dim)).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def random_weights(rng: np.random.Generator, rows: int, columns: int, density: float) -> csr_array:
+    weights = random_array(
+        (rows, columns), density=density, format="csr", rng=rng, dtype=np.float32
+    )
+    return csr_array(weights)
+
+
+def random_evidence(
+    rng: np.random.Generator, rows: int = 600, columns: int = 40, dim: int = 32
+) -> Evidence:
+    """Sparse enough that some rows are empty."""
+    views = np.sort(rng.integers(0, 3, columns)).astype(np.int32)
+    segments = Segments(("a.jpg", "b.jpg", "c.jpg"), views, np.arange(columns, dtype=np.int32))
+    weights = random_weights(rng, rows, columns, 2 / columns)
+    return Evidence(weights, segments, unit_rows(rng, columns, dim))
+
+
+@lru_cache
+def toy_field(seed: int = 0) -> LanguageField:
+    evidence = random_evidence(np.random.default_rng(seed))
+    return build_field(evidence, SCENE, TOY)
+
+
+class ToyEncoder:
+    """Every text its own direction; counts how often it is asked."""
+
+    def __init__(self, identity: EncoderIdentity = TOY) -> None:
+        self.identity, self.asked = identity, 0
+
+    def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
+        self.asked += len(texts)
+        return np.concatenate(
+            [
+                unit_rows(np.random.default_rng(list(t.encode())), 1, self.identity.dim)
+                for t in texts
+            ]
+        )

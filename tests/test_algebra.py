@@ -1,0 +1,164 @@
+"""The algebra after registration against its float64 twin."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drsplat.errors import InputError
+from drsplat.kernels import available_isas, pq_encode, pq_scores, reference_algebra, weighted_rows
+from fields import random_weights, unit_rows
+
+every_isa = pytest.mark.parametrize("isa", available_isas())
+few = settings(derandomize=True, deadline=None, max_examples=40)
+
+
+@every_isa
+@pytest.mark.parametrize("dim", [1, 3, 16, 35, 128, 512, 768])
+def test_weighted_rows_are_those_of_the_twin(isa: str, dim: int) -> None:
+    rng = np.random.default_rng(dim)
+    w = random_weights(rng, 150, 300, 0.05)
+    csr, embeddings = (w.indptr, w.indices, w.data), unit_rows(rng, 300, dim)
+    rows = weighted_rows(*csr, embeddings, 7, 140, isa=isa)
+    expected = reference_algebra.weighted_rows(*csr, embeddings, 7, 140)
+    if dim == 1:  # a sum near zero has no certain sign
+        assert_allclose(np.abs(rows), np.abs(expected), atol=1e-6)
+    else:
+        errors = np.linalg.norm(rows - expected, axis=1)
+        assert errors.max() <= 1e-6
+    assert_array_equal(rows.any(axis=1), np.diff(w.indptr)[7:140] > 0)
+
+
+@every_isa
+def test_long_rows_keep_their_precision(isa: str) -> None:
+    rng = np.random.default_rng(0)
+    embeddings = unit_rows(rng, 500, 64)
+    weights = rng.lognormal(0, 3, 40_000).astype(np.float32)
+    columns = rng.integers(0, 500, 40_000).astype(np.int32)
+    csr = np.array([0, 40_000]), columns, weights
+    row = weighted_rows(*csr, embeddings, 0, 1, isa=isa)
+    assert np.linalg.norm(row - reference_algebra.weighted_rows(*csr, embeddings, 0, 1)) <= 1e-6
+
+
+def test_tiny_and_huge_weights_are_normalised_alike() -> None:
+    embeddings = unit_rows(np.random.default_rng(1), 2, 48)
+    csr = np.array([0, 2, 4, 6]), np.array([0, 1] * 3, np.int32)
+    weights = np.array([3, 1, 3e-25, 1e-25, 3e25, 1e25], np.float32)
+    rows = weighted_rows(*csr, weights, embeddings, 0, 3)
+    assert_allclose(np.linalg.norm(rows, axis=1), 1, rtol=1e-6)
+    assert_allclose(rows[1:], rows[[0, 0]], atol=1e-6)
+
+
+def test_rows_that_cancel_or_are_empty_stay_zero() -> None:
+    embeddings = np.array([[1, 0], [-1, 0]], np.float32)
+    csr = np.array([0, 2, 2, 3]), np.array([0, 1, 1], np.int32), np.array([2, 2, 0], np.float32)
+    assert_array_equal(weighted_rows(*csr, embeddings, 0, 3), np.zeros((3, 2)))
+
+
+@every_isa
+def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
+    rng = np.random.default_rng(2)
+    w, embeddings = random_weights(rng, 900, 200, 0.05), unit_rows(rng, 200, 96)
+    centroids = rng.standard_normal((24, 256, 4)).astype(np.float32) / 10
+    codes = rng.integers(0, 256, (40_000, 24), np.uint8)
+    lut, scale = rng.random((24, 256), np.float32), rng.random(40_000, np.float32)
+
+    def everything(threads: int) -> list[np.ndarray]:
+        rows = weighted_rows(
+            w.indptr, w.indices, w.data, embeddings, 0, 900, threads=threads, isa=isa
+        )
+        return [
+            rows,
+            pq_encode(rows, centroids, threads=threads, isa=isa),
+            pq_scores(codes, lut, scale, scale, threads=threads, isa=isa),
+        ]
+
+    for threads in (2, 3):
+        for one, many in zip(everything(1), everything(threads), strict=True):
+            assert_array_equal(one, many)
+
+
+@pytest.mark.parametrize(
+    ("indptr", "column", "rows"),
+    [
+        ([0, 2], 5, (0, 1)),
+        ([0, 2], -1, (0, 1)),
+        ([0, 3], 0, (0, 1)),
+        ([-1, 2], 0, (0, 1)),
+        ([2, 0], 0, (0, 1)),
+        ([0, 2, 1], 0, (0, 2)),
+        ([0, 2], 0, (0, 2)),
+        ([0, 2], 0, (1, 0)),
+    ],
+)
+def test_damaged_weights_are_refused(indptr: list[int], column: int, rows: tuple[int, int]) -> None:
+    columns, data = np.array([0, column], np.int32), np.ones(2, np.float32)
+    with pytest.raises(InputError):
+        weighted_rows(np.array(indptr), columns, data, np.ones((5, 8), np.float32), *rows)
+
+
+@every_isa
+@pytest.mark.parametrize("dim", [1, 2, 3, 4, 5, 8, 16])
+@pytest.mark.parametrize("rows", [1, 31, 33])
+def test_codes_are_nearest_centroids(isa: str, dim: int, rows: int) -> None:
+    rng = np.random.default_rng(dim)
+    features = rng.standard_normal((rows, 6 * dim)).astype(np.float32)
+    centroids = rng.standard_normal((6, 256, dim)).astype(np.float32)
+    codes = pq_encode(features, centroids, isa=isa)
+    distances = reference_algebra.pq_distances(features, centroids)
+    chosen = np.take_along_axis(distances, codes[:, :, None].astype(np.intp), 2)[:, :, 0]
+    assert_allclose(chosen, distances.min(axis=2), rtol=1e-6, atol=1e-12)
+    assert_array_equal(codes, reference_algebra.pq_encode(features, centroids))
+
+
+@every_isa
+def test_ties_go_to_the_lowest_centroid(isa: str) -> None:
+    centroids = np.zeros((3, 256, 4), np.float32)
+    centroids[0, 7:] = 1  # 7 and all after it are one point
+    centroids[1, ::2] = 1
+    centroids[2, 255] = 1
+    features = np.ones((40, 12), np.float32)
+    assert_array_equal(pq_encode(features, centroids, isa=isa), np.tile([7, 0, 255], (40, 1)))
+
+
+@every_isa
+def test_a_feature_equal_to_a_centroid_gets_its_code(isa: str) -> None:
+    """Also far from the origin, where expanded squares would cancel."""
+    rng = np.random.default_rng(3)
+    centroids = (100 + 1e-4 * rng.standard_normal((8, 256, 4))).astype(np.float32)
+    codes = rng.integers(0, 256, (64, 8)).astype(np.uint8)
+    first = [
+        [np.argmax((c == c[k]).all(axis=1)) for c, k in zip(centroids, row, strict=True)]
+        for row in codes
+    ]
+    features = reference_algebra.pq_decode(codes, centroids).astype(np.float32)
+    assert_array_equal(pq_encode(features, centroids, isa=isa), first)
+
+
+@few
+@given(st.integers(0, 70), st.integers(1, 40), st.booleans(), st.integers(0, 2**32))
+def test_scores_are_those_of_the_twin(rows: int, length: int, biased: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(0, 256, (rows, length), np.uint8)
+    lut = rng.standard_normal((length, 256)).astype(np.float32) / np.float32(length**0.5)
+    scale, bias = rng.random(rows, np.float32), rng.random(rows, np.float32) if biased else None
+    expected = reference_algebra.pq_scores(codes, lut, scale, bias)
+    for isa in available_isas():
+        scores = pq_scores(codes, lut, scale, bias, isa=isa)
+        assert_allclose(scores, expected, rtol=1e-5, atol=2e-6)
+
+
+def test_arguments_that_do_not_fit_are_refused() -> None:
+    codes, lut, ones = np.zeros((4, 3), np.uint8), np.zeros((3, 256), np.float32), np.ones(4, "f")
+    features, centroids = np.zeros((4, 6), np.float32), np.zeros((3, 256, 2), np.float32)
+    with pytest.raises(InputError, match="table"):
+        pq_scores(codes, lut[:2], ones)
+    with pytest.raises(InputError, match="centroids"):
+        pq_encode(features, centroids[:2])
+    with pytest.raises(InputError, match="centroids"):
+        pq_encode(features, centroids[:, :255])
+    with pytest.raises(InputError, match="finite"):
+        pq_encode(np.full((4, 6), np.nan, np.float32), centroids)
+    with pytest.raises(InputError, match="instruction set"):
+        pq_scores(codes, lut, ones, isa="z80")

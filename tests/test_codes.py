@@ -1,0 +1,300 @@
+"""Codebooks: what coding keeps, and the authors' own index."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drsplat.codes import (
+    Codebook,
+    Codes,
+    from_official_bytes,
+    load_codebook,
+    official_bytes,
+    read_faiss_codebook,
+    save_codebook,
+    train_codebook,
+)
+from drsplat.encoders import EncoderIdentity
+from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.kernels import reference_algebra
+from fields import OFFICIAL_INDEX, unit_rows
+
+CLIP = EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 512)
+SMALL = EncoderIdentity("small", 24)
+few = settings(derandomize=True, deadline=None, max_examples=30)
+
+
+def clustered(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
+    rows = unit_rows(rng, 30, dim)[rng.integers(0, 30, count)]
+    rows += 0.03 * rng.standard_normal(rows.shape).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+@lru_cache
+def small_codebook(residual: bool = False) -> Codebook:
+    rng = np.random.default_rng(0)
+    points = clustered(rng, 2000, 24)
+    if not residual:
+        return train_codebook(points, 6, encoder=SMALL)
+    coarse = np.concatenate([unit_rows(rng, 9, 24), np.zeros((3, 24), np.float32)])
+    left = points - coarse[(points @ coarse.T).argmax(axis=1)]
+    return Codebook(train_codebook(left, 6, encoder=SMALL).centroids, coarse, SMALL)
+
+
+both_kinds = pytest.mark.parametrize("residual", [False, True])
+
+
+def random_codes(rng: np.random.Generator, codebook: Codebook, count: int) -> Codes:
+    codes = rng.integers(0, 256, (count, codebook.num_subvectors), np.uint8)
+    lists = codebook.coarse
+    return Codes(codes, None if lists is None else rng.integers(0, len(lists), count, np.uint16))
+
+
+@both_kinds
+def test_scores_are_cosines_of_what_is_decoded(residual: bool) -> None:
+    book, rng = small_codebook(residual), np.random.default_rng(1)
+    codes, query = random_codes(rng, book, 500), unit_rows(rng, 1, 24)[0]
+    decoded = reference_algebra.pq_decode(codes.codes, book.centroids)
+    if book.coarse is not None:
+        decoded += book.coarse[codes.coarse_ids]
+    assert_allclose(book.decode(codes), decoded, atol=1e-6)
+    norms = np.linalg.norm(decoded, axis=1)
+    assert_allclose(book.inverse_norms(codes), 1 / norms, rtol=1e-5)
+    sums = book.lookup_table(query)[np.arange(6), codes.codes].sum(axis=1)
+    bias = book.coarse_scores(query)
+    sums = sums if bias is None else sums + bias[codes.coarse_ids]
+    assert_allclose(sums * book.inverse_norms(codes), decoded @ query / norms, atol=1e-5)
+
+
+@few
+@given(st.integers(0, 2**32))
+def test_coding_what_was_decoded_changes_nothing(seed: int) -> None:
+    book = small_codebook()
+    codes = random_codes(np.random.default_rng(seed), book, 20)
+    decoded = book.decode(codes)
+    again = book.encode(decoded)
+    assert_array_equal(book.decode(again), decoded)  # codes may differ where centroids are equal
+    assert_array_equal(book.encode(book.decode(again)).codes, again.codes)
+
+
+@both_kinds
+def test_a_row_is_coded_alike_alone_and_among_others(residual: bool) -> None:
+    book, points = small_codebook(residual), clustered(np.random.default_rng(2), 9000, 24)
+    together, alone = book.encode(points), book.encode(points[8500:8501])
+    assert_array_equal(together.codes[8500], alone.codes[0])
+    assert_array_equal(together.rows(slice(8500, 8501)).coarse_ids, alone.coarse_ids)
+
+
+def test_encoding_agrees_with_faiss_but_for_ties() -> None:
+    faiss = pytest.importorskip("faiss")
+    rng = np.random.default_rng(3)
+    features = unit_rows(rng, 3000, 64)
+    quantizer = faiss.ProductQuantizer(64, 16, 8)
+    quantizer.cp.niter, quantizer.cp.min_points_per_centroid = 4, 1
+    quantizer.train(features)
+    centroids = faiss.vector_to_array(quantizer.centroids).reshape(16, 256, 4).copy()
+    ours = Codebook(centroids, None, EncoderIdentity("toy", 64)).encode(features).codes
+    theirs = quantizer.compute_codes(features)
+    rows, parts = np.nonzero(ours != theirs)
+    assert len(rows) <= 1e-4 * ours.size
+    for row, part in zip(rows, parts, strict=True):
+        value = features[row, 4 * part : 4 * part + 4].astype(np.float64)
+        pair = [((value - centroids[part, c[row, part]]) ** 2).sum() for c in (ours, theirs)]
+        assert pair[0] <= pair[1] * (1 + 1e-6)
+
+
+def test_training_is_as_good_as_that_of_faiss() -> None:
+    faiss = pytest.importorskip("faiss")
+    rng = np.random.default_rng(4)
+    points, unseen = clustered(rng, 6000, 32), clustered(rng, 2000, 32)
+    ours = train_codebook(points, 8, encoder=EncoderIdentity("toy", 32))
+    quantizer = faiss.ProductQuantizer(32, 8, 8)
+    quantizer.cp.niter, quantizer.cp.min_points_per_centroid = 12, 1
+    quantizer.train(points)
+    centroids = faiss.vector_to_array(quantizer.centroids).reshape(8, 256, 4).copy()
+    theirs = Codebook(centroids, None, ours.encoder)
+    errors = [((b.decode(b.encode(unseen)) - unseen) ** 2).mean() for b in (ours, theirs)]
+    assert errors[0] <= 1.05 * errors[1]
+
+
+def test_training_gives_the_same_bits_for_any_number_of_threads() -> None:
+    points = clustered(np.random.default_rng(5), 3000, 24)
+    books = [train_codebook(points, 6, encoder=SMALL, threads=t) for t in (1, 2, 3)]
+    assert len({book.hash for book in books}) == 1
+    assert train_codebook(points, 6, encoder=SMALL, seed=1).hash != books[0].hash
+
+
+def test_more_points_than_are_used_are_sampled_over_all_of_them() -> None:
+    points = np.repeat(unit_rows(np.random.default_rng(6), 2, 24), 20_000, axis=0)
+    book = train_codebook(points, 6, encoder=SMALL)
+    assert_array_equal(book.decode(book.encode(points[[0, -1]])), points[[0, -1]])
+
+
+@few
+@given(st.integers(1, 256), st.integers(0, 2**32))
+def test_few_distinct_points_are_coded_without_loss(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = unit_rows(rng, count, 24)[rng.integers(0, count, 2 * count)]
+    book = train_codebook(points, 6, encoder=SMALL)
+    assert_array_equal(book.decode(book.encode(points)), points)
+
+
+def test_a_constant_part_among_rich_ones_is_coded_without_loss() -> None:
+    points = clustered(np.random.default_rng(7), 1500, 24)
+    points[:, 4:8] = 0.125
+    book = train_codebook(points, 6, encoder=SMALL)
+    assert_array_equal(book.decode(book.encode(points))[:, 4:8], points[:, 4:8])
+
+
+@both_kinds
+def test_a_codebook_comes_back_from_disk_to_the_bit(residual: bool, tmp_path: Path) -> None:
+    book, path = small_codebook(residual), tmp_path / "a.codebook"
+    save_codebook(book, path)
+    again = load_codebook(path)
+    assert again.hash == book.hash
+    assert again.encoder == book.encoder
+    assert isinstance(again.centroids, np.memmap)
+    assert_array_equal(again.centroids, book.centroids)
+    with pytest.raises(InputError, match="overwrite"):
+        save_codebook(book, path)
+
+
+def test_the_hash_covers_everything() -> None:
+    book = small_codebook(True)
+    other = EncoderIdentity("another", 24)
+    changed = book.centroids.copy()
+    changed[-1, -1, -1] += 1
+    assert book.coarse is not None
+    hashes = {
+        book.hash,
+        Codebook(changed, book.coarse, SMALL).hash,
+        Codebook(book.centroids, None, SMALL).hash,
+        Codebook(book.centroids, book.coarse[::-1].copy(), SMALL).hash,
+        Codebook(book.centroids, book.coarse, other).hash,
+        Codebook(book.centroids.reshape(12, 256, 2), book.coarse, SMALL).hash,
+    }
+    assert len(hashes) == 6
+
+
+def test_a_changed_byte_of_a_codebook_file_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "a.codebook"
+    save_codebook(small_codebook(), path)
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match="not the one that was written"):
+        load_codebook(path)
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    plain, residual = small_codebook(), small_codebook(True)
+    codes = random_codes(np.random.default_rng(8), residual, 5)
+    with pytest.raises(MismatchError, match="encoder"):
+        Codebook(plain.centroids, None, CLIP)
+    with pytest.raises(InputError, match="coarse ids"):
+        plain.decode(codes)
+    with pytest.raises(InputError, match="coarse id 65535"):
+        residual.decode(Codes(codes.codes, np.full(5, 65535, np.uint16)))
+    with pytest.raises(InputError, match="query"):
+        plain.lookup_table(np.zeros(23, np.float32))
+    with pytest.raises(InputError, match="cannot train"):
+        train_codebook(unit_rows(np.random.default_rng(0), 9, 24), 7, encoder=SMALL)
+    with pytest.raises(InputError, match="official"):
+        official_bytes(plain.encode(unit_rows(np.random.default_rng(0), 9, 24)))
+
+
+def test_official_rows_without_a_feature_are_left_out_and_bad_ones_refused() -> None:
+    book = small_codebook(True)
+    codes = random_codes(np.random.default_rng(9), book, 6)
+    codes.codes[4] = 255  # a legal code: only all 8 bytes 255 mark absence
+    rows = official_bytes(codes)
+    rows[2] = 255
+    found = from_official_bytes(rows, book)
+    kept = [0, 1, 3, 4, 5]
+    assert_array_equal(found.ids, kept)
+    assert_array_equal(found.codes.codes, codes.codes[kept])
+    assert codes.coarse_ids is not None
+    assert_array_equal(found.codes.coarse_ids, codes.coarse_ids[kept])
+    rows[3, :2] = 12, 0
+    with pytest.raises(FormatError, match="row 3 names list 12 of 12"):
+        from_official_bytes(rows, book)
+    with pytest.raises(FormatError, match="rows of 8 bytes"):
+        from_official_bytes(rows[:, :7].copy(), book)
+
+
+@lru_cache
+def official() -> Codebook:
+    if not OFFICIAL_INDEX.exists():
+        pytest.skip("the authors' index is not here")
+    return read_faiss_codebook(OFFICIAL_INDEX, CLIP)
+
+
+@pytest.mark.data
+def test_the_authors_index_is_read_as_faiss_reads_it() -> None:
+    faiss = pytest.importorskip("faiss")
+    book, rng = official(), np.random.default_rng(10)
+    assert book.coarse is not None
+    assert book.centroids.shape == (128, 256, 4)
+    dead = ~book.coarse.any(axis=1)
+    assert (len(book.coarse), int(dead.sum())) == (1024, 170)
+    codes = random_codes(rng, book, 400)
+    assert codes.coarse_ids is not None
+    codes.coarse_ids[:170] = np.flatnonzero(dead)
+    index = faiss.read_index(str(OFFICIAL_INDEX))
+    assert_allclose(book.decode(codes), index.sa_decode(official_bytes(codes)), atol=1e-7)
+
+
+@pytest.mark.data
+def test_features_are_coded_as_with_the_authors_index() -> None:
+    faiss = pytest.importorskip("faiss")
+    book, rng = official(), np.random.default_rng(11)
+    features = book.decode(random_codes(rng, book, 300))
+    features += 0.02 * rng.standard_normal(features.shape).astype(np.float32)
+    ours = official_bytes(book.encode(features))
+    theirs = faiss.read_index(str(OFFICIAL_INDEX)).sa_encode(features)
+    assert (ours == theirs).mean() > 0.9999
+    assert_array_equal(from_official_bytes(theirs, book).ids, np.arange(300))
+
+
+@pytest.mark.parametrize("kind", ["PQ", "IVFPQ", "IVFPQ with vectors", "IVFPQ, L2, no residual"])
+def test_indices_that_faiss_writes_are_read(kind: str, tmp_path: Path) -> None:
+    faiss = pytest.importorskip("faiss")
+    points, path = clustered(np.random.default_rng(12), 2000, 24), tmp_path / "a.faiss"
+    if kind == "PQ":
+        index = faiss.IndexPQ(24, 6, 8)
+        index.do_polysemous_training = False
+    else:
+        metric = faiss.METRIC_L2 if "L2" in kind else faiss.METRIC_INNER_PRODUCT
+        coarse = faiss.IndexFlatL2(24) if "L2" in kind else faiss.IndexFlatIP(24)
+        index = faiss.IndexIVFPQ(coarse, 24, 16, 6, 8, metric)
+        index.by_residual = "no residual" not in kind
+        index.cp.min_points_per_centroid = 1
+    index.pq.cp.min_points_per_centroid = 1
+    index.train(points)
+    if "vectors" in kind:
+        index.add(points[:50])
+        index.make_direct_map()
+    faiss.write_index(index, str(path))
+    book = read_faiss_codebook(path, SMALL)
+    assert_array_equal(book.centroids.ravel(), faiss.vector_to_array(index.pq.centroids))
+    assert (book.coarse is not None) == (kind in ("IVFPQ", "IVFPQ with vectors"))
+    if book.coarse is not None:
+        assert_array_equal(book.coarse, index.quantizer.reconstruct_n(0, 16))
+
+
+def test_other_indices_are_refused_by_name(tmp_path: Path) -> None:
+    faiss = pytest.importorskip("faiss")
+    path = tmp_path / "flat.faiss"
+    faiss.write_index(faiss.IndexFlatIP(24), str(path))
+    with pytest.raises(FormatError, match="IndexPQ"):
+        read_faiss_codebook(path, SMALL)
+    faiss.write_index(faiss.IndexPQ(24, 6, 4), str(path))
+    with pytest.raises(FormatError, match="8 bits"):
+        read_faiss_codebook(path, SMALL)
+    with pytest.raises(InputError, match="no such file"):
+        read_faiss_codebook(tmp_path / "none", SMALL)

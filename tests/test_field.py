@@ -1,0 +1,442 @@
+"""The language field: built from evidence, scored, explained, saved and loaded."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from safetensors.numpy import load_file, save_file
+from scipy.sparse import csr_array
+
+from drsplat.codes import Codebook, train_codebook
+from drsplat.encoders import EncoderIdentity
+from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.evidence import Evidence, Explanation, Segments
+from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
+from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.gaussians import Gaussians
+from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
+
+few = settings(derandomize=True, deadline=None, max_examples=40)
+
+
+def same_field(a: LanguageField, b: LanguageField) -> None:
+    for name in ("gaussian_ids", "codes", "inverse_norms"):
+        assert_array_equal(getattr(a, name), getattr(b, name))
+    assert (a.fingerprint, a.codebook.hash, a.scene) == (b.fingerprint, b.codebook.hash, b.scene)
+    assert (a.encoder, a.num_gaussians) == (b.encoder, b.num_gaussians)
+
+
+def residual_field() -> LanguageField:
+    evidence, rng = random_evidence(np.random.default_rng(0)), np.random.default_rng(1)
+    coarse = np.concatenate([unit_rows(rng, 7, 32), np.zeros((2, 32), np.float32)])
+    points = 0.5 * unit_rows(rng, 3000, 32)
+    centroids = train_codebook(points, 16, encoder=TOY).centroids
+    return build_field(evidence, SCENE, TOY, Codebook(centroids, coarse, TOY))
+
+
+def test_features_are_the_normalised_means_of_their_evidence() -> None:
+    evidence = random_evidence(np.random.default_rng(0))
+    field = build_field(evidence, SCENE, TOY)
+    rows = evidence.weights.astype(np.float64) @ evidence.embeddings.astype(np.float64)
+    norms = np.linalg.norm(rows, axis=1)
+    assert_array_equal(field.gaussian_ids, np.flatnonzero(norms))
+    assert 0 < len(field) < len(evidence)
+    expected = rows[field.gaussian_ids] / norms[field.gaussian_ids, None]
+    assert field.evidence is not None
+    assert_allclose(field.evidence.features(0, len(field)), expected, atol=1e-6)
+    assert ((field.feature(slice(None)) * expected).sum(axis=1)).min() > 0.99
+
+
+@pytest.mark.parametrize("make", [toy_field, residual_field])
+def test_scores_are_cosines(make) -> None:  # type: ignore[no-untyped-def]
+    field, query = make(), 7 * unit_rows(np.random.default_rng(1), 1, 32)[0]
+    decoded = field.codebook.decode(field.coded).astype(np.float64)
+    expected = decoded @ (query / 7) / np.linalg.norm(decoded, axis=1)
+    assert_allclose(field.scores(query), expected, atol=1e-5)
+
+
+@few
+@given(st.integers(1, 6), st.integers(0, 2**32))
+def test_relevancy_is_the_least_two_way_softmax(count: int, seed: int) -> None:
+    field, rng = toy_field(), np.random.default_rng(seed)
+    query, negatives = unit_rows(rng, 1, 32)[0], unit_rows(rng, count, 32)
+    positive = field.scores(query).astype(np.float64)
+    pairs = [(positive, field.scores(negative).astype(np.float64)) for negative in negatives]
+    softmax = [np.exp(10 * p) / (np.exp(10 * p) + np.exp(10 * n)) for p, n in pairs]
+    cached = field.with_negatives(negatives)
+    for relevancy in (
+        field.relevancy(query, negatives),
+        cached.relevancy(query),
+        cached.relevancy(query, negatives),
+        toy_field().with_negatives(unit_rows(rng, 2, 32)).relevancy(query, negatives),
+    ):
+        assert_allclose(relevancy, np.min(softmax, axis=0), atol=1e-6)
+
+
+@few
+@given(st.floats(-1, 1), st.floats(-1, 1))
+def test_relevancy_of_scores(score: float, negative: float) -> None:
+    value = relevancy_from_scores(np.array([score], "f"), np.array([negative], "f"))[0]
+    assert value == pytest.approx(1 / (1 + np.exp(10 * (negative - score))), abs=1e-6)
+
+
+def test_relevancy_without_negatives_is_refused() -> None:
+    field, query = toy_field(), np.ones(32, np.float32)
+    with pytest.raises(InputError, match="with_negatives"):
+        field.relevancy(query)
+    with pytest.raises(InputError, match="one or more negatives"):
+        field.with_negatives(np.empty((0, 32), np.float32))
+    with pytest.raises(InputError, match="texts"):
+        field.with_negatives(unit_rows(np.random.default_rng(0), 2, 32), ("one",))
+
+
+def test_dense_scores_have_a_fill_where_nothing_is_known() -> None:
+    field = toy_field()
+    scores = field.scores(np.ones(32, np.float32))
+    dense = field.dense(scores, fill=-2)
+    absent = np.setdiff1d(np.arange(field.num_gaussians), field.gaussian_ids)
+    assert_array_equal(dense[field.gaussian_ids], scores)
+    assert_array_equal(dense[absent], -2)
+
+
+def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() -> None:
+    embeddings = np.eye(4, dtype=np.float32)[[0, 0, 1, 0]]
+    segments = Segments(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
+    weights = csr_array(np.array([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]], np.float32))
+    field = build_field(Evidence(weights, segments, embeddings), SCENE, EncoderIdentity("e", 4))
+    query = np.array([2, 0, 0, 0], np.float32)
+    assert field.explain(0, query) == [Explanation("a", 1, 0.75), Explanation("a", 0, 0.25)]
+    assert field.explain(0, query, top=1) == [Explanation("a", 1, 0.75)]
+    assert field.explain(1, query) == [Explanation("b", 1, 1.0)]
+    assert field.explain(2, query) == []  # pruned
+    assert field.explain(3, query) == []  # nothing speaks for it
+    with pytest.raises(InputError, match="Gaussian 4 of a scene of 4"):
+        field.explain(4, query)
+
+
+def test_rows_whose_embeddings_cancel_have_no_feature() -> None:
+    embeddings = np.array([[1, 0], [-1, 0], [0, 1]], np.float32)
+    segments = Segments(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
+    weights = csr_array(np.array([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]], np.float32))
+    field = build_field(Evidence(weights, segments, embeddings), SCENE, EncoderIdentity("e", 2))
+    assert_array_equal(field.gaussian_ids, [1, 3])
+    assert_allclose(field.scores(np.array([1, 0], np.float32)), [0, 1], atol=1e-7)
+    assert field.evidence is not None
+    assert len(field.evidence) == 2
+
+
+def test_a_field_is_the_same_to_the_bit_for_any_number_of_threads() -> None:
+    evidence = random_evidence(np.random.default_rng(2), rows=9000)
+    fields = [build_field(evidence, SCENE, TOY, threads=threads) for threads in (1, 2, 3)]
+    for field in fields[1:]:
+        same_field(field, fields[0])
+
+
+def test_building_shares_the_weights_and_never_copies_them() -> None:
+    evidence = random_evidence(np.random.default_rng(3))
+    field = build_field(evidence, SCENE, TOY)
+    assert field.evidence is not None
+    assert np.shares_memory(field.evidence.weights.data, evidence.weights.data)
+    assert_array_equal(
+        field.evidence.weights.toarray(), evidence.weights.toarray()[field.gaussian_ids]
+    )
+
+
+def test_some_rows_of_the_evidence() -> None:
+    evidence, index = random_evidence(np.random.default_rng(4)), np.array([5, 3, 3, 100])
+    assert_array_equal(evidence.rows(index).weights.toarray(), evidence.weights.toarray()[index])
+
+
+def test_any_dimension_finds_a_number_of_parts() -> None:
+    for dim, parts in ((1, 1), (12, 4), (36, 4), (512, 128), (768, 128)):
+        evidence = random_evidence(np.random.default_rng(5), rows=40, dim=dim)
+        field = build_field(evidence, SCENE, EncoderIdentity("e", dim))
+        assert field.codes.shape[1] == parts
+
+
+@pytest.mark.parametrize("make", [toy_field, residual_field])
+def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    negatives = unit_rows(np.random.default_rng(6), 2, 32)
+    field = make().with_negatives(negatives, ("this", "that"))
+    field.save(tmp_path / "a.field")
+    again = load_field(tmp_path / "a.field")
+    same_field(field, again)
+    assert again.evidence is not None
+    assert field.evidence is not None
+    assert again.negatives is not None
+    assert field.negatives is not None
+    assert_array_equal(again.negatives.maxima, field.negatives.maxima)
+    assert again.negatives.texts == ("this", "that")
+    assert_array_equal(again.evidence.weights.toarray(), field.evidence.weights.toarray())
+    assert again.evidence.segments.view_names == field.evidence.segments.view_names
+    query = negatives[0] + negatives[1]
+    assert_array_equal(again.relevancy(query), field.relevancy(query))
+    explained = [again.explain(int(i), query) for i in field.gaussian_ids[:20]]
+    assert explained == [field.explain(int(i), query) for i in field.gaussian_ids[:20]]
+    assert any(explained)
+    weights = again.evidence.weights
+    for array in (again.codes, again.gaussian_ids, weights.data, weights.indices, weights.indptr):
+        assert is_mapped(array)
+        assert not array.flags.writeable
+    assert is_mapped(again.evidence.embeddings)
+
+
+def is_mapped(array: np.ndarray) -> bool:
+    base: object = array
+    while isinstance(base, np.ndarray) and not isinstance(base, np.memmap):
+        base = base.base
+    return isinstance(base, np.memmap)
+
+
+def test_a_field_without_evidence_is_saved_without_it(tmp_path: Path) -> None:
+    field = toy_field()
+    bare = LanguageField(
+        field.gaussian_ids, field.codes, None, field.inverse_norms, field.codebook,
+        field.encoder, field.scene, field.num_gaussians,
+    )  # fmt: skip
+    bare.save(tmp_path / "a.field")
+    assert sorted(os.listdir(tmp_path / "a.field")) == ["codes.safetensors", "field.json"]
+    again = load_field(tmp_path / "a.field")
+    assert again.evidence is None
+    with pytest.raises(InputError, match="no evidence"):
+        again.explain(0, np.ones(32, np.float32))
+
+
+def test_saving_is_reproducible(tmp_path: Path) -> None:
+    for name in "ab":
+        toy_field().save(tmp_path / name)
+    for file in os.listdir(tmp_path / "a"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_saving_replaces_only_fields_and_only_when_told_to(tmp_path: Path) -> None:
+    path = tmp_path / "a.field"
+    toy_field(0).save(path)
+    with pytest.raises(InputError, match="overwrite"):
+        toy_field(1).save(path)
+    mapped = load_field(path)
+    toy_field(1).save(path, overwrite=True)
+    same_field(load_field(path), toy_field(1))
+    same_field(mapped, toy_field(0))  # still readable: its files live on until it is dropped
+    precious = tmp_path / "photos"
+    precious.mkdir()
+    with pytest.raises(InputError, match="not ours"):
+        toy_field(1).save(precious, overwrite=True)
+    with pytest.raises(InputError, match="make it first"):
+        toy_field(1).save(tmp_path / "none" / "a.field")
+    assert sorted(os.listdir(tmp_path)) == ["a.field", "photos"]
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+@pytest.mark.parametrize("step", ["write_tensors", "_take_place"])
+def test_a_failed_save_leaves_the_old_field(
+    exchange: bool, step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from drsplat.formats import field_folder
+
+    path = tmp_path / "a.field"
+    toy_field(0).save(path)
+
+    def fail(*_: object) -> None:
+        raise OSError("disk full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(field_folder, step, fail)
+        with pytest.raises(OSError, match="disk full"):
+            toy_field(1).save(path, overwrite=True)
+    same_field(load_field(path), toy_field(0))
+    assert os.listdir(tmp_path) == ["a.field"]
+    if not exchange:
+        monkeypatch.setattr(field_folder, "_exchange", lambda *_: False)
+    toy_field(1).save(path, overwrite=True)
+    same_field(load_field(path), toy_field(1))
+    assert os.listdir(tmp_path) == ["a.field"]
+
+
+KILLED = """
+    import sys
+    sys.path.insert(0, sys.argv[1])
+    from fields import toy_field
+    fields = [toy_field(0), toy_field(1)]
+    print("ready", flush=True)
+    while True:
+        for field in fields:
+            field.save(sys.argv[2], overwrite=True)
+"""
+
+
+def test_a_killed_save_leaves_one_whole_field(tmp_path: Path) -> None:
+    path, rng = tmp_path / "a.field", np.random.default_rng(7)
+    toy_field(0).save(path)
+    known = {toy_field(seed).fingerprint for seed in (0, 1)}
+    script = [sys.executable, "-c", textwrap.dedent(KILLED), str(Path(__file__).parent), str(path)]
+    for _ in range(3):
+        with subprocess.Popen(script, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            try:
+                process.wait(float(rng.uniform(0.005, 0.06)))
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGKILL)
+        field = load_field(path)
+        assert field.fingerprint in known
+        assert field.evidence is not None
+
+
+def test_another_scene_is_refused() -> None:
+    rng = np.random.default_rng(8)
+
+    def gaussians(count: int) -> Gaussians:
+        means, quats = rng.random((count, 3), np.float32), np.zeros((count, 4), np.float32)
+        columns = np.ones((count, 3), np.float32), np.ones(count, np.float32)
+        return Gaussians(means, quats, *columns, np.zeros((count, 1, 3), np.float32))
+
+    scene = gaussians(600)
+    field = build_field(random_evidence(rng), scene.fingerprint, TOY)
+    field.check_scene(scene)
+    with pytest.raises(MismatchError, match="compressing"):
+        field.check_scene(scene.subset(np.arange(600)[::-1]))
+    with pytest.raises(MismatchError, match="600 Gaussians, the given one has 599"):
+        field.check_scene(scene.subset(np.arange(599)))
+
+
+def test_another_encoder_is_refused() -> None:
+    field = toy_field()
+    field.check_encoder(EncoderIdentity("toy", 32, ""))
+    for other in (EncoderIdentity("toy", 64), EncoderIdentity("toy", 32, "w1")):
+        with pytest.raises(MismatchError, match="use toy with the same weights"):
+            field.check_encoder(other)
+    with pytest.raises(MismatchError, match=r"64 numbers.*toy \(32-d, weights w0\)"):
+        field.scores(np.ones(64, np.float32))
+    with pytest.raises(InputError, match="not zero"):
+        field.scores(np.zeros(32, np.float32))
+    evidence = random_evidence(np.random.default_rng(9))
+    with pytest.raises(MismatchError, match="codebook is of"):
+        build_field(evidence, SCENE, EncoderIdentity("other", 32), field.codebook)
+    with pytest.raises(MismatchError, match="embeddings of 32 numbers"):
+        build_field(evidence, SCENE, EncoderIdentity("toy", 16))
+
+
+def test_no_evidence_at_all_is_refused() -> None:
+    evidence = random_evidence(np.random.default_rng(10))
+    empty = csr_array((600, 40), dtype=np.float32)
+    with pytest.raises(InputError, match="no Gaussian is under any mask"):
+        build_field(Evidence(empty, evidence.segments, evidence.embeddings), SCENE, TOY)
+
+
+def test_evidence_that_does_not_fit_is_refused() -> None:
+    good = random_evidence(np.random.default_rng(11))
+    with pytest.raises(InputError, match="unit vectors"):
+        Evidence(good.weights, good.segments, 2 * good.embeddings)
+    with pytest.raises(InputError, match="per column"):
+        Evidence(good.weights, good.segments, good.embeddings[:-1])
+    with pytest.raises(InputError, match="view"):
+        Segments(("a",), np.ones(3, np.int32), np.zeros(3, np.int32))
+
+
+def manifest_of(path: Path) -> dict:  # type: ignore[type-arg]
+    return json.loads((path / "field.json").read_text())
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    toy_field(0).with_negatives(unit_rows(np.random.default_rng(0), 2, 32)).save(tmp_path / "a")
+    return tmp_path / "a"
+
+
+@pytest.mark.parametrize("file", ["codes.safetensors", "evidence.safetensors", "field.json"])
+def test_files_of_two_fields_do_not_mix(file: str, saved: Path, tmp_path: Path) -> None:
+    toy_field(1).save(tmp_path / "b")
+    (saved / file).write_bytes((tmp_path / "b" / file).read_bytes())
+    with pytest.raises(MismatchError, match="do not mix"):
+        load_field(saved)
+
+
+@pytest.mark.parametrize("file", ["codes", "evidence", "negatives"])
+def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
+    (saved / f"{file}.safetensors").unlink()
+    with pytest.raises(FormatError, match="incomplete"):
+        load_field(saved)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "message"),
+    [
+        ("format", "other", "expected a 'drsplat field'"),
+        ("version", 2, "upgrade"),
+        ("encoder", {"name": "other", "dim": 32, "weights": ""}, "codebook is of"),
+        ("encoder", {"name": "toy"}, "name, dim and weights"),
+        ("codebook", {"hash": "0", "encoder": {"name": "toy", "dim": 32, "weights": ""}}, "hash"),
+        ("codebook", None, "hash"),
+        ("num_gaussians", 500, "in a scene of 500"),
+        ("num_gaussians", True, "number of Gaussians"),
+        ("negatives", ["one"], "1 negative texts for 2"),
+    ],
+)
+def test_a_changed_manifest_is_refused(
+    entry: str, value: object, message: str, saved: Path
+) -> None:
+    (saved / "field.json").write_text(json.dumps(manifest_of(saved) | {entry: value}))
+    with pytest.raises((FormatError, MismatchError), match=message):
+        load_field(saved)
+
+
+def rewritten(path: Path, **changes: np.ndarray | None) -> None:
+    """The file with some tensors replaced, or left out where None."""
+    tensors, metadata = map_tensors(path)
+    merged = {k: np.array(v) for k, v in (tensors | changes).items() if v is not None}
+    write_tensors(path, merged, metadata, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("file", "changes"),
+    [
+        ("codes", {"codes": None}),
+        ("codes", {"codes": np.zeros((3, 32), np.uint8)}),
+        ("codes", {"codes": np.zeros((600, 31), np.uint8)}),
+        ("codes", {"inverse_norms": np.full(600, np.nan, np.float32)}),
+        ("codes", {"gaussian_ids": np.zeros(600, np.uint32)}),
+        ("codes", {"gaussian_ids": np.zeros(600, np.int64)}),
+        ("codes", {"coarse_ids": np.zeros(600, np.uint16)}),
+        ("codes", {"centroids": np.zeros((32, 256, 1))}),
+        ("evidence", {"indptr": np.zeros(0, np.int32)}),
+        ("evidence", {"indptr": np.array([0, 10**6], np.int32)}),
+        ("evidence", {"indices": np.full(1200, 40, np.int32)}),
+        ("evidence", {"indices": np.full(1200, -1, np.int32)}),
+        ("evidence", {"indices": None}),
+        ("evidence", {"data": np.zeros((2, 600), np.float32)}),
+        ("evidence", {"embeddings": np.zeros((40, 32), np.float32)}),
+        ("evidence", {"embeddings": np.zeros(40, np.float32)}),
+        ("evidence", {"segment_views": np.full(40, 3, np.int32)}),
+        ("negatives", {"maxima": np.zeros(3, np.float32)}),
+        ("negatives", {"embeddings": np.zeros((2, 31), np.float32)}),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(
+    file: str, changes: dict[str, np.ndarray | None], saved: Path
+) -> None:
+    rewritten(saved / f"{file}.safetensors", **changes)
+    with pytest.raises(FormatError):
+        load_field(saved)
+
+
+def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
+    ours, _ = map_tensors(saved / "codes.safetensors")
+    theirs = load_file(saved / "codes.safetensors")
+    assert ours.keys() == theirs.keys()
+    for name, array in ours.items():
+        assert_array_equal(array, theirs[name])
+    save_file(theirs, tmp_path / "back", {"field": "x"})
+    back, metadata = map_tensors(tmp_path / "back")
+    assert metadata == {"field": "x"}
+    for name, array in back.items():
+        assert_array_equal(array, theirs[name])
