@@ -1,1 +1,131 @@
-"""drsplat: search a 3D Gaussian Splatting scene in words."""
+"""drsplat: search a 3D Gaussian Splatting scene in words.
+
+Every name below is loaded when it is first used, so that importing the package costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    __version__: str
+    from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
+    from .encoders import Encoder, EncoderIdentity
+    from .errors import (
+        DrSplatError,
+        DrSplatWarning,
+        FormatError,
+        InputError,
+        MismatchError,
+        MissingExtraError,
+    )
+    from .features import ViewFeatures
+    from .field import LanguageField, load_field
+    from .formats.cameras_json import write_cameras_json
+    from .formats.captures import read_views
+    from .formats.langsplat import read_features, write_features
+    from .formats.scenes import read_gaussians, write_gaussians
+    from .formats.vocabulary import read_vocabulary
+    from .gaussians import Gaussians
+    from .kernels import splat_arrays, topk_contributions, view_weights
+    from .photos import load_image
+    from .registration import Registration, register
+    from .rendering import render
+    from .search import embed_query, query
+    from .support import supporting_masks
+    from .tasks import Instance, locate, select
+    from .views import View
+    from .words import WordEncoder
+
+_HOMES = {
+    "codes": (
+        "Codebook",
+        "load_codebook",
+        "read_faiss_codebook",
+        "save_codebook",
+        "train_codebook",
+    ),
+    "encoders": ("Encoder", "EncoderIdentity"),
+    "errors": (
+        "DrSplatError",
+        "DrSplatWarning",
+        "FormatError",
+        "InputError",
+        "MismatchError",
+        "MissingExtraError",
+    ),
+    "features": ("ViewFeatures",),
+    "field": ("LanguageField", "load_field"),
+    "formats.cameras_json": ("write_cameras_json",),
+    "formats.captures": ("read_views",),
+    "formats.langsplat": ("read_features", "write_features"),
+    "formats.scenes": ("read_gaussians", "write_gaussians"),
+    "formats.vocabulary": ("read_vocabulary",),
+    "gaussians": ("Gaussians",),
+    "kernels": ("splat_arrays", "topk_contributions", "view_weights"),
+    "photos": ("load_image",),
+    "registration": ("Registration", "register"),
+    "rendering": ("render",),
+    "search": ("embed_query", "query"),
+    "support": ("supporting_masks",),
+    "tasks": ("Instance", "locate", "select"),
+    "views": ("View",),
+    "words": ("WordEncoder",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Codebook",
+    "DrSplatError",
+    "DrSplatWarning",
+    "Encoder",
+    "EncoderIdentity",
+    "FormatError",
+    "Gaussians",
+    "InputError",
+    "Instance",
+    "LanguageField",
+    "MismatchError",
+    "MissingExtraError",
+    "Registration",
+    "View",
+    "ViewFeatures",
+    "WordEncoder",
+    "__version__",
+    "embed_query",
+    "load_codebook",
+    "load_field",
+    "load_image",
+    "locate",
+    "query",
+    "read_faiss_codebook",
+    "read_features",
+    "read_gaussians",
+    "read_views",
+    "read_vocabulary",
+    "register",
+    "render",
+    "save_codebook",
+    "select",
+    "splat_arrays",
+    "supporting_masks",
+    "topk_contributions",
+    "train_codebook",
+    "view_weights",
+    "write_cameras_json",
+    "write_features",
+    "write_gaussians",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return globals().setdefault(name, version("drsplat"))
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'drsplat' has no attribute '{name}'")
+    return globals().setdefault(name, getattr(import_module(f".{_HOME_OF[name]}", __name__), name))
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,5 @@
+"""`python -m drsplat` is `drsplat`."""
+
+from .cli import main
+
+raise SystemExit(main())

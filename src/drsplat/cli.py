@@ -1,0 +1,161 @@
+"""The command line: arguments -> one public call -> print.
+
+Each verb is a module of `drsplat.commands` with SUMMARY, EXAMPLES, add_arguments(parser), run(arguments)
+-> a JSON object, and show(object) for people. To add one, add the module and its name to VERBS.
+"""
+
+import argparse
+import json
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from typing import NoReturn, TextIO
+
+from .errors import DrSplatError, DrSplatWarning
+
+VERBS = ("inspect", "register", "query", "render", "demo")  # in the order of the pipeline
+FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class UsageError(Exception):
+    """What argparse has to say; kept from it so that --json is heard first."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message}\n(see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked: that costs more than all of --help."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from . import __version__
+
+        print(f"drsplat {__version__}")
+        parser.exit()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    as_json, debug = "--json" in given, "--debug" in given
+    try:
+        with _warnings_as_lines():
+            return _run(given)
+    except UsageError as error:
+        return _failed(error, "usage", MISUSED, as_json)
+    except (DrSplatError, OSError, MemoryError) as error:
+        if isinstance(error, BrokenPipeError):
+            return _pipe_closed()
+        if debug:
+            raise
+        return _failed(error, type(error).__name__, FAILED, as_json)
+    except KeyboardInterrupt:
+        print("drsplat: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except SystemExit as ending:  # argparse, after --help or --version
+        return ending.code if isinstance(ending.code, int) else 0
+
+
+def make_parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="drsplat",
+        description="Search a 3D Gaussian Splatting scene in words.",
+        epilog="Each verb has its own help and examples: drsplat register --help",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and leave")
+    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    for name in VERBS:
+        _add_verb(verbs, name)
+    return parser
+
+
+def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
+    command = import_module(f".commands.{name}", __package__)
+    summary: str = command.SUMMARY
+    parser = verbs.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"examples:\n{command.EXAMPLES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    command.add_arguments(parser)
+    common = parser.add_argument_group("all verbs")
+    common.add_argument(
+        "--json", action="store_true", help="print one JSON object to stdout and nothing else there"
+    )
+    common.add_argument(
+        "--threads", type=_thread_count, default=0, metavar="N",
+        help="CPU threads; results are the same for any number (default: 0, all cores)",
+    )  # fmt: skip
+    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser.set_defaults(command=command)
+
+
+def _thread_count(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(
+            f"expected a number of threads, or 0 for all cores; got '{text}'"
+        )
+    return int(text)
+
+
+def _run(argv: list[str]) -> int:
+    arguments = make_parser().parse_args(argv)
+    if arguments.threads and "numpy" not in sys.modules:  # its BLAS reads them once
+        os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
+    answer = arguments.command.run(arguments)
+    if arguments.json:
+        print(json.dumps(answer, default=_plain))
+    else:
+        arguments.command.show(answer)
+    sys.stdout.flush()
+    return 0
+
+
+def _plain(value: object) -> object:
+    """NumPy's numbers and arrays, paths: as JSON has them."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
+    message = str(error) or kind
+    print(f"drsplat: error: {message}", file=sys.stderr)
+    if as_json:
+        with suppress(BrokenPipeError):
+            print(json.dumps({"error": message, "kind": kind}), flush=True)
+    return code
+
+
+def _pipe_closed() -> int:
+    """The reader has gone: leave without a word, also from the interpreter's last flush."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return PIPE_CLOSED
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", DrSplatWarning)
+        shown = warnings.showwarning
+
+        def show(
+            message: Warning | str, category: type[Warning], filename: str, lineno: int,
+            file: TextIO | None = None, line: str | None = None,
+        ) -> None:  # fmt: skip
+            if issubclass(category, DrSplatWarning):
+                print(f"drsplat: warning: {message}", file=sys.stderr)
+            else:
+                shown(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        yield

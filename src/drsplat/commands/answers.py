@@ -1,0 +1,131 @@
+"""From a field and a query on the command line to what it selects; for `query` and `render`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..encoders import Encoder
+    from ..field import LanguageField, Negatives
+
+RELEVANCY_THRESHOLD, COSINE_THRESHOLD = 0.5, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """query: its unit vector. values: per row of the field what is compared with the threshold."""
+
+    field: LanguageField
+    query: np.ndarray
+    values: np.ndarray
+    measure: str
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Ask:
+    """The query as given: text or a file with a vector, and how to measure. Defaults are those of the options."""
+
+    text: str | None = None
+    vector: str | None = None
+    vocabulary: str | None = None
+    relevancy: bool = False
+    negatives: str | None = None
+    threshold: float | None = None
+
+
+def asked(field: LanguageField, ask: Ask, threads: int = 0) -> Asked:
+    """Scores of the field for a query.
+
+    Raises: InputError: no text and no vector, or both; no encoder for the text. MismatchError: another encoder.
+    """
+    from ..search import relevancy_from_scores
+
+    query, encoder = _query(field, ask)
+    scores = field.scores(query, threads=threads)
+    if not (ask.relevancy or ask.negatives):
+        default = getattr(encoder, "threshold", COSINE_THRESHOLD)
+        return Asked(
+            field, query, scores, "cosine", default if ask.threshold is None else ask.threshold
+        )
+    values = relevancy_from_scores(scores, _negatives(field, encoder, ask, threads).maxima)
+    return Asked(
+        field,
+        query,
+        values,
+        "relevancy",
+        RELEVANCY_THRESHOLD if ask.threshold is None else ask.threshold,
+    )
+
+
+def _query(field: LanguageField, ask: Ask) -> tuple[np.ndarray, Encoder | None]:
+    """The query's vector, and the encoder where it came from words."""
+    from ..errors import InputError
+    from ..search import embed_query
+    from .options import encoder_for
+
+    if ask.text is not None and ask.vector is None:
+        encoder = encoder_for(field, ask.vocabulary)
+        return embed_query(encoder, field, ask.text), encoder
+    if ask.vector is not None and ask.text is None:
+        return read_vector(ask.vector), None
+    raise InputError("give either a text or --vector FILE.npy")
+
+
+def _negatives(field: LanguageField, encoder: Encoder | None, ask: Ask, threads: int) -> Negatives:
+    from ..errors import InputError
+    from ..search import NEGATIVES, text_negatives
+    from .options import encoder_for
+
+    if ask.negatives is not None and ask.negatives.endswith(".npy"):
+        return field.score_negatives(read_vectors(ask.negatives), threads=threads)
+    if ask.negatives is not None:
+        words = [word.strip() for word in ask.negatives.split(",")]
+        return text_negatives(
+            field, encoder or encoder_for(field, ask.vocabulary), words, threads=threads
+        )
+    if field.negatives is not None:
+        return field.negatives
+    if encoder is None:
+        raise InputError(
+            "relevancy compares the query with negatives and this field has none stored: pass --negatives FILE.npy"
+        )
+    return text_negatives(field, encoder, NEGATIVES, threads=threads)
+
+
+def read_vector(path: str) -> np.ndarray:
+    """One vector of a .npy file, (D,) or (1, D).
+
+    Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
+    """
+    from ..errors import InputError
+
+    vectors = read_vectors(path)
+    if len(vectors) != 1:
+        raise InputError(f"{path}: expected one vector, got {len(vectors)}")
+    vector: np.ndarray = vectors[0]
+    return vector
+
+
+def read_vectors(path: str) -> np.ndarray:
+    """The vectors of a .npy file, (n, D) or (D,), as float32.
+
+    Raises: InputError: there is no such file. FormatError: damaged, not numbers.
+    """
+    import numpy as np
+
+    from ..errors import FormatError, InputError
+    from ..formats.npy import map_npy
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such file")
+    array = np.atleast_2d(map_npy(Path(path)))
+    if array.ndim != 2 or array.dtype.kind != "f" or array.size == 0:
+        raise FormatError(
+            f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}"
+        )
+    return np.ascontiguousarray(array, np.float32)

@@ -1,0 +1,206 @@
+"""drsplat inspect: what is in a file or folder."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import add_capture_options, views_of
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..codes import Codebook
+
+SUMMARY = "say what is in a scene, a capture, a feature folder, a field, a codebook or a vocabulary"
+EXAMPLES = """\
+  drsplat inspect scene.ply
+  drsplat inspect capture
+  drsplat inspect capture/language_features
+  drsplat inspect room.field --json"""
+PERCENTILES = (1, 50, 99)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("path", help="any file or folder that the other verbs read or write")
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    kind = kind_of(Path(arguments.path))
+    return {"path": arguments.path, "kind": kind, **_INSPECTORS[kind](arguments)}
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import show_facts
+
+    facts = {
+        name: value
+        for name, value in answer.items()
+        if name not in ("path", "kind", "views", "photos")
+    }
+    show_facts(f"{answer['kind']}: {answer['path']}", facts)
+
+
+def kind_of(path: Path) -> str:
+    """scene, capture, features, field, codebook or vocabulary, by name and contents.
+
+    Raises: InputError: there is nothing at `path`.
+    """
+    from ..errors import InputError
+
+    if path.is_file():
+        return _file_kind(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: there is no such file or folder")
+    if (path / "field.json").is_file():
+        return "field"
+    if (path / "point_cloud").is_dir():
+        return "scene"
+    has_models = any(
+        (path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json")
+    )
+    return "features" if not has_models and next(path.rglob("*_s.npy"), None) else "capture"
+
+
+def _file_kind(path: Path) -> str:
+    if path.suffix == ".safetensors":
+        from ..formats.tensors import map_tensors
+
+        return "codebook" if "centroids" in map_tensors(path)[0] else "vocabulary"
+    return {".faiss": "codebook", ".json": "capture", ".bin": "capture", ".txt": "capture"}.get(
+        path.suffix, "scene"
+    )
+
+
+def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import read_gaussians
+
+    scene = read_gaussians(arguments.path)
+    return {
+        "num_gaussians": len(scene),
+        "sh_degree": scene.sh_degree,
+        "lowest": scene.means.min(0, initial=float("inf")) if len(scene) else None,
+        "highest": scene.means.max(0, initial=float("-inf")) if len(scene) else None,
+        "opacity": _percentiles(scene.opacities),
+        "scale": _percentiles(scene.scales.max(1)),
+        "extra_columns": sorted(scene.extra),
+        "fingerprint": scene.fingerprint,
+    }
+
+
+def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
+    views = views_of(arguments, arguments.path)
+    lenses = sorted({"pinhole" if view.distortion is None else "distorted" for view in views})
+    return {
+        "num_views": len(views),
+        "num_photos": sum(view.image_path is not None for view in views),
+        "sizes": sorted({f"{view.width}x{view.height}" for view in views}),
+        "lenses": lenses,
+        "focal_px": sorted({round(float(view.K[0, 0]), 2) for view in views}),
+        "first": views[0].name,
+        "last": views[-1].name,
+        "without_photo": [view.name for view in views if view.image_path is None],
+        "views": [
+            {
+                "name": view.name, "size": [view.width, view.height], "K": view.K, "cam_from_world": view.cam_from_world,
+                "distortion": view.distortion, "photo": view.image_path,
+            }
+            for view in views
+        ],
+    }  # fmt: skip
+
+
+def _features(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.langsplat import LEVELS, read_features
+
+    folder = read_features(arguments.path)
+    by_level = {level: read_features(arguments.path, level=level) for level in LEVELS}
+    photos = [
+        {"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}}
+        for key in folder
+    ]
+    return {
+        "num_photos": len(folder),
+        "dim": folder.dim,
+        "segments": {level: sum(photo[level] for photo in photos) for level in LEVELS},
+        "map_sizes": sorted({"{1}x{0}".format(*folder[key].segment_ids.shape) for key in folder}),
+        "first": photos[0]["name"],
+        "last": photos[-1]["name"],
+        "photos": photos,
+    }
+
+
+def _field(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import load_field
+
+    field = load_field(arguments.path)
+    files = sorted(file for file in Path(arguments.path).iterdir() if file.is_file())
+    evidence = field.evidence
+    return {
+        "num_registered": len(field),
+        "num_gaussians": field.num_gaussians,
+        "encoder": field.encoder.name,
+        "encoder_weights": field.encoder.weights,
+        "dim": field.encoder.dim,
+        **_codebook_facts(field.codebook),
+        "scene": field.scene,
+        "num_views": None if evidence is None else len(evidence.segments.view_names),
+        "num_segments": None if evidence is None else len(evidence.segments),
+        "num_weights": None if evidence is None else int(evidence.weights.nnz),
+        "negatives": list(field.negatives.texts) if field.negatives else [],
+        "file_bytes": {file.name: file.stat().st_size for file in files},
+        "fingerprint": field.fingerprint,
+    }
+
+
+def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import EncoderIdentity, load_codebook, read_faiss_codebook
+    from ..formats.faiss_index import read_faiss_quantizer
+
+    if Path(arguments.path).suffix == ".faiss":
+        centroids = read_faiss_quantizer(arguments.path).centroids
+        dim = centroids.shape[0] * centroids.shape[2]
+        codebook = read_faiss_codebook(arguments.path, EncoderIdentity("unknown", dim))
+    else:
+        codebook = load_codebook(arguments.path)
+    return {"encoder": codebook.encoder.name, "dim": codebook.dim, **_codebook_facts(codebook)}
+
+
+def _codebook_facts(codebook: Codebook) -> dict[str, Any]:
+    coarse = codebook.coarse
+    return {
+        "codebook": codebook.hash,
+        "num_subvectors": codebook.num_subvectors,
+        "num_coarse": 0 if coarse is None else len(coarse),
+        "bytes_per_gaussian": codebook.num_subvectors + (0 if coarse is None else 2),
+    }
+
+
+def _vocabulary(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import read_vocabulary
+
+    vocabulary = read_vocabulary(arguments.path)
+    return {
+        "encoder": vocabulary.identity.name, "dim": vocabulary.identity.dim, "num_texts": len(vocabulary.texts),
+        "texts": list(vocabulary.texts),
+    }  # fmt: skip
+
+
+def _percentiles(values: np.ndarray) -> dict[str, float]:
+    import numpy as np
+
+    if not len(values):
+        return {}
+    return {
+        f"p{p}": float(v)
+        for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)
+    }
+
+
+_INSPECTORS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
+    "scene": _scene, "capture": _capture, "features": _features, "field": _field, "codebook": _codebook,
+    "vocabulary": _vocabulary,
+}  # fmt: skip

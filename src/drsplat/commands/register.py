@@ -1,0 +1,205 @@
+"""drsplat register: a scene, its photos' poses and masks -> a field."""
+
+import argparse
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import LEVEL_HELP, add_capture_options, add_overwrite, new_output, tracker, views_of
+
+if TYPE_CHECKING:
+    from ..codes import Codebook
+    from ..encoders import EncoderIdentity
+
+SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
+EXAMPLES = """\
+  drsplat register scene.ply capture --features capture/language_features --output scene.field
+  drsplat register scene.ply capture --features capture/language_features --topk 45 --first-hits 100 \\
+      --codebook pq_index.faiss --encoder-name ViT-B-16/laion2b_s34b_b88k --output scene.field --json
+
+A run that was stopped goes on where it was when the same command is given again."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "scene", help="the Gaussians: .ply, .spz, .splat or a trained model's folder"
+    )
+    parser.add_argument(
+        "capture", help="the poses: a folder with a COLMAP model, transforms.json or cameras.json"
+    )
+    parser.add_argument(
+        "--features",
+        required=True,
+        metavar="DIR",
+        help="LangSplat's <photo>_s.npy and <photo>_f.npy",
+    )
+    parser.add_argument(
+        "--output",
+        "-o",
+        required=True,
+        metavar="FIELD",
+        help="folder to write the field to, by custom NAME.field",
+    )
+    add_overwrite(parser)
+    method = parser.add_argument_group("method")
+    method.add_argument(
+        "--level",
+        "--feature-level",
+        "--feature_level",
+        default="large",
+        metavar="LEVEL",
+        help=LEVEL_HELP,
+    )
+    method.add_argument(
+        "--topk", "--top-k", "-k", type=_count_or_all, default=40, metavar="K",
+        help="Gaussians per pixel that are kept, by weight: a number or 'all' (default: 40)",
+    )  # fmt: skip
+    method.add_argument(
+        "--first-hits", type=_count, metavar="N",
+        help="take the top K only among the first N of each ray; the published code has 100 (default: no limit)",
+    )  # fmt: skip
+    method.add_argument(
+        "--codebook", metavar="FILE",
+        help="codebook to code features with, .safetensors or the authors' .faiss (default: trained on this scene)",
+    )  # fmt: skip
+    method.add_argument(
+        "--subvectors", type=_count, metavar="L",
+        help="bytes per Gaussian of a codebook that is trained here (default: 128, or what divides the embedding size)",
+    )  # fmt: skip
+    method.add_argument(
+        "--encoder-name", metavar="NAME",
+        help="who made the embeddings, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the built-in one. Queries "
+        "and codebooks of other encoders are then refused (default: the codebook's, else unknown)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--parts", metavar="DIR",
+        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
+    )  # fmt: skip
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import read_features, read_gaussians, register
+    from ..field import build_field
+    from ..progress import Stopwatch, peak_memory_bytes
+
+    output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
+    gaussians = read_gaussians(arguments.scene)
+    views = views_of(arguments, arguments.capture)
+    codebook = _codebook(arguments)
+    encoder = _encoder(arguments, codebook)
+    features = read_features(arguments.features, level=_level(arguments.level), encoder=encoder)
+    watch.lap("read")
+    parts = Path(arguments.parts or f"{output}.parts")
+    before = _finished(parts)
+    registration = register(
+        gaussians, views, features, arguments.topk, first_hits=arguments.first_hits,
+        parts=parts, threads=arguments.threads, track=tracker(arguments),
+    )  # fmt: skip
+    watch.lap("register")
+    field = build_field(
+        registration.evidence, registration.scene, registration.encoder, codebook,
+        num_subvectors=arguments.subvectors, threads=arguments.threads,
+    )  # fmt: skip
+    watch.lap("code")
+    field.save(output, overwrite=arguments.overwrite)
+    watch.lap("save")
+    reused = len(before.items() & _finished(parts).items())
+    if arguments.parts is None:
+        shutil.rmtree(parts, ignore_errors=True)
+    return {
+        "field": str(output),
+        "num_gaussians": len(gaussians),
+        "num_registered": len(field),
+        "num_views": len(registration.segments.view_names),
+        "num_views_reused": reused,
+        "num_segments": len(registration.segments),
+        "num_weights": int(registration.weights.nnz),
+        "dim": field.encoder.dim,
+        "encoder": field.encoder.name,
+        "num_subvectors": field.codebook.num_subvectors,
+        "codebook": field.codebook.hash,
+        "topk": arguments.topk,
+        "seconds": sum(watch.seconds.values()),
+        "stage_seconds": watch.seconds,
+        "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import said, show_facts, size_said
+
+    reused = (
+        f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
+    )
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
+    registered = answer["num_registered"] / max(1, answer["num_gaussians"])
+    show_facts(
+        f"registered: {answer['field']}",
+        {
+            "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({registered:.1%})",
+            "views": f"{said(answer['num_views'])}{reused}",
+            "masks": f"{said(answer['num_segments'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
+            "weights": said(answer["num_weights"]),
+            "codes": f"{answer['num_subvectors']} bytes per Gaussian",
+            "field": size_said(answer["field_bytes"]),
+            "time": f"{answer['seconds']:.1f} s ({stages})",
+            "peak memory": size_said(answer["peak_memory_bytes"]),
+        },
+    )
+
+
+def _finished(parts: Path) -> dict[str, int]:
+    """Time of writing of each finished view's file."""
+    return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.safetensors")}
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive whole number, got '{text}'")
+    return int(text)
+
+
+def _count_or_all(text: str) -> int | None:
+    return None if text == "all" else _count(text)
+
+
+def _level(text: str) -> str | int:
+    return int(text) if text.isdecimal() else text
+
+
+def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
+    from .. import EncoderIdentity, load_codebook, read_faiss_codebook
+    from ..errors import InputError
+    from ..formats.faiss_index import read_faiss_quantizer
+
+    if arguments.codebook is None:
+        return None
+    if arguments.subvectors is not None:
+        raise InputError(
+            "--subvectors is for a codebook trained here; --codebook has its own: drop one of them"
+        )
+    if Path(arguments.codebook).suffix != ".faiss":
+        return load_codebook(arguments.codebook)
+    centroids = read_faiss_quantizer(arguments.codebook).centroids
+    dim = centroids.shape[0] * centroids.shape[2]
+    return read_faiss_codebook(
+        arguments.codebook, EncoderIdentity(arguments.encoder_name or "unknown", dim)
+    )
+
+
+def _encoder(
+    arguments: argparse.Namespace, codebook: "Codebook | None"
+) -> "EncoderIdentity | None":
+    from .. import EncoderIdentity, WordEncoder
+    from ..formats.langsplat import FeatureFolder
+
+    if arguments.encoder_name == WordEncoder.identity.name:
+        return WordEncoder.identity
+    if arguments.encoder_name is None:
+        return codebook.encoder if codebook else None
+    if codebook is not None and codebook.encoder.name == arguments.encoder_name:
+        return codebook.encoder
+    dim = FeatureFolder(Path(arguments.features), 0).dim
+    return EncoderIdentity(arguments.encoder_name, dim)

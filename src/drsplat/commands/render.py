@@ -1,0 +1,169 @@
+"""drsplat render: pictures of a scene from the places of its photos."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import (
+    add_capture_options,
+    add_overwrite,
+    add_vocabulary,
+    new_output,
+    tracker,
+    view_named,
+    views_of,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..gaussians import Gaussians
+    from ..kernels import SplatArrays
+    from ..views import View
+
+SUMMARY = "render a scene from the places of its photos, if wanted with an answer highlighted"
+EXAMPLES = """\
+  drsplat render scene.ply --views capture --view photo_003 --output-dir renders
+  drsplat render scene.ply --views capture --all --max-side 800 --depth
+  drsplat render scene.ply --views capture --all --query room.field "red mug\""""
+BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "scene", help="the Gaussians: .ply, .spz, .splat or a trained model's folder"
+    )
+    parser.add_argument("--views", required=True, metavar="CAPTURE", help="the poses to look from")
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--view", metavar="NAME", help="name of one photo, with or without suffix")
+    which.add_argument("--all", action="store_true", help="all photos")
+    parser.add_argument(
+        "--output-dir",
+        "--output",
+        "-o",
+        default="renders",
+        metavar="DIR",
+        help="folder for the PNGs (default: renders)",
+    )
+    add_overwrite(parser)
+    parser.add_argument(
+        "--background", choices=sorted(BACKGROUNDS), default="black", help="(default: black)"
+    )
+    parser.add_argument(
+        "--depth", action="store_true",
+        help="also NAME.depth.npy: expected camera z in scene units, float32 (H, W), 0 where nothing is",
+    )  # fmt: skip
+    parser.add_argument(
+        "--alpha",
+        action="store_true",
+        help="also NAME.alpha.png: opacity, 255 where nothing shines through",
+    )
+    parser.add_argument(
+        "--query",
+        nargs=2,
+        metavar=("FIELD", "TEXT"),
+        help="keep in colour what this finds, the rest grey",
+    )
+    parser.add_argument(
+        "--threshold", type=float, metavar="T", help="of --query (default: as `drsplat query`)"
+    )
+    add_vocabulary(parser)
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import read_gaussians, splat_arrays
+    from ..progress import Stopwatch
+
+    watch = Stopwatch()
+    scene, views = read_gaussians(arguments.scene), views_of(arguments, arguments.views)
+    views = views if arguments.all else [view_named(views, arguments.view)]
+    selected = _selected(arguments, scene)
+    watch.lap("read")
+    splats = splat_arrays(scene)
+    written = [
+        path
+        for view in tracker(arguments)(views, "rendering")
+        for path in _render(arguments, scene, view, splats, selected)
+    ]
+    watch.lap("render")
+    return {
+        "files": [str(path) for path in written],
+        "num_views": len(views),
+        "num_selected": None if selected is None else int(selected.sum()),
+        "seconds": sum(watch.seconds.values()),
+        "stage_seconds": watch.seconds,
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    files = answer["files"]
+    print(
+        f"{len(files)} files in {answer['seconds']:.1f} s: {files[0]}"
+        + (f" ... {files[-1]}" if len(files) > 1 else "")
+    )
+    if answer["num_selected"] == 0:
+        print("Nothing was found to highlight.")
+
+
+def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | None:
+    """(N, 1): 1 for the Gaussians that --query finds; None without it."""
+    import numpy as np
+
+    from .. import load_field, locate
+    from .answers import Ask, asked
+
+    if arguments.query is None:
+        return None
+    path, text = arguments.query
+    ask = Ask(text=text, vocabulary=arguments.vocabulary, threshold=arguments.threshold)
+    answer = asked(load_field(path), ask, arguments.threads)
+    chosen = np.zeros((len(scene), 1), np.float32)
+    for thing in locate(answer.field, scene, answer.values, answer.threshold):
+        chosen[thing.gaussian_ids] = 1
+    return chosen
+
+
+def _render(
+    arguments: argparse.Namespace,
+    scene: Gaussians,
+    view: View,
+    splats: SplatArrays,
+    selected: np.ndarray | None,
+) -> list[Path]:
+    import numpy as np
+
+    from .. import render
+    from ..formats.npy import write_npy
+    from ..pictures import as_pixels, highlighted, write_picture
+
+    stem = Path(arguments.output_dir) / Path(view.name).with_suffix("")
+    paths = {"rgb": stem.with_name(f"{stem.name}.png")}
+    paths |= {"alpha": stem.with_name(f"{stem.name}.alpha.png")} if arguments.alpha else {}
+    paths |= {"depth": stem.with_name(f"{stem.name}.depth.npy")} if arguments.depth else {}
+    for path in paths.values():
+        new_output(str(path), arguments.overwrite)
+    background = BACKGROUNDS[arguments.background]
+    drawn = render(
+        scene,
+        view,
+        values=selected,
+        background=background,
+        threads=arguments.threads,
+        splats=splats,
+    )
+    pixels = as_pixels(drawn.rgb)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    picture = pixels if selected is None else highlighted(pixels, drawn.channels[..., 0])
+    write_picture(paths["rgb"], picture, arguments.overwrite)
+    if arguments.alpha:
+        write_picture(
+            paths["alpha"],
+            (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8),
+            arguments.overwrite,
+        )
+    if arguments.depth:
+        write_npy(paths["depth"], drawn.depth, arguments.overwrite)
+    return list(paths.values())

@@ -1,0 +1,61 @@
+"""Tables on the terminal."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+
+def show_facts(title: str, facts: Mapping[str, object]) -> None:
+    """Names and values, one to a line."""
+    show_table(
+        title,
+        ("", ""),
+        [(name.replace("_", " "), said(value)) for name, value in facts.items()],
+        headed=False,
+    )
+
+
+def show_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True
+) -> None:
+    """The first column to the left, in headed tables the others to the right."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        title=title,
+        title_justify="left",
+        box=SIMPLE_HEAD if headed else None,
+        show_header=headed,
+        pad_edge=False,
+    )
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="right" if headed and index else "left")
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False, markup=False, emoji=False).print(table)
+
+
+def said(value: object) -> str:
+    """A value for people: 1,234; 0.123; a, b."""
+    if value is None:
+        return "none"
+    if hasattr(value, "tolist"):
+        return said(value.tolist())
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {said(part)}" for name, part in value.items()) or "none"
+    if isinstance(value, list | tuple):
+        shown = ", ".join(said(part) for part in value[:8])
+        return (shown + (f" and {len(value) - 8} more" if len(value) > 8 else "")) or "none"
+    return str(value)
+
+
+def size_said(num_bytes: int) -> str:
+    amount, units = float(num_bytes), iter(("B", "KB", "MB", "GB", "TB"))
+    unit = next(units)
+    while amount >= 1000 and unit != "TB":
+        amount, unit = amount / 1000, next(units)
+    return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"

@@ -1,0 +1,56 @@
+"""Where the photographer of the demo stands."""
+
+import numpy as np
+
+from ..views import View
+
+Number = int | float
+Point = tuple[Number, Number, Number] | np.ndarray
+
+
+def look_at(
+    name: str, eye: Point, target: Point, width: int, height: int, fov_degrees: Number
+) -> View:
+    """A pinhole at `eye` with `target` in the middle, world +z up; fov is horizontal."""
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0))
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    return View(name, K, pose, width, height)
+
+
+def walk(num_views: int, width: int, height: int) -> list[View]:
+    """Two thirds from an arc outside the open sides, one third from within the room."""
+    num_outside = -(-num_views * 2 // 3)
+    outside = [_outside(i / max(1, num_outside - 1), i) for i in range(num_outside)]
+    inside = [
+        _inside(i / max(1, num_views - num_outside - 1)) for i in range(num_views - num_outside)
+    ]
+    poses = [(eye, at, 58.0) for eye, at in outside] + [(eye, at, 66.0) for eye, at in inside]
+    return [
+        look_at(f"photo_{i:03d}.jpg", eye, at, width, height, fov)
+        for i, (eye, at, fov) in enumerate(poses)
+    ]
+
+
+def _outside(t: Number, index: int) -> tuple[Point, Point]:
+    """An arc around the room's middle, at three heights in turn."""
+    angle, height = np.radians(-128 + 126 * t), (1.15, 1.75, 2.4)[index % 3]
+    eye = (2.1 + 3.6 * np.cos(angle), 2.1 + 3.9 * np.sin(angle), height)
+    return eye, (2.05, 2.15, 0.75)
+
+
+def _inside(t: Number) -> tuple[Point, Point]:
+    """A walk around the table, looking across it."""
+    angle = np.radians(200 - 400 * t)
+    eye = (
+        2.25 + 1.35 * np.cos(angle),
+        1.75 + 0.95 * np.sin(angle),
+        1.35 + 0.15 * np.sin(3 * angle),
+    )
+    ahead = (2.25 - 0.4 * np.cos(angle), 1.95 - 0.4 * np.sin(angle), 0.5)
+    return eye, ahead

@@ -1,0 +1,67 @@
+"""The room as files, such as a person with a phone, COLMAP and a 3DGS trainer would have them."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from scipy.spatial.transform import Rotation
+
+from ..formats.langsplat import write_features
+from ..formats.replacing import replacing
+from ..formats.scenes import write_gaussians
+from ..kernels import splat_arrays
+from ..pictures import as_pixels, write_picture
+from ..rendering import render
+from ..views import View
+from .masks import MaskMaker
+from .room import Room
+
+BACKGROUND = (0.93, 0.94, 0.95)
+Track = Callable[[Sequence[View], str], Iterable[View]]
+
+
+def write_capture(
+    folder: Path, room: Room, views: Sequence[View], masks: MaskMaker, *, overwrite: bool = False,
+    track: Track = lambda views, _: views, threads: int = 0,
+) -> None:  # fmt: skip
+    """scene.ply; images/; sparse/0/ (COLMAP text); language_features/ (LangSplat, one level)."""
+    for name in ("images", "sparse/0", "language_features"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    write_gaussians(folder / "scene.ply", room.gaussians, overwrite=overwrite)
+    write_model(folder / "sparse/0", views, overwrite=overwrite)
+    splats = splat_arrays(room.gaussians)
+    for view in track(views, "taking photos"):
+        photo = render(
+            room.gaussians, view, background=BACKGROUND, splats=splats, threads=threads
+        ).rgb
+        write_picture(folder / "images" / view.name, as_pixels(photo), overwrite)
+        seen = masks.features(view)
+        stem = Path(view.name).stem
+        write_features(
+            folder / "language_features", stem, seen.segment_ids, seen.embeddings, overwrite
+        )
+
+
+def write_model(folder: Path, views: Sequence[View], overwrite: bool = False) -> None:
+    """A COLMAP text model without points.
+
+    Source: https://colmap.github.io/format.html
+    """
+    cameras = [_camera_line(index, view) for index, view in enumerate(views, 1)]
+    images = [_image_lines(index, view) for index, view in enumerate(views, 1)]
+    for name, lines in (("cameras.txt", cameras), ("images.txt", images), ("points3D.txt", [])):
+        with replacing(folder / name, overwrite) as file:
+            file.write("".join(lines).encode())
+
+
+def _camera_line(index: int, view: View) -> str:
+    intrinsics = (view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2])
+    return f"{index} PINHOLE {view.width} {view.height} {_numbers(intrinsics)}\n"
+
+
+def _image_lines(index: int, view: View) -> str:
+    x, y, z, w = Rotation.from_matrix(view.cam_from_world[:3, :3]).as_quat()
+    return f"{index} {_numbers((w, x, y, z, *view.cam_from_world[:3, 3]))} {index} {view.name}\n\n"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,68 @@
+"""Masks as a segmenter would draw them, and their embeddings as an encoder of words would give them.
+
+The exact label of a pixel is the thing with the largest blending weight there. A real segmenter does
+worse, and so do these masks: borders are left out, small and some other masks are missing, and a thing
+that is seen in two pieces has two masks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32
+from scipy import ndimage
+
+from ..encoders import Encoder
+from ..features import ViewFeatures
+from ..kernels import render_channels, splat_arrays
+from ..views import View
+from .room import Room
+
+MISSED_SHARE = 0.08
+MIN_PIXELS = 40
+NOISE = 0.5  # length of the noise on a unit embedding: masks of one thing are at cosine 1 / (1 + NOISE^2) = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class MaskMaker:
+    """Makes the masks of one room, photo by photo; the same seed and photo give the same masks."""
+
+    room: Room
+    encoder: Encoder
+    seed: int = 0
+
+    def features(self, view: View) -> ViewFeatures:
+        """Segments with noisy embeddings."""
+        rng = np.random.default_rng([self.seed, *view.name.encode()])
+        segment_ids, things = perturbed(exact_labels(self.room, view), rng)
+        clean = self.encoder.encode_texts(self.room.names)[things]
+        noise = rng.standard_normal(clean.shape)
+        noisy = clean + NOISE * noise / np.linalg.norm(noise, axis=1, keepdims=True)
+        noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+        return ViewFeatures(segment_ids, noisy.astype(np.float32))
+
+
+def exact_labels(room: Room, view: View, min_alpha: float = 0.5) -> Int32[np.ndarray, "h w"]:
+    """Per pixel the thing of the largest blending weight; -1 where less than `min_alpha` is hit."""
+    one_hot: Float32[np.ndarray, "n c"] = np.eye(len(room.names), dtype=np.float32)[room.labels]
+    drawn = render_channels(splat_arrays(room.gaussians), view, one_hot)
+    return np.where(drawn.alpha < min_alpha, -1, drawn.channels.argmax(-1)).astype(np.int32)
+
+
+def perturbed(
+    labels: Int32[np.ndarray, "h w"], rng: np.random.Generator
+) -> tuple[Int32[np.ndarray, "h w"], Int32[np.ndarray, " s"]]:
+    """Segment map with ids from 0, and the thing behind each segment."""
+    segment_ids = np.full(labels.shape, -1, np.int32)
+    things: list[int] = []
+    inner = labels == ndimage.minimum_filter(labels, 3)
+    inner &= labels == ndimage.maximum_filter(labels, 3)
+    for label, window in enumerate(ndimage.find_objects(labels + 1)):
+        pieces, num = (
+            ndimage.label(inner[window] & (labels[window] == label)) if window else (labels, 0)
+        )
+        sizes = np.bincount(pieces.ravel(), minlength=num + 1) if num else np.zeros(1)
+        for piece in np.flatnonzero(sizes[1:] >= MIN_PIXELS) + 1:
+            if rng.random() >= MISSED_SHARE:
+                segment_ids[window][pieces == piece] = len(things)
+                things.append(label)
+    return segment_ids, np.array(things, np.int32)

@@ -1,0 +1,93 @@
+"""The public names, what importing them costs, and the one direction of imports."""
+
+import ast
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import drsplat
+
+PUBLIC = {
+    "Codebook", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
+    "Gaussians", "InputError", "Instance", "LanguageField", "MismatchError", "MissingExtraError",
+    "Registration", "View", "ViewFeatures", "WordEncoder", "__version__", "embed_query",
+    "load_codebook", "load_field", "load_image", "locate", "query", "read_faiss_codebook",
+    "read_features", "read_gaussians", "read_views", "read_vocabulary", "register", "render",
+    "save_codebook", "select", "splat_arrays", "supporting_masks", "topk_contributions",
+    "train_codebook", "view_weights", "write_cameras_json", "write_features", "write_gaussians",
+}  # fmt: skip
+HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
+
+# A module imports only from those before it, or from its own package.
+ORDER = (
+    "errors", "gaussians", "views", "features", "encoders", "lens", "photos", "formats", "kernels",
+    "codes", "evidence", "field", "columns", "registration", "rendering", "search", "tasks", "words",
+    "support", "pictures", "progress", "demo", "commands", "cli", "__main__",
+)  # fmt: skip
+SOURCE = Path(drsplat.__file__).parent
+
+
+def test_public_names_are_these_and_no_others() -> None:
+    assert set(drsplat.__all__) == PUBLIC
+    assert set(dir(drsplat)) == PUBLIC
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_public_name_is_there_and_named_so(name: str) -> None:
+    thing = getattr(drsplat, name)
+    assert getattr(thing, "__name__", name) == name
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'read_gausians'"):
+        drsplat.read_gausians  # noqa: B018
+
+
+def test_version_is_the_installed_one() -> None:
+    assert drsplat.__version__ == version("drsplat")
+
+
+def imported_by(statement: str) -> set[str]:
+    """Of HEAVY, what a fresh interpreter has loaded after a statement."""
+    code = f"import sys; {statement}; print(*[m for m in {HEAVY} if m in sys.modules])"
+    command = [sys.executable, "-c", code]
+    return set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    assert imported_by("import drsplat") == set()
+    assert imported_by("from drsplat.cli import make_parser; make_parser()") == set()
+
+
+def test_no_public_name_needs_torch_faiss_or_rich() -> None:
+    loaded = imported_by("from drsplat import *")
+    assert not loaded & {"torch", "faiss", "rich"}
+    assert "numpy" in loaded  # so this test could fail
+
+
+def imports_of(path: Path) -> set[str]:
+    """Top modules of drsplat that a file imports, wherever in it; the package itself is none."""
+    package = ["drsplat", *path.relative_to(SOURCE).parent.parts]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            full = [*base, *(node.module.split(".") if node.module else [])]
+            names = [full] if len(full) > 1 else [[*full, alias.name] for alias in node.names]
+            found |= {name[1] for name in names if name[0] == "drsplat" and name[1] in ORDER}
+    return found
+
+
+@pytest.mark.parametrize(
+    "path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix()
+)
+def test_imports_go_one_way(path: Path) -> None:
+    own = path.relative_to(SOURCE).with_suffix("").parts[0]
+    if own == "__init__":  # names every module, but loads none
+        return
+    assert own in ORDER, f"give the new module '{own}' its place in ORDER"
+    upwards = {name for name in imports_of(path) if ORDER.index(name) > ORDER.index(own)}
+    assert not upwards, f"{own} comes before {upwards}"

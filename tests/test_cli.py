@@ -1,0 +1,494 @@
+"""The command line: what it prints where, its exit codes, and that it can be killed."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from drsplat import (
+    EncoderIdentity,
+    WordEncoder,
+    cli,
+    load_field,
+    read_gaussians,
+    save_codebook,
+    write_gaussians,
+)
+from drsplat.cli import VERBS, main
+from drsplat.commands.answers import COSINE_THRESHOLD
+from drsplat.demo.story import Story
+from drsplat.formats.npy import write_npy
+from drsplat.progress import peak_memory_bytes, track
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def room(story: Story, demo_folder: Path) -> Path:
+    """The small demo's files."""
+    return demo_folder
+
+
+def answer_of(capsys: Capture, *argv: object, code: int = 0) -> dict[str, Any]:
+    """The JSON object that a command prints, which is all it prints on stdout."""
+    capsys.readouterr()
+    assert main([*map(str, argv), "--json"]) == code
+    answer = json.loads(capsys.readouterr().out)
+    assert isinstance(answer, dict)
+    return answer
+
+
+def text_of(capsys: Capture, *argv: object, code: int = 0) -> str:
+    capsys.readouterr()
+    assert main([*map(str, argv)]) == code
+    return capsys.readouterr().out
+
+
+def error_of(capsys: Capture, *argv: object, code: int = 1) -> str:
+    """The one error on stderr; stdout stays empty."""
+    capsys.readouterr()
+    assert main([*map(str, argv)]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("drsplat: error: ")
+    return err
+
+
+def registering(room: Path, output: Path, codebook: Path | None = None) -> list[object]:
+    """Arguments; with a codebook none is trained, which takes most of the time."""
+    features = room / "language_features"
+    given = ["--codebook", codebook] if codebook else []
+    return [
+        "register",
+        room / "scene.ply",
+        room,
+        "--features",
+        features,
+        "--output",
+        output,
+        *given,
+    ]
+
+
+@pytest.fixture(scope="module")
+def codebook(story: Story, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """That of the demo's field."""
+    path = tmp_path_factory.mktemp("codebook") / "words.safetensors"
+    save_codebook(story.field.codebook, path)
+    return path
+
+
+def pixels_of(path: Path | str) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture, int)
+
+
+def files_of(field: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(field.iterdir())}
+
+
+@pytest.mark.parametrize("verb", ["", *VERBS])
+def test_help_is_complete(verb: str, capsys: Capture) -> None:
+    out = text_of(capsys, *([verb] if verb else []), "--help")
+    assert ("examples:" in out and "--json" in out) if verb else all(name in out for name in VERBS)
+    assert "None" not in out
+
+
+def test_level_help_warns_of_the_trap(capsys: Capture) -> None:
+    out = " ".join(text_of(capsys, "register", "--help").split())
+    assert "level 1 is *small* in features made by LangSplat" in out
+
+
+def test_version(capsys: Capture) -> None:
+    assert text_of(capsys, "--version").startswith("drsplat ")
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [[], ["bogus"], ["query"], ["inspect", "x", "--threads", "-1"], ["inspect", "x", "--jso"]],
+)
+def test_bad_usage_is_2(argv: list[str], capsys: Capture) -> None:
+    assert "--help" in error_of(capsys, *argv, code=2)
+
+
+def test_bad_usage_is_json_too(capsys: Capture) -> None:
+    answer = answer_of(capsys, "register", "scene.ply", code=2)
+    assert answer["kind"] == "usage"
+    assert "capture" in answer["error"]
+
+
+def test_an_error_is_1_a_line_and_json(tmp_path: Path, capsys: Capture) -> None:
+    assert "there is no such" in error_of(capsys, "inspect", tmp_path / "nothing")
+    answer = answer_of(capsys, "inspect", tmp_path / "nothing", code=1)
+    assert answer["kind"] == "InputError"
+    (tmp_path / "bad.ply").write_bytes(b"ply\nrubbish")
+    assert answer_of(capsys, "inspect", tmp_path / "bad.ply", code=1)["kind"] == "FormatError"
+
+
+def test_debug_shows_the_traceback(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="there is no such"):
+        main(["inspect", str(tmp_path / "nothing"), "--debug"])
+
+
+def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    def interrupted(_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "_run", interrupted)
+    assert main(["demo"]) == 130
+    assert capsys.readouterr().err == "drsplat: interrupted\n"
+
+
+def test_closed_pipe_is_quiet(room: Path) -> None:
+    """Like `drsplat inspect --json ... | head -c 0`: the reader has gone before anything is written."""
+    command = [sys.executable, "-m", "drsplat", "inspect", str(room), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    process.stderr.close()
+    assert process.wait() == cli.PIPE_CLOSED
+
+
+def test_a_warning_is_one_line_on_stderr(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    shutil.copytree(room / "sparse", tmp_path / "sparse")
+    (tmp_path / "images").mkdir()
+    before = warnings.showwarning
+    answer = answer_of(capsys, "inspect", tmp_path)
+    assert answer["num_photos"] == 0
+    text_of(capsys, "inspect", tmp_path)
+    main(["inspect", str(tmp_path)])
+    err = capsys.readouterr().err
+    assert err.startswith("drsplat: warning: ")
+    assert err.count("\n") == 1
+    assert warnings.showwarning is before
+
+
+def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture) -> None:
+    scene = answer_of(capsys, "inspect", room / "scene.ply")
+    assert (scene["kind"], scene["num_gaussians"]) == ("scene", len(story.gaussians))
+    assert scene["fingerprint"] == story.gaussians.fingerprint
+    np.testing.assert_allclose(scene["lowest"], story.gaussians.means.min(0))
+    assert scene["opacity"]["p50"] == pytest.approx(np.median(story.gaussians.opacities), rel=1e-5)
+    capture = answer_of(capsys, "inspect", room)
+    assert (capture["kind"], capture["num_views"], capture["num_photos"]) == ("capture", 12, 12)
+    np.testing.assert_allclose(capture["views"][0]["K"], story.views[0].K)
+    features = answer_of(capsys, "inspect", room / "language_features")
+    assert (features["kind"], features["dim"]) == ("features", 512)
+    assert features["segments"]["large"] == story.num_segments
+    field = answer_of(capsys, "inspect", room / "room.field")
+    assert (field["kind"], field["num_registered"]) == ("field", len(story.field))
+    assert field["encoder"] == WordEncoder.identity.name
+    assert sum(field["file_bytes"].values()) > 100 * len(story.field)
+    for path in ("scene.ply", "", "language_features", "room.field"):
+        assert str(room / path) in text_of(capsys, "inspect", room / path).replace("\n", "")
+
+
+def test_register_reports_and_refuses_to_overwrite(
+    room: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "a.field"
+    report = answer_of(capsys, *registering(room, output), "--encoder-name", "drsplat-words")
+    field = load_field(output)
+    assert report["num_gaussians"] == field.num_gaussians
+    assert report["num_registered"] == len(field)
+    assert report["num_views"] == 12
+    assert field.evidence is not None
+    assert report["num_segments"] == field.evidence.weights.shape[1]
+    assert report["num_weights"] == field.evidence.weights.nnz
+    assert report["field_bytes"] == sum(len(content) for content in files_of(output).values())
+    assert report["seconds"] == pytest.approx(sum(report["stage_seconds"].values()))
+    assert report["peak_memory_bytes"] > 50e6
+    assert not (tmp_path / "a.field.parts").exists()
+    # the demo's own field, made through the library, is the same to the bit
+    assert files_of(output) == files_of(room / "room.field")
+
+    before = files_of(output)
+    assert "--overwrite" in error_of(capsys, *registering(room, output), "--topk", "1")
+    assert files_of(output) == before
+    again = answer_of(capsys, *registering(room, output), "--topk", "1", "--overwrite")
+    assert again["num_weights"] < report["num_weights"]
+    assert again["encoder"] == "unknown"
+
+
+def test_register_takes_the_names_that_others_use(
+    room: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    options = ["--feature-level", "3", "--topk", "all", "--subvectors", "32", "--max-side", "160"]
+    report = answer_of(capsys, *registering(room, tmp_path / "b.field"), *options, "--threads", "1")
+    assert (report["topk"], report["num_subvectors"]) == (None, 32)
+    assert "positive whole number" in error_of(
+        capsys, *registering(room, tmp_path / "c.field"), "-k", "0", code=2
+    )
+    assert "level" in error_of(capsys, *registering(room, tmp_path / "c.field"), "--level", "tiny")
+
+
+KILLED_AFTER = """
+import os, signal
+from drsplat import columns
+from drsplat.cli import main
+whole, done = columns.view_weights, []
+def weights(*args, **options):
+    if len(done) == {count}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    done.append(1)
+    return whole(*args, **options)
+columns.view_weights = weights
+main({argv})
+"""
+
+
+def test_a_killed_registration_goes_on_to_the_same_field(
+    room: Path, codebook: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "killed.field"
+    argv = [*map(str, registering(room, output, codebook))]
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED_AFTER.format(count=5, argv=argv)], check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert not output.exists()
+    parts = tmp_path / "killed.field.parts"
+    assert len(list(parts.glob("*.safetensors"))) == 5
+    report = answer_of(capsys, *argv)
+    assert (report["num_views"], report["num_views_reused"]) == (12, 5)
+    assert files_of(output) == files_of(room / "room.field")
+    assert not parts.exists()
+
+
+def test_parts_of_other_settings_are_not_used(
+    room: Path, codebook: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    parts = ["--parts", tmp_path / "parts", "--overwrite"]
+    argv = [*registering(room, tmp_path / "a.field", codebook), *parts]
+    assert answer_of(capsys, *argv, "--topk", "2")["num_views_reused"] == 0
+    assert answer_of(capsys, *argv)["num_views_reused"] == 0
+    assert files_of(tmp_path / "a.field") == files_of(room / "room.field")
+    assert answer_of(capsys, *argv)["num_views_reused"] == 12
+
+
+def test_query_in_words(room: Path, story: Story, capsys: Capture) -> None:
+    scene = ["--scene", room / "scene.ply"]
+    answer = answer_of(capsys, "query", room / "room.field", "blue cup", *scene)
+    assert (answer["found"], answer["measure"]) == (True, "cosine")
+    assert answer["threshold"] == WordEncoder.threshold
+    truth = story.gaussians.means[story.room.members("blue mug")]
+    thing = answer["instances"][0]
+    np.testing.assert_allclose(thing["center"], (truth.min(0) + truth.max(0)) / 2, atol=0.03)
+    assert thing["support"][0]["view"].startswith("photo_")
+    assert 0 < thing["support"][0]["share"] <= 1
+    assert answer["score_range"][0] < answer["score_p99"] <= answer["score_range"][1] <= 1
+    out = text_of(capsys, "query", room / "room.field", "blue cup", *scene)
+    assert "1 found for 'blue cup'" in out
+    assert "threshold 0.6" in out
+
+
+def test_query_that_finds_nothing_says_so(room: Path, capsys: Capture) -> None:
+    argv = ["query", room / "room.field", "elephant", "--scene", room / "scene.ply"]
+    answer = answer_of(capsys, *argv)
+    assert (answer["found"], answer["instances"], answer["num_selected"]) == (False, [], 0)
+    assert text_of(capsys, *argv).startswith("Nothing found for 'elephant'.")
+
+
+def test_query_by_vector_equals_query_in_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
+    by_vector = answer_of(
+        capsys, "query", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6
+    )
+    in_words = answer_of(capsys, "query", room / "room.field", "ball")
+    assert by_vector["num_selected"] == in_words["num_selected"] > 0
+    assert by_vector["score_range"] == in_words["score_range"]
+    default = answer_of(capsys, "query", room / "room.field", "--vector", tmp_path / "q.npy")
+    assert default["threshold"] == COSINE_THRESHOLD
+    assert by_vector["instances"] is None
+
+
+def test_query_by_relevancy(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    field = load_field(room / "room.field")
+    encoder = WordEncoder()
+    negatives = encoder.encode_texts(["object", "things", "stuff", "texture"])
+    expected = field.relevancy(encoder.encode_texts(["ball"])[0], negatives)
+    answer = answer_of(capsys, "query", room / "room.field", "ball", "--relevancy")
+    assert (answer["measure"], answer["threshold"]) == ("relevancy", 0.5)
+    np.testing.assert_allclose(answer["score_range"], [expected.min(), expected.max()], rtol=1e-6)
+    assert answer["num_selected"] == (expected > 0.5).sum()
+    write_npy(tmp_path / "n.npy", negatives)
+    same = answer_of(
+        capsys, "query", room / "room.field", "ball", "--negatives", tmp_path / "n.npy"
+    )
+    assert same["score_range"] == answer["score_range"]
+    other = answer_of(capsys, "query", room / "room.field", "ball", "--negatives", "orange, floor")
+    assert other["score_range"][1] < answer["score_range"][1]
+
+
+def test_query_needs_the_right_encoder(
+    room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    output, codebook = tmp_path / "clip.field", tmp_path / "clip.safetensors"
+    encoder = EncoderIdentity("ViT-B-16/any", 512)
+    save_codebook(replace(story.field.codebook, encoder=encoder), codebook)
+    assert answer_of(capsys, *registering(room, output, codebook))["encoder"] == encoder.name
+    wrong = [*registering(room, tmp_path / "x.field", codebook), "--encoder-name", "drsplat-words"]
+    assert "codebook" in error_of(capsys, *wrong)
+    message = error_of(capsys, "query", output, "red mug")
+    assert "ViT-B-16/any" in message
+    assert "--vocabulary FILE" in message
+    texts = ["red mug", "object", "things", "stuff", "texture"]
+    vectors = WordEncoder().encode_texts(texts)
+    vocabulary = tmp_path / "texts.json"
+    vocabulary.write_text(json.dumps(dict(zip(texts, vectors.tolist(), strict=True))))
+    argv = ["query", output, "red mug", "--vocabulary", vocabulary]
+    answer = answer_of(capsys, *argv, "--threshold", 0.6)
+    assert (
+        answer["num_selected"]
+        == answer_of(capsys, "query", room / "room.field", "red mug")["num_selected"]
+    )
+    assert answer_of(capsys, *argv, "--relevancy")["num_selected"] > 0
+    assert "blue mug" in error_of(capsys, "query", output, "blue mug", "--vocabulary", vocabulary)
+
+
+def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    field, scene = room / "room.field", room / "scene.ply"
+    assert "--vector" in error_of(capsys, "query", field)
+    assert "--scene" in error_of(capsys, "query", field, "mug", "--save", tmp_path / "x.ply")
+    assert "--views" in error_of(
+        capsys, "query", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png"
+    )
+    assert "--overwrite" in error_of(
+        capsys, "query", field, "mug", "--scene", scene, "--save", scene
+    )
+    write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
+    assert "512" in error_of(capsys, "query", field, "--vector", tmp_path / "short.npy")
+    other = tmp_path / "other.ply"
+    write_gaussians(other, read_gaussians(scene).subset(np.arange(100)))
+    answer = answer_of(capsys, "query", field, "mug", "--scene", other, code=1)
+    assert answer["kind"] == "MismatchError"
+
+
+def test_query_writes_columns_and_a_picture(
+    room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    out, picture = tmp_path / "mugs.ply", tmp_path / "mugs.png"
+    answer = answer_of(
+        capsys, "query", room / "room.field", "mug", "--scene", room / "scene.ply", "--save", out,
+        "--picture", picture, "--views", room,
+    )  # fmt: skip
+    saved = read_gaussians(out)
+    assert saved.fingerprint == story.gaussians.fingerprint
+    field = load_field(room / "room.field")
+    scores = field.dense(field.scores(WordEncoder().encode_texts(["mug"])[0]))
+    np.testing.assert_array_equal(saved.extra["relevancy"], scores)
+    sizes = [(saved.extra["object_id"] == number).sum() for number in range(2)]
+    assert sizes == [thing["num_gaussians"] for thing in answer["instances"]]
+    assert set(np.unique(saved.extra["object_id"])) == {-1, 0, 1}
+    assert answer["view"] in {view.name for view in story.views}
+    pixels = pixels_of(picture)
+    assert pixels.shape[1] == 320
+    assert (np.ptp(pixels, axis=-1) > 60).sum() > 50  # something is in colour
+
+
+def test_render_one_and_all(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+    base = ["render", room / "scene.ply", "--views", room, "--output-dir", tmp_path / "out"]
+    one = answer_of(
+        capsys, *base, "--view", "photo_003", "--depth", "--alpha", "--background", "grey"
+    )
+    assert [Path(file).name for file in one["files"]] == [
+        "photo_003.png",
+        "photo_003.alpha.png",
+        "photo_003.depth.npy",
+    ]
+    assert pixels_of(one["files"][0]).shape[:2] == (240, 320)
+    depth = np.load(one["files"][2], allow_pickle=False)
+    assert depth.shape == (240, 320)
+    assert 0.2 < np.median(depth) < 8
+    assert "--overwrite" in error_of(capsys, *base, "--view", "photo_003")
+    every = answer_of(capsys, *base, "--all", "--overwrite", "--max-side", "80")
+    assert (every["num_views"], len(every["files"])) == (12, 12)
+    assert pixels_of(every["files"][0]).shape[:2] == (60, 80)
+    assert "photo_000.jpg" in error_of(capsys, *base, "--view", "nowhere")
+
+
+def test_render_keeps_in_colour_what_a_query_finds(
+    room: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    argv = [
+        "render",
+        room / "scene.ply",
+        "--views",
+        room,
+        "--view",
+        "photo_004",
+        "--output-dir",
+        tmp_path,
+    ]
+    report = answer_of(capsys, *argv, "--query", room / "room.field", "green sofa")
+    pixels = pixels_of(report["files"][0])
+    coloured = np.ptp(pixels, axis=-1) > 30
+    assert 0.01 < coloured.mean() < 0.4
+    assert report["num_selected"] > 100
+    absent = text_of(capsys, *argv, "--query", room / "room.field", "elephant", "--overwrite")
+    assert "Nothing was found" in absent
+
+
+def test_demo_verb_tells_its_story(
+    story: Story, room: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from drsplat.demo import story as module
+
+    monkeypatch.setattr(module, "tell", lambda *_args, **_options: story)
+    out = tmp_path / "demo"
+    out.mkdir()
+    answer = answer_of(capsys, "demo", "--output-dir", out)
+    assert len(answer["queries"]) == len(story.answers)
+    assert {"text", "found", "iou", "num_selected", "center", "seconds"} <= answer["queries"][
+        0
+    ].keys()
+    assert answer["num_right"] == len(story.answers)
+    assert Path(answer["overview"]).is_file()
+    printed = text_of(capsys, "demo", "--output-dir", out, "--overwrite")
+    assert "never seen an image" in " ".join(printed.split())
+    assert "not found" in printed
+
+
+def test_progress_is_silent_where_nobody_looks(capsys: Capture) -> None:
+    assert list(track([1, 2, 3], "counting")) == [1, 2, 3]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_progress_shows_after_a_while(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    from drsplat import progress
+
+    monkeypatch.setattr(progress, "PATIENCE_S", -1.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    assert list(track([1, 2, 3], "counting")) == [1, 2, 3]
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "counting" in err
+    assert list(track([1, 2, 3], "counting", quiet=True)) == [1, 2, 3]
+    assert capsys.readouterr().err == ""
+
+
+def test_peak_memory_counts_bytes() -> None:
+    before = peak_memory_bytes()
+    block = np.ones(80_000_000, np.uint8)
+    assert peak_memory_bytes() >= before
+    assert peak_memory_bytes() > block.nbytes
+    assert peak_memory_bytes() < 1 << 40
+
+
+def test_python_dash_m_runs_it() -> None:
+    command = [sys.executable, "-m", "drsplat", "--version"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ})
+    assert result.stdout.startswith("drsplat ")
