@@ -111,6 +111,7 @@ static void pq_encode(const Quantizer &q, const float *features, uint64_t begin,
         case 2: nearest_centroids<2>(scratch, centroids, dim, nearest); break;
         case 4: nearest_centroids<4>(scratch, centroids, dim, nearest); break;
         case 8: nearest_centroids<8>(scratch, centroids, dim, nearest); break;
+        case 16: nearest_centroids<16>(scratch, centroids, dim, nearest); break;
         default: nearest_centroids<0>(scratch, centroids, dim, nearest);
       }
       for (int r = 0; r < rows && (uint64_t)r < left; r++) codes[(first + r) * q.subvectors + m] = (uint8_t)nearest[r];

@@ -20,6 +20,8 @@ from .language_field import (
     Negatives,
 )
 
+MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
+
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {
     "gaussian_ids": ("uint32", "r"),
@@ -55,7 +57,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
         tensors, listed.get("encoder"), listed.get("hash"), str(path / CODES)
     )
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
-    if not isinstance(scene, str) or not isinstance(count, int) or isinstance(count, bool):
+    if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
     optional = {name for name in ("coarse_ids",) if name not in tensors}
     check_tensors(

@@ -55,8 +55,9 @@ def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            source = _Bytes(file.read(_MAX_FILE), path)
+        if path.stat().st_size > _MAX_FILE:
+            raise FormatError(f"{path}: no product quantiser is that large")
+        source = _Bytes(path.read_bytes(), path)
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"{path}: there is no such file") from None
     kind = source.take(4)

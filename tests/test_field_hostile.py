@@ -1,0 +1,210 @@
+"""Damaged and hostile fields, codebooks and FAISS indices: sound objects or a precise error."""
+
+import gc
+import resource
+import struct
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drsplat.codes import Codebook, load_codebook, read_faiss_codebook, save_codebook
+from drsplat.encoders import EncoderIdentity
+from drsplat.errors import DrSplatError, FormatError
+from drsplat.field import build_field, load_field
+from drsplat.formats.faiss_index import read_faiss_quantizer
+from drsplat.formats.tensors import map_tensors, write_tensors
+from fields import SCENE, random_evidence, unit_rows
+from mutations import bombs, mutants
+
+MUTANTS = 5_000  # of each family
+ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
+TINY = EncoderIdentity("tiny", 4)
+
+
+@pytest.fixture
+def bounded_memory() -> Iterator[None]:
+    """Allocations beyond the allowance raise MemoryError, which no reader is to raise."""
+    bombs()  # made once, with more memory than this
+    gc.collect()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + ALLOWANCE, hard))
+    try:
+        with pytest.raises(MemoryError):
+            np.empty(2 * ALLOWANCE, np.uint8)
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def tiny_codebook(residual: bool = True) -> Codebook:
+    rng = np.random.default_rng(0)
+    centroids = rng.standard_normal((2, 256, 2)).astype(np.float32)
+    return Codebook(centroids, unit_rows(rng, 3, 4) if residual else None, TINY)
+
+
+@lru_cache
+def field_files() -> dict[str, bytes]:
+    """The files of a small field with a coarse codebook, evidence and negatives."""
+    import tempfile
+
+    rng = np.random.default_rng(1)
+    evidence = random_evidence(rng, rows=30, columns=8, dim=4)
+    field = build_field(evidence, SCENE, TINY, tiny_codebook())
+    field = field.with_negatives(unit_rows(rng, 2, 4), ("one", "two"))
+    with tempfile.TemporaryDirectory() as folder:
+        field.save(Path(folder) / "a")
+        return {file.name: file.read_bytes() for file in (Path(folder) / "a").iterdir()}
+
+
+def faiss_bytes(residual: bool) -> bytes:
+    """A FAISS index, written by hand from the format's description."""
+    book, dim = tiny_codebook(residual), 4
+    header = struct.pack("<iqqq?i", dim, 0, 1 << 20, 1 << 20, True, 0)
+    quantizer = struct.pack("<QQQQ", dim, 2, 8, book.centroids.size) + book.centroids.tobytes()
+    if book.coarse is None:
+        return b"IxPq" + header + quantizer + struct.pack("<Qi?i", 0, 0, False, 0)
+    coarse = b"IxFI" + header + struct.pack("<Q", book.coarse.size) + book.coarse.tobytes()
+    inverted = struct.pack("<QQ", 3, 1) + coarse + struct.pack("<BQ", 0, 0)
+    return b"IwPQ" + header + inverted + struct.pack("<?Q", True, 2) + quantizer + b"il00"
+
+
+def survivors(path: Path, seed: int, read: Callable[[Path], object], count: int = MUTANTS) -> int:
+    """How many mutants of a file are read; anything but our own errors fails the test."""
+    good, survived = path.read_bytes(), 0
+    read(path)
+    for mutant in mutants(good, np.random.default_rng(seed), count):
+        path.write_bytes(mutant)
+        try:
+            read(path)
+            survived += 1
+        except DrSplatError:
+            pass
+    return survived
+
+
+def use_field(path: Path) -> None:
+    """Load a field and do what a user would: whatever loads must also work."""
+    field = load_field(path.parent)
+    query = np.array([1, 2, 3, 4], np.float32)
+    with np.errstate(all="ignore"):
+        field.scores(query, threads=1)
+        field.feature(slice(None))
+        if field.evidence is not None:
+            field.evidence.features(0, len(field), threads=1)
+            field.explain(int(field.gaussian_ids[0]), query)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("field.json", MUTANTS),
+        ("codes.safetensors", 1000),
+        ("evidence.safetensors", 1000),
+        ("negatives.safetensors", 300),
+    ],
+)
+def test_damaged_fields(name: str, count: int, tmp_path: Path, bounded_memory: None) -> None:
+    for file, content in field_files().items():
+        (tmp_path / file).write_bytes(content)
+    read = use_field if name != "field.json" else lambda path: load_field(path.parent)
+    assert 0 < survivors(tmp_path / name, len(name), read, count) < count
+
+
+def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:
+    arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros((0, 3), "u1"), "c": np.ones(3, "f2")}
+    write_tensors(tmp_path / "a", arrays, {"key": "value"})
+
+    def touch(path: Path) -> None:
+        with np.errstate(all="ignore"):
+            for array in map_tensors(path)[0].values():
+                array.sum()
+
+    assert 0 < survivors(tmp_path / "a", 1, touch) < MUTANTS
+
+
+def test_damaged_codebooks(tmp_path: Path, bounded_memory: None) -> None:
+    save_codebook(tiny_codebook(), tmp_path / "a")
+    # the hash notices all damage but to the names of things that are not there
+    assert survivors(tmp_path / "a", 2, load_codebook) < MUTANTS / 20
+
+
+@pytest.mark.parametrize("residual", [False, True])
+def test_damaged_faiss_indices(residual: bool, tmp_path: Path, bounded_memory: None) -> None:
+    path = tmp_path / "a.faiss"
+    path.write_bytes(faiss_bytes(residual))
+    assert read_faiss_codebook(path, TINY).hash == tiny_codebook(residual).hash
+    survived = survivors(path, 3, lambda p: read_faiss_codebook(p, TINY).hash, MUTANTS // 2)
+    assert 0 < survived < MUTANTS // 2
+
+
+def test_the_handwritten_index_is_what_faiss_reads(tmp_path: Path) -> None:
+    faiss = pytest.importorskip("faiss")
+    path = tmp_path / "a.faiss"
+    path.write_bytes(faiss_bytes(False))
+    index = faiss.read_index(str(path))  # owns what is read from it below
+    centroids = faiss.vector_to_array(index.pq.centroids)
+    np.testing.assert_array_equal(centroids, read_faiss_quantizer(path).centroids.ravel())
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (b'{"a":1}', "expected dtype"),
+        (b'{"a":{"dtype":"F32","shape":[1],"data_offsets":[0,4],"x":1}}', "expected dtype"),
+        (b'{"a":{"dtype":"F32","shape":[1],"data_offsets":[0,8]}}', "does not fill"),
+        (b'{"a":{"dtype":"F32","shape":[-1],"data_offsets":[0,4]}}', "counts"),
+        (b'{"a":{"dtype":"F32","shape":[1.0],"data_offsets":[0,4]}}', "counts"),
+        (b'{"a":{"dtype":"F32","shape":[true],"data_offsets":[0,4]}}', "counts"),
+        (b'{"a":{"dtype":"F8","shape":[1],"data_offsets":[0,4]}}', "dtype 'F8'"),
+        (b'{"a":{"dtype":["F32"],"shape":[1],"data_offsets":[0,4]}}', "dtype"),
+        (b'{"a":{"dtype":"F32","shape":[],"data_offsets":[0,4]},"a":{}}', "twice"),
+        (b'{"a":{"dtype":"U8","shape":[2],"data_offsets":[0,2]}}', "describes 2 bytes"),
+        (
+            b'{"a":{"dtype":"U8","shape":[3],"data_offsets":[0,3]},'
+            b'"b":{"dtype":"U8","shape":[2],"data_offsets":[2,4]}}',
+            "overlap",
+        ),
+        (
+            b'{"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},'
+            b'"b":{"dtype":"I16","shape":[1],"data_offsets":[1,3]},'
+            b'"c":{"dtype":"U8","shape":[1],"data_offsets":[3,4]}}',
+            "aligned",
+        ),
+        (b'{"__metadata__":{"a":1},"b":{"dtype":"F32","shape":[],"data_offsets":[0,4]}}', "text"),
+        (b"[" * 100_000, "not JSON"),
+        (b"[]", "object"),
+        (b"\xff\xfe{}", "JSON"),
+        (b'{"a":' + b"9" * 5000 + b"}", "JSON"),
+    ],
+)
+def test_headers_that_lie(header: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    header += b" " * (-len(header) % 8)
+    path.write_bytes(len(header).to_bytes(8, "little") + header + bytes(4))
+    with pytest.raises(FormatError, match=message):
+        map_tensors(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"1234567", b"\xff" * 8, b"\x10" + bytes(7) + b"{}"])
+def test_files_too_short_for_their_header(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(content)
+    with pytest.raises(FormatError):
+        map_tensors(path)
+
+
+@pytest.mark.parametrize("offset", [4, 37, 57, 90])  # dim, lists, coarse dim, coarse numbers
+def test_faiss_counts_are_checked_before_they_are_believed(
+    offset: int, tmp_path: Path, bounded_memory: None
+) -> None:
+    path = tmp_path / "a.faiss"
+    content = bytearray(faiss_bytes(True))
+    for value in (0, 2**31 - 1, 2**32 - 1):
+        content[offset : offset + 4] = value.to_bytes(4, "little")
+        path.write_bytes(content)
+        with pytest.raises(FormatError):
+            read_faiss_codebook(path, TINY)
