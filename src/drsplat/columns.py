@@ -95,4 +95,6 @@ def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
         indices[position], weights[position] = segments + offset, values
         cursor[ids[first]] += runs
         offset += len(view.embeddings)
+    # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
+    starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
     return csr_array((weights, indices, starts), shape=(num_gaussians, offset))

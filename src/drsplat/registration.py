@@ -58,7 +58,8 @@ class Registration:
         starts = np.zeros(field.num_gaussians + 1, np.int64)
         starts[1 + field.gaussian_ids.astype(np.int64)] = np.diff(kept.indptr)
         shape = (field.num_gaussians, kept.shape[1])
-        weights = csr_array((kept.data, kept.indices, np.cumsum(starts)), shape=shape)
+        indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
+        weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
         return cls(replace(field.evidence, weights=weights), field.scene, field.encoder)
 
     @property
