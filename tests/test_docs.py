@@ -1,0 +1,226 @@
+"""The documents are held to the code: snippets run, links lead somewhere, references exist.
+
+Snippets run in order in a folder with a small capture, made with the library's own writers: a red
+ball and a blue one, seen in four photos, with masks and word embeddings in LangSplat's files.
+"""
+
+import ast
+import json
+import re
+import shlex
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import drsplat as ds
+from drsplat.cli import VERBS, main
+from drsplat.formats.tensors import map_tensors
+from scenes import look_at_view
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+WITH_SNIPPETS = ["README.md", "docs/api.md"]
+CODE_FOLDERS = ("", "src/drsplat", "native")
+EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
+THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
+NEGATIVES = ["object", "things", "stuff", "texture"]
+WIDTH, HEIGHT, PER_THING = 96, 72, 150
+
+every_document = pytest.mark.parametrize(
+    "document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT))
+)
+
+
+def balls() -> ds.Gaussians:
+    """PER_THING Gaussians on a sphere of radius 0.3 about each place, in the order of THINGS."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(len(THINGS) * PER_THING, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
+    colors = np.repeat([(1.2, -1.2, -1.2), (-1.2, -1.2, 1.2)], PER_THING, axis=0)
+    count = len(means)
+    columns = (
+        means,
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        np.full((count, 3), 0.05),
+        np.full(count, 0.9),
+        colors[:, None],
+    )
+    return ds.Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+def masks(gaussians: ds.Gaussians, view: ds.View) -> np.ndarray:
+    """Per pixel the thing that covers more than half of it, or -1."""
+    members = np.repeat(np.eye(len(THINGS), dtype=np.float32), PER_THING, axis=0)
+    share = ds.render(gaussians, view, values=members).channels
+    return np.where(share.max(2) > 0.5, share.argmax(2), -1).astype(np.int32)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
+    """A folder with scene.ply, capture/ and clip_texts.json, as the documents name them."""
+    folder = tmp_path_factory.mktemp("documents")
+    for name in ("capture/images", "capture/language_features"):
+        (folder / name).mkdir(parents=True)
+    gaussians, encoder = balls(), ds.WordEncoder()
+    views = []
+    for index, eye in enumerate(EYES):
+        at = look_at_view(eye, width=WIDTH, height=HEIGHT)
+        views.append(ds.View(f"photo_{index}.png", at.K, at.cam_from_world, WIDTH, HEIGHT))
+    for view in views:
+        pixels = np.clip(ds.render(gaussians, view).rgb * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(pixels).save(folder / "capture/images" / view.name)
+        ids = np.repeat(masks(gaussians, view)[None], 4, axis=0)
+        rows = encoder.encode_texts(list(THINGS))
+        ds.write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
+    ds.write_gaussians(folder / "scene.ply", gaussians)
+    ds.write_cameras_json(folder / "capture/cameras.json", views)
+    texts = [*THINGS, *NEGATIVES]
+    vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
+    (folder / "clip_texts.json").write_text(json.dumps(vectors))
+    return folder
+
+
+def blocks(document: str, language: str) -> list[str]:
+    text = (ROOT / document).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("document", WITH_SNIPPETS)
+def test_snippets_run(document, capture, tmp_path, monkeypatch):
+    snippets = blocks(document, "python")
+    assert snippets
+    for file in capture.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "snippet"}
+    for number, snippet in enumerate(snippets):
+        exec(compile(snippet, f"{document}, python block {number}", "exec"), names)
+    assert_is_the_mug(names["things"])
+
+
+def assert_is_the_mug(things: list[ds.Instance]) -> None:
+    assert len(things) == 1
+    assert np.abs(things[0].center - THINGS["red mug"]).max() < 0.1
+    assert things[0].gaussian_ids.max() < PER_THING
+
+
+def test_commands_run(capture, tmp_path, monkeypatch, capsys):
+    """Every `drsplat` line of the README's tour, but the demo, which has tests of its own."""
+    lines = "".join(blocks("README.md", "bash")).replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
+    commands = [command[1:] for command in commands if command[1] != "demo"]
+    assert {command[0] for command in commands} == set(VERBS) - {"demo"}
+    for file in capture.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    for command in commands:
+        assert main(command) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+def test_the_tour_documents_every_public_name():
+    text = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    missing = [name for name in ds.__all__ if not re.search(rf"\b{name}\b", text)]
+    assert not missing
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"^```.*?^```$|`[^`\n]+`", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(document: Path) -> set[str]:
+    """Of the headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+    plain = [re.sub(r"[^\w\- ]", "", heading.strip().lower()) for heading in headings]
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+@every_document
+def test_links_lead_somewhere(document):
+    links = re.findall(r"\]\(([^)\s]+)\)", without_code(document.read_text(encoding="utf-8")))
+    for link in links:
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (document.parent / path) if path else document
+        assert target.exists(), f"{link} in {document.name}"
+        assert not anchor or anchor in anchors(target), f"{link} in {document.name}"
+
+
+def references(document: Path) -> list[tuple[str, str]]:
+    """`file::name` in a document."""
+    text = document.read_text(encoding="utf-8")
+    return re.findall(r"`([\w./-]+\.(?:py|h|cpp))::([\w.]+)`", text)
+
+
+@lru_cache
+def defined(path: Path) -> frozenset[str]:
+    """Functions, classes, methods (Class.method) and constants of a file."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        return frozenset(re.findall(r"\w+", re.sub(r"//.*", "", text)))
+    names = set()
+    for node in ast.parse(text).body:
+        names |= names_of(node)
+        if isinstance(node, ast.ClassDef):
+            names |= {f"{node.name}.{name}" for part in node.body for name in names_of(part)}
+    return frozenset(names)
+
+
+def names_of(node: ast.stmt) -> set[str]:
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    elements = [part for target in targets if target for part in ast.walk(target)]
+    return {part.id for part in elements if isinstance(part, ast.Name)}
+
+
+@every_document
+def test_references_exist(document):
+    for file, name in references(document):
+        found = [path for folder in CODE_FOLDERS if (path := ROOT / folder / file).is_file()]
+        assert found, f"{document.name} names {file}, which does not exist"
+        assert name in defined(found[0]), f"{document.name}: {file} has no {name}"
+
+
+def test_every_rule_of_the_method_has_code_and_a_test():
+    """In the tables of method.md, a row that says where a rule is also says what proves it."""
+    text = (ROOT / "docs/method.md").read_text(encoding="utf-8")
+    rows = [row for row in re.findall(r"^\|.+\|$", text, re.MULTILINE) if "::" in row]
+    assert len(rows) > 30
+    for row in rows:
+        files = [file for file, _ in re.findall(r"`([\w./-]+)::([\w.]+)`", row)]
+        assert any(file.startswith("tests/") for file in files), f"no proof: {row}"
+        assert any(not file.startswith("tests/") for file in files), f"no code: {row}"
+
+
+@pytest.fixture(scope="module")
+def field_folder(capture, tmp_path_factory) -> Path:
+    encoder = ds.WordEncoder()
+    folder = tmp_path_factory.mktemp("field") / "scene.field"
+    features = ds.read_features(capture / "capture/language_features", encoder=encoder.identity)
+    views = ds.read_views(capture / "capture")
+    field = ds.register(ds.read_gaussians(capture / "scene.ply"), views, features).to_field()
+    field.with_negatives(encoder.encode_texts(NEGATIVES), tuple(NEGATIVES)).save(folder)
+    return folder
+
+
+def test_the_layout_of_a_field_is_as_documented(field_folder):
+    """formats.md lists each tensor as | `file` | `name` | dtype | ...; `coarse*` are of residual codebooks."""
+    text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
+    documented = {(file, name): dtype for file, name, dtype in listed}
+    for file in ("codes.safetensors", "evidence.safetensors", "negatives.safetensors"):
+        tensors, _ = map_tensors(field_folder / file)
+        for name, array in tensors.items():
+            assert documented.pop((file, name), None) == array.dtype.name, f"{file}: {name}"
+    assert {name for _, name in documented} == {"coarse", "coarse_ids"}
+
+
+def test_the_manifest_of_a_field_is_as_documented(field_folder):
+    text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
+    keys = set(re.findall(r"^\| `field.json` \| `(\w+)` \|", text, re.MULTILINE))
+    assert keys == set(json.loads((field_folder / "field.json").read_text()))
