@@ -26,6 +26,7 @@ from drsplat import (
 )
 from drsplat.cli import VERBS, main
 from drsplat.commands.answers import COSINE_THRESHOLD
+from drsplat.demo.questions import QUESTIONS
 from drsplat.demo.story import Story
 from drsplat.formats.npy import write_npy
 from drsplat.progress import peak_memory_bytes, track
@@ -301,6 +302,14 @@ def test_query_that_finds_nothing_says_so(room: Path, capsys: Capture) -> None:
     assert text_of(capsys, *argv).startswith("Nothing found for 'elephant'.")
 
 
+def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:
+    argv = ["query", room / "room.field", "mug", "--scene", room / "scene.ply", "--min-gaussians"]
+    larger, smaller = (t["num_gaussians"] for t in answer_of(capsys, *argv, 40)["instances"])
+    only_one = answer_of(capsys, *argv, max(larger, smaller))["instances"]
+    assert [thing["num_gaussians"] for thing in only_one] == [max(larger, smaller)]
+    assert larger != smaller
+
+
 def test_query_by_vector_equals_query_in_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
     write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
     by_vector = answer_of(
@@ -442,23 +451,23 @@ def test_render_keeps_in_colour_what_a_query_finds(
 
 
 def test_demo_verb_tells_its_story(
-    story: Story, room: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    story: Story, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from drsplat.demo import story as module
-
-    monkeypatch.setattr(module, "tell", lambda *_args, **_options: story)
-    out = tmp_path / "demo"
-    out.mkdir()
-    answer = answer_of(capsys, "demo", "--output-dir", out)
-    assert len(answer["queries"]) == len(story.answers)
-    assert {"text", "found", "iou", "num_selected", "center", "seconds"} <= answer["queries"][
-        0
-    ].keys()
-    assert answer["num_right"] == len(story.answers)
-    assert Path(answer["overview"]).is_file()
-    printed = text_of(capsys, "demo", "--output-dir", out, "--overwrite")
+    """The story and its pictures are tested elsewhere; here, what is printed of them."""
+    pictures = [tmp_path / "overview.png", *(tmp_path / f"{k}.png" for k in range(len(QUESTIONS)))]
+    monkeypatch.setattr("drsplat.demo.story.tell", lambda *_args, **_options: story)
+    monkeypatch.setattr("drsplat.demo.album.write_album", lambda *_args, **_options: pictures)
+    answer = answer_of(capsys, "demo", "--output-dir", tmp_path)
+    assert [query["text"] for query in answer["queries"]] == [q.text for q in QUESTIONS]
+    first, last = answer["queries"][0], answer["queries"][-1]
+    assert {"text", "found", "iou", "num_selected", "center", "seconds"} <= first.keys()
+    assert first["iou"] > 0.9
+    assert (last["found"], last["iou"], last["center"]) == (False, None, None)
+    assert answer["num_right"] == len(QUESTIONS)
+    assert answer["overview"] == str(pictures[0])
+    printed = text_of(capsys, "demo", "--output-dir", tmp_path)
     assert "never seen an image" in " ".join(printed.split())
-    assert "not found" in printed
+    assert printed.count("not found") == 2
 
 
 def test_progress_is_silent_where_nobody_looks(capsys: Capture) -> None:

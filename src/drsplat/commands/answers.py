@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ..field import LanguageField, Negatives
 
 RELEVANCY_THRESHOLD, COSINE_THRESHOLD = 0.5, 0.5
+MIN_GAUSSIANS = 40
 
 
 @dataclass(frozen=True, eq=False)

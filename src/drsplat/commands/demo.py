@@ -9,7 +9,7 @@ from .options import add_overwrite, tracker
 SUMMARY = "make a furnished room with known objects, register it, ask for things, check the answers"
 EXAMPLES = """\
   drsplat demo
-  drsplat demo --output-dir /tmp/room --overwrite --json
+  drsplat demo --output-dir room --overwrite --json
   drsplat query drsplat-demo/room.field "blue cup" --scene drsplat-demo/scene.ply    (afterwards)"""
 CAPTION = (
     "The masks of this room were embedded by an encoder that knows words and has never seen an image; it stands in "

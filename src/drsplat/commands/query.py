@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .answers import COSINE_THRESHOLD, RELEVANCY_THRESHOLD, Ask, Asked, asked
+from .answers import COSINE_THRESHOLD, MIN_GAUSSIANS, RELEVANCY_THRESHOLD, Ask, Asked, asked
 from .options import (
     add_capture_options,
     add_overwrite,
@@ -57,6 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--top", type=int, default=10, metavar="N", help="things to list, best first (default: 10)"
     )
+    parser.add_argument(
+        "--min-gaussians", type=int, default=MIN_GAUSSIANS, metavar="N",
+        help=f"smaller things are specks and left out (default: {MIN_GAUSSIANS})",
+    )  # fmt: skip
     output = parser.add_argument_group("output")
     output.add_argument(
         "--save", metavar="OUT.ply",
@@ -92,7 +96,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.scene is None:
         return {**report, "found": len(ids) > 0, "instances": None}
     scene = read_gaussians(arguments.scene)
-    things = locate(answer.field, scene, answer.values, answer.threshold)
+    least = arguments.min_gaussians
+    things = locate(answer.field, scene, answer.values, answer.threshold, min_gaussians=least)
     report |= {"found": bool(things), "num_instances": len(things)}
     report["instances"] = [_instance(answer, thing) for thing in things[: max(0, arguments.top)]]
     if arguments.save:

@@ -113,7 +113,7 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     import numpy as np
 
     from .. import load_field, locate
-    from .answers import Ask, asked
+    from .answers import MIN_GAUSSIANS, Ask, asked
 
     if arguments.query is None:
         return None
@@ -121,7 +121,8 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     ask = Ask(text=text, vocabulary=arguments.vocabulary, threshold=arguments.threshold)
     answer = asked(load_field(path), ask, arguments.threads)
     chosen = np.zeros((len(scene), 1), np.float32)
-    for thing in locate(answer.field, scene, answer.values, answer.threshold):
+    least, values = MIN_GAUSSIANS, answer.values
+    for thing in locate(answer.field, scene, values, answer.threshold, min_gaussians=least):
         chosen[thing.gaussian_ids] = 1
     return chosen
 

@@ -8,13 +8,13 @@ from ..kernels import SplatArrays, render_channels, splat_arrays
 from .cameras import look_at
 
 SH_BAND_0 = 0.28209479177387814
-AMBIENT, SIZE, FOV_DEGREES, BIAS = 0.40, 288, 118.0, 0.04  # BIAS in metres
+AMBIENT, SIZE, FOV_DEGREES, BIAS = 0.40, 256, 118.0, 0.045  # BIAS in metres
 LAMPS = (  # position, share of the light, radius over which it is spread for soft shadows, samples
-    ((3.9, 0.2, 2.9), 0.48, 0.30, 4),
-    ((1.3, 0.9, 2.7), 0.18, 0.30, 3),
-    ((2.3, 2.6, 2.7), 0.16, 0.30, 3),
-    ((4.9, 2.6, 2.2), 0.12, 0.20, 2),
-    ((0.9, -0.6, 1.2), 0.14, 0.20, 2),
+    ((3.6, 0.0, 2.9), 0.48, 0.55, 10),
+    ((1.3, 0.6, 2.7), 0.20, 0.40, 4),
+    ((2.3, 1.9, 2.9), 0.16, 0.40, 4),
+    ((4.9, 2.4, 2.4), 0.12, 0.40, 3),
+    ((1.6, -0.9, 1.5), 0.14, 0.40, 3),
 )
 
 

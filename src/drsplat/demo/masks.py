@@ -6,6 +6,7 @@ that is seen in two pieces has two masks.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float32, Int32
@@ -13,12 +14,13 @@ from scipy import ndimage
 
 from ..encoders import Encoder
 from ..features import ViewFeatures
-from ..kernels import render_channels, splat_arrays
+from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..views import View
 from .room import Room
 
 MISSED_SHARE = 0.08
 MIN_PIXELS = 40
+MIN_ALPHA = 0.5
 NOISE = 0.5  # length of the noise on a unit embedding: masks of one thing are at cosine 1 / (1 + NOISE^2) = 0.8
 
 
@@ -30,10 +32,15 @@ class MaskMaker:
     encoder: Encoder
     seed: int = 0
 
+    @cached_property
+    def _splats(self) -> SplatArrays:
+        return splat_arrays(self.room.gaussians)
+
     def features(self, view: View) -> ViewFeatures:
         """Segments with noisy embeddings."""
         rng = np.random.default_rng([self.seed, *view.name.encode()])
-        segment_ids, things = perturbed(exact_labels(self.room, view), rng)
+        labels = exact_labels(self.room, view, splats=self._splats)
+        segment_ids, things = perturbed(labels, rng)
         clean = self.encoder.encode_texts(self.room.names)[things]
         noise = rng.standard_normal(clean.shape)
         noisy = clean + NOISE * noise / np.linalg.norm(noise, axis=1, keepdims=True)
@@ -41,11 +48,13 @@ class MaskMaker:
         return ViewFeatures(segment_ids, noisy.astype(np.float32))
 
 
-def exact_labels(room: Room, view: View, min_alpha: float = 0.5) -> Int32[np.ndarray, "h w"]:
-    """Per pixel the thing of the largest blending weight; -1 where less than `min_alpha` is hit."""
+def exact_labels(
+    room: Room, view: View, *, splats: SplatArrays | None = None
+) -> Int32[np.ndarray, "h w"]:
+    """Per pixel the thing of the largest blending weight; -1 where less than half is covered."""
     one_hot: Float32[np.ndarray, "n c"] = np.eye(len(room.names), dtype=np.float32)[room.labels]
-    drawn = render_channels(splat_arrays(room.gaussians), view, one_hot)
-    return np.where(drawn.alpha < min_alpha, -1, drawn.channels.argmax(-1)).astype(np.int32)
+    drawn = render_channels(splats or splat_arrays(room.gaussians), view, one_hot)
+    return np.where(drawn.alpha < MIN_ALPHA, -1, drawn.channels.argmax(-1)).astype(np.int32)
 
 
 def perturbed(

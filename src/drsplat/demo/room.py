@@ -65,7 +65,7 @@ def _floor(coarse: Number) -> Thing:
 
 
 def _wall(coarse: Number) -> Thing:
-    d, plaster = 0.060 * coarse, (0.80, 0.775, 0.72)
+    d, plaster = 0.050 * coarse, (0.80, 0.775, 0.72)
     back = quad(WIDTH, HEIGHT, d).placed((WIDTH / 2, DEPTH, HEIGHT / 2), pitch=90)
     left = quad(DEPTH, HEIGHT, d).placed((0, DEPTH / 2, HEIGHT / 2), yaw=90, pitch=90)
     return [f.painted(back, plaster, 0.012), f.painted(left, plaster, 0.012)]

@@ -25,6 +25,7 @@ from .questions import QUESTIONS, Question
 from .room import Room, build_room
 
 FIELD = "room.field"
+MIN_GAUSSIANS = 40  # smaller things are specks where masks met
 Track = Callable[[Sequence[View], str], Iterable[View]]
 
 
@@ -123,7 +124,8 @@ def ask(field: LanguageField, gaussians: Gaussians, room: Room, question: Questi
     start = time.perf_counter()
     encoder = WordEncoder()
     scores = field.scores(encoder.encode_texts([question.text])[0])
-    things = locate(field, gaussians, scores, threshold=encoder.threshold)
+    threshold, least = encoder.threshold, MIN_GAUSSIANS
+    things = locate(field, gaussians, scores, threshold=threshold, min_gaussians=least)
     ids = np.sort(
         np.concatenate([thing.gaussian_ids for thing in things] or [np.empty(0, np.int64)])
     )
