@@ -10,9 +10,9 @@ from jaxtyping import Float64, Int32
 from ..gaussians import Gaussians
 from ..kernels import splat_arrays, view_weights
 from ..views import View
-from . import furniture as f
-from .furniture import Part, Thing
+from . import belongings, furniture
 from .light import color_to_sh, lit
+from .paint import Part, Thing, painted, patterned, placed, wood_grain
 from .surfaces import Number, Vector, quad
 
 WIDTH, DEPTH, HEIGHT = (
@@ -56,19 +56,17 @@ def _floor(coarse: Number) -> Thing:
         board = np.floor((points[:, 0] + 0.77 * row) / 1.3)
         tone = 1 + 0.13 * np.sin(row * 12.9898 + board * 78.233)
         seam = (np.abs(points[:, 1] / 0.16 - row - 0.5) > 0.42) * 0.16
-        grained: np.ndarray = f.wood_grain((0.64, 0.45, 0.28))(points) * (tone - seam)[:, None]
+        grained: np.ndarray = wood_grain((0.64, 0.45, 0.28))(points) * (tone - seam)[:, None]
         return grained
 
-    return [
-        f.patterned(quad(WIDTH, DEPTH, 0.042 * coarse).placed((WIDTH / 2, DEPTH / 2, 0)), planks)
-    ]
+    return [patterned(quad(WIDTH, DEPTH, 0.042 * coarse).placed((WIDTH / 2, DEPTH / 2, 0)), planks)]
 
 
 def _wall(coarse: Number) -> Thing:
     d, plaster = 0.050 * coarse, (0.80, 0.775, 0.72)
     back = quad(WIDTH, HEIGHT, d).placed((WIDTH / 2, DEPTH, HEIGHT / 2), pitch=90)
     left = quad(DEPTH, HEIGHT, d).placed((0, DEPTH / 2, HEIGHT / 2), yaw=90, pitch=90)
-    return [f.painted(back, plaster, 0.012), f.painted(left, plaster, 0.012)]
+    return [painted(back, plaster, 0.012), painted(left, plaster, 0.012)]
 
 
 _Entry = tuple[str, Callable[[Number], Thing], Vector, Number, Number]
@@ -76,33 +74,33 @@ TABLE, SOFA = (2.25, 1.95, 0.015), (2.25, 3.38, 0.0)
 INVENTORY: tuple[_Entry, ...] = (
     ("wooden floor", _floor, (0, 0, 0), 0, 0),
     ("white wall", _wall, (0, 0, 0), 0, 0),
-    ("green sofa", f.sofa, SOFA, 0, 0),
-    ("grey cat", f.cat, (1.88, 3.30, 0.45), 8, 0),
-    ("yellow cushion", f.cushion, (2.86, 3.40, 0.45), -20, 0),
-    ("striped rug", f.rug, (2.25, 1.95, 0), 0, 0),
-    ("wooden table", f.coffee_table, TABLE, 0, 0),
-    ("red mug", partial(f.mug, (0.80, 0.09, 0.09)), (1.93, 1.80, 0.46), 215, 0),
-    ("blue mug", partial(f.mug, (0.12, 0.28, 0.76)), (2.58, 1.83, 0.46), -40, 0),
-    ("white bowl", f.bowl, (2.24, 2.02, 0.46), 0, 0),
-    ("green apples", f.apples, (2.24, 2.02, 0.46), 20, 0),
-    ("lamp", f.floor_lamp, (3.62, 3.42, 0), 0, 0),
-    ("potted plant", f.plant, (0.52, 3.35, 0), 15, 0),
-    ("bookshelf", f.shelf, (0.17, 1.75, 0), 90, 0),
-    ("books", f.books, (0.17, 1.75, 0), 90, 0),
-    ("wooden chair", f.chair, (3.75, 1.55, 0), -62, 0),
-    ("orange ball", f.ball, (0.95, 0.72, 0), 30, 0),
-    ("brown teddy", f.teddy, (3.05, 0.85, 0.015), 12, 0),
-    ("guitar", f.guitar, (4.22, 3.62, 0.0), -8, -14),
-    ("painting", f.painting, (2.25, DEPTH - 0.01, 1.32), 0, 0),
-    ("round clock", f.clock, (3.62, DEPTH - 0.01, 1.86), 0, 0),
-    ("window", f.window, (0.01, 2.95, 1.00), 90, 0),
+    ("green sofa", furniture.sofa, SOFA, 0, 0),
+    ("grey cat", belongings.cat, (1.88, 3.30, 0.45), 8, 0),
+    ("yellow cushion", belongings.cushion, (2.86, 3.40, 0.45), -20, 0),
+    ("striped rug", furniture.rug, (2.25, 1.95, 0), 0, 0),
+    ("wooden table", furniture.coffee_table, TABLE, 0, 0),
+    ("red mug", partial(belongings.mug, (0.80, 0.09, 0.09)), (1.93, 1.80, 0.46), 215, 0),
+    ("blue mug", partial(belongings.mug, (0.12, 0.28, 0.76)), (2.58, 1.83, 0.46), -40, 0),
+    ("white bowl", belongings.bowl, (2.24, 2.02, 0.46), 0, 0),
+    ("green apples", belongings.apples, (2.24, 2.02, 0.46), 20, 0),
+    ("lamp", furniture.floor_lamp, (3.62, 3.42, 0), 0, 0),
+    ("potted plant", furniture.plant, (0.52, 3.35, 0), 15, 0),
+    ("bookshelf", furniture.shelf, (0.17, 1.75, 0), 90, 0),
+    ("books", belongings.books, (0.17, 1.75, 0), 90, 0),
+    ("wooden chair", furniture.chair, (3.75, 1.55, 0), -62, 0),
+    ("orange ball", belongings.ball, (0.95, 0.72, 0), 30, 0),
+    ("brown teddy", belongings.teddy, (3.05, 0.85, 0.015), 12, 0),
+    ("guitar", belongings.guitar, (4.22, 3.62, 0.0), -8, -14),
+    ("painting", belongings.painting, (2.25, DEPTH - 0.01, 1.32), 0, 0),
+    ("round clock", belongings.clock, (3.62, DEPTH - 0.01, 1.86), 0, 0),
+    ("window", furniture.window, (0.01, 2.95, 1.00), 90, 0),
 )
 
 
 def furnish(coarse: Number = 1.0) -> list[tuple[str, Thing]]:
     """The things by name, in place."""
     return [
-        (name, f.placed(build(coarse), at, yaw, pitch)) for name, build, at, yaw, pitch in INVENTORY
+        (name, placed(build(coarse), at, yaw, pitch)) for name, build, at, yaw, pitch in INVENTORY
     ]
 
 
