@@ -1,49 +1,14 @@
 // Python face of algebra.cpp. As in bindings.cpp, only what memory safety needs is checked here.
+#include "bindings.h"
 #include "row_algebra.h"
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 
-#include <algorithm>
-#include <memory>
 #include <optional>
-#include <stdexcept>
-#include <thread>
 
-namespace nb = nanobind;
-using namespace nb::literals;
 using namespace drsplat;
 
 namespace {
-
-template <class T, int Dimensions>
-using Array = nb::ndarray<const T, nb::ndim<Dimensions>, nb::c_contig, nb::device::cpu>;
-
-void require(bool ok, const char *what) {
-  if (!ok) throw std::invalid_argument(what);
-}
-
-const Kernels &kernels_named(const std::string &isa) {
-  const Kernels *kernels = find_kernels(isa.c_str());
-  if (!kernels) throw std::invalid_argument("instruction set '" + isa + "' is not available on this machine or in this build");
-  return *kernels;
-}
-
-int thread_count(int threads) { return threads > 0 ? std::min(threads, 256) : std::max(1u, std::thread::hardware_concurrency()); }
-
-// Memory that is written once, by the kernels, and then belongs to NumPy.
-template <class T>
-struct Fresh {
-  std::unique_ptr<T[]> values;
-  explicit Fresh(size_t count) : values(new T[std::max<size_t>(count, 1)]) {}
-  nb::object numpy(std::initializer_list<size_t> shape) {
-    T *owned = values.release();
-    nb::capsule owner(owned, [](void *p) noexcept { delete[] (T *)p; });
-    return nb::cast(nb::ndarray<nb::numpy, T>(owned, shape, owner));
-  }
-};
 
 nb::object weighted_rows_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns, Array<float, 1> weights, Array<float, 2> embeddings, int threads, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
@@ -57,7 +22,7 @@ nb::object weighted_rows_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns,
   bool ok;
   {
     nb::gil_scoped_release release;
-    ok = weighted_rows(kernels, {start, columns.data(), weights.data()}, {embeddings.data(), (uint32_t)embeddings.shape(0), (uint32_t)dim}, rows, thread_count(threads), out.values.get());
+    ok = weighted_rows(kernels, {start, columns.data(), weights.data()}, {embeddings.data(), (uint32_t)embeddings.shape(0), (uint32_t)dim}, rows, thread_count(threads), out.get());
   }
   require(ok, "column indices of existing embeddings");
   return out.numpy({rows, dim});
@@ -70,7 +35,7 @@ nb::object pq_encode_of(Array<float, 2> features, Array<float, 3> centroids, int
   Fresh<uint8_t> codes(rows * subvectors);
   {
     nb::gil_scoped_release release;
-    pq_encode(kernels, {centroids.data(), (uint32_t)subvectors, (uint32_t)dim}, features.data(), rows, thread_count(threads), codes.values.get());
+    pq_encode(kernels, {centroids.data(), (uint32_t)subvectors, (uint32_t)dim}, features.data(), rows, thread_count(threads), codes.get());
   }
   return codes.numpy({rows, subvectors});
 }
@@ -83,7 +48,7 @@ nb::object pq_scores_of(Array<uint8_t, 2> codes, Array<float, 2> lut, Array<floa
   Fresh<float> scores(rows);
   {
     nb::gil_scoped_release release;
-    pq_scores(kernels, {codes.data(), lut.data(), scale.data(), bias ? bias->data() : nullptr, (uint32_t)lut.shape(0)}, rows, thread_count(threads), scores.values.get());
+    pq_scores(kernels, {codes.data(), lut.data(), scale.data(), bias ? bias->data() : nullptr, (uint32_t)lut.shape(0)}, rows, thread_count(threads), scores.get());
   }
   return scores.numpy({rows});
 }

@@ -4,13 +4,18 @@
 half aims at what readers trust (counts, sizes, numbers in text, floats, compressed streams).
 """
 
+import gc
 import gzip
+import resource
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 
 import numpy as np
+import pytest
 import zstandard
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
@@ -193,3 +198,19 @@ def _edit_word(
         return flip_bits(data, rng)
     start, end = spans[rng.integers(len(spans))]
     return data[:start] + others[rng.integers(len(others))] + data[end:]
+
+
+@contextmanager
+def bounded_allocations(allowance: int) -> Iterator[None]:
+    """Allocations beyond `allowance` bytes raise MemoryError, which no reader is to raise."""
+    bombs()  # made once, with more memory than this
+    gc.collect()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + allowance, hard))
+    try:
+        with pytest.raises(MemoryError):
+            np.empty(2 * allowance, np.uint8)
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

@@ -1,7 +1,5 @@
 """Damaged and hostile fields, codebooks and FAISS indices: sound objects or a precise error."""
 
-import gc
-import resource
 import struct
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -17,7 +15,7 @@ from drsplat.field import build_field, load_field
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
 from fields import SCENE, random_evidence, unit_rows
-from mutations import bombs, mutants
+from mutations import bounded_allocations, mutants
 
 MUTANTS = 5_000  # of each family
 ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
@@ -26,18 +24,8 @@ TINY = EncoderIdentity("tiny", 4)
 
 @pytest.fixture
 def bounded_memory() -> Iterator[None]:
-    """Allocations beyond the allowance raise MemoryError, which no reader is to raise."""
-    bombs()  # made once, with more memory than this
-    gc.collect()
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + ALLOWANCE, hard))
-    try:
-        with pytest.raises(MemoryError):
-            np.empty(2 * ALLOWANCE, np.uint8)
+    with bounded_allocations(ALLOWANCE):
         yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def tiny_codebook(residual: bool = True) -> Codebook:

@@ -2,7 +2,6 @@
 
 import gc
 import gzip
-import resource
 import struct
 import tracemalloc
 import warnings
@@ -17,7 +16,7 @@ import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.gaussians import Gaussians
-from mutations import bombs, mutants
+from mutations import bounded_allocations, mutants
 from scene_files import random_gaussians
 
 MUTANTS = 5_200  # of each family
@@ -26,18 +25,8 @@ ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilob
 
 @pytest.fixture
 def bounded_memory() -> Iterator[None]:
-    """Allocations beyond the allowance raise MemoryError, which no reader is to raise."""
-    bombs()  # made once, with more memory than this
-    gc.collect()
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + ALLOWANCE, hard))
-    try:
-        with pytest.raises(MemoryError):
-            np.empty(2 * ALLOWANCE, np.uint8)
+    with bounded_allocations(ALLOWANCE):
         yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def seeds(family: str) -> list[tuple[bytes, str]]:

@@ -15,6 +15,7 @@ from drsplat.kernels import (
     SplatArrays,
     Triples,
     available_isas,
+    default_isa,
     reference,
     render_channels,
     sh_colors,
@@ -353,3 +354,13 @@ def test_wrong_arguments_say_so():
         topk_contributions(arrays, view, 0)
     with pytest.raises(InputError, match="values"):
         render_channels(arrays, view, np.ones((2, 3), np.float32))
+
+
+def test_the_environment_may_name_the_instruction_set(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("DRSPLAT_ISA", "portable")
+    assert default_isa() == "portable"
+    monkeypatch.setenv("DRSPLAT_ISA", "v9")
+    with pytest.raises(InputError, match="v9"):
+        sh_colors(np.zeros((1, 1, 3), np.float32), np.ones((1, 3), np.float32), np.zeros(3))
+    monkeypatch.delenv("DRSPLAT_ISA")
+    assert default_isa() == available_isas()[0]

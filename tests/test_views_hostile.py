@@ -1,8 +1,6 @@
 """Damaged and hostile captures, features and vocabularies: sound results or a precise error."""
 
-import gc
 import json
-import resource
 import struct
 import tempfile
 import warnings
@@ -26,7 +24,7 @@ from drsplat.formats.photo_files import safe_name
 from drsplat.formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from drsplat.photos import load_image, photo_size
 from drsplat.views import View
-from mutations import bombs, mutants
+from mutations import bounded_allocations, mutants
 from written_captures import (
     IMAGES,
     cameras_json_document,
@@ -43,18 +41,8 @@ ALLOWANCE = 64 << 20  # bytes of address space that files of some kilobytes may 
 
 @pytest.fixture
 def bounded_memory() -> Iterator[None]:
-    """Allocations beyond the allowance raise MemoryError, which no reader is to raise."""
-    bombs()  # made once, with more memory than this
-    gc.collect()
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + ALLOWANCE, hard))
-    try:
-        with pytest.raises(MemoryError):
-            np.empty(2 * ALLOWANCE, np.uint8)
+    with bounded_allocations(ALLOWANCE):
         yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import numpy as np
 Array = np.ndarray[Any, Any]
 
 def available_isas() -> list[str]: ...
+def default_isa() -> str: ...
 def view_weights(
     means: Array,
     covariances: Array,

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from .errors import FormatError
 from .features import ViewFeatures
 from .formats.tensors import map_tensors, write_tensors
-from .kernels import SplatArrays, Triples, available_isas, view_weights
+from .kernels import SplatArrays, Triples, default_isa, view_weights
 from .views import View
 
 COLUMNS_VERSION = "1"
@@ -42,7 +42,7 @@ def view_columns(
 ) -> Columns:
     """Compute the view's columns, unless the very same ones are in `folder` already."""
     segment_ids = features.resized(view.width, view.height).segment_ids
-    settings = f"{COLUMNS_VERSION} {topk} {first_hits} {available_isas()[0]}"
+    settings = f"{COLUMNS_VERSION} {topk} {first_hits} {default_isa()}"
     key = _key(splats, view, segment_ids, settings)
     path = (
         folder

@@ -23,15 +23,23 @@ class ViewFeatures:
 
     def __post_init__(self) -> None:
         if self.segment_ids.ndim != 2 or self.segment_ids.dtype != np.int32:
-            raise InputError(f"segment_ids: expected int32 (H, W), got {self.segment_ids.dtype} {self.segment_ids.shape}")
+            raise InputError(
+                f"segment_ids: expected int32 (H, W), got {self.segment_ids.dtype} {self.segment_ids.shape}"
+            )
         if self.embeddings.ndim != 2 or self.embeddings.dtype != np.float32:
-            raise InputError(f"embeddings: expected float32 (S, D), got {self.embeddings.dtype} {self.embeddings.shape}")
+            raise InputError(
+                f"embeddings: expected float32 (S, D), got {self.embeddings.dtype} {self.embeddings.shape}"
+            )
         largest = int(self.segment_ids.max(initial=-1))
         if largest >= len(self.embeddings):
-            raise InputError(f"segment id {largest} has no embedding: there are {len(self.embeddings)}")
+            raise InputError(
+                f"segment id {largest} has no embedding: there are {len(self.embeddings)}"
+            )
         norms = np.linalg.norm(self.embeddings, axis=1)
         if not (np.abs(norms - 1) < 1e-3).all():
-            raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
+            raise InputError(
+                "embeddings must be finite unit vectors: divide each row by its L2 norm"
+            )
 
     def resized(self, width: int, height: int) -> "ViewFeatures":
         """The map on another raster, by nearest pixel centre."""
@@ -40,4 +48,6 @@ class ViewFeatures:
             return self
         rows = ((np.arange(height) + 0.5) * h / height).astype(np.intp)
         columns = ((np.arange(width) + 0.5) * w / width).astype(np.intp)
-        return ViewFeatures(np.ascontiguousarray(self.segment_ids[rows[:, None], columns]), self.embeddings)
+        return ViewFeatures(
+            np.ascontiguousarray(self.segment_ids[rows[:, None], columns]), self.embeddings
+        )

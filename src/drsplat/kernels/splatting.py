@@ -54,6 +54,17 @@ def available_isas() -> list[str]:
     return list(_native.available_isas())
 
 
+def default_isa() -> str:
+    """The instruction set taken when none is named: the best, or what DRSPLAT_ISA says.
+
+    Raises: InputError: DRSPLAT_ISA names one that is not available.
+    """
+    try:
+        return _native.default_isa()
+    except ValueError as error:
+        raise InputError(f"DRSPLAT_ISA: {error}; there are {available_isas()}") from error
+
+
 def splat_arrays(gaussians: Gaussians) -> SplatArrays:
     """Lay the scene out for the kernels: 40 bytes per Gaussian."""
     covariances = np.empty((6, len(gaussians)), np.float32)
@@ -80,7 +91,9 @@ def _camera(view: View) -> Float32[np.ndarray, "16"]:
 
 
 def _checked_isa(isa: str) -> str:
-    if isa and isa not in available_isas():
+    if not isa:
+        return default_isa()
+    if isa not in available_isas():
         raise InputError(
             f"instruction set '{isa}' is not available; this machine and build have {available_isas()}"
         )

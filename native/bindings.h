@@ -1,0 +1,58 @@
+// What the bindings share: checked arguments, and results that NumPy owns without a copy.
+#pragma once
+#include "kernels.h"
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+
+#include <algorithm>
+#include <initializer_list>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace drsplat {
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+template <class T, int Dimensions>
+using Array = nb::ndarray<const T, nb::ndim<Dimensions>, nb::c_contig, nb::device::cpu>;
+
+inline void require(bool ok, const char *what) {
+  if (!ok) throw std::invalid_argument(what);
+}
+
+inline const Kernels &kernels_named(const std::string &isa) {
+  const Kernels *kernels = find_kernels(isa.c_str());
+  if (!kernels) throw std::invalid_argument("instruction set '" + isa + "' is not available on this machine or in this build");
+  return *kernels;
+}
+
+inline int thread_count(int threads) { return threads > 0 ? std::min(threads, 256) : std::max(1u, std::thread::hardware_concurrency()); }
+
+// Memory that the kernels write and that then belongs to NumPy.
+template <class T>
+struct Fresh {
+  std::unique_ptr<T[]> values;
+  explicit Fresh(size_t count) : values(new T[std::max<size_t>(count, 1)]) {}
+  Fresh(size_t count, T fill) : Fresh(count) { std::fill_n(values.get(), count, fill); }
+  T *get() const { return values.get(); }
+  nb::object numpy(std::initializer_list<size_t> shape) {
+    T *owned = values.release();
+    nb::capsule owner(owned, [](void *p) noexcept { delete[] (T *)p; });
+    return nb::cast(nb::ndarray<nb::numpy, T>(owned, shape, owner));
+  }
+};
+
+template <class T>
+nb::object to_numpy(std::vector<T> &&values) {
+  auto *owned = new std::vector<T>(std::move(values));
+  nb::capsule owner(owned, [](void *p) noexcept { delete (std::vector<T> *)p; });
+  return nb::cast(nb::ndarray<nb::numpy, T>(owned->data(), {owned->size()}, owner));
+}
+
+}  // namespace drsplat
