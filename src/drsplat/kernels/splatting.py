@@ -5,6 +5,7 @@ the same to the bit for any number of threads. `threads=0` takes all cores; `isa
 set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
 """
 
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -61,8 +62,11 @@ def default_isa() -> str:
     """
     try:
         return _native.default_isa()
-    except ValueError as error:
-        raise InputError(f"DRSPLAT_ISA: {error}; there are {available_isas()}") from error
+    except ValueError:
+        wanted = os.environ.get("DRSPLAT_ISA")
+        raise InputError(
+            f"DRSPLAT_ISA asks for '{wanted}'; this machine and build have {available_isas()}"
+        ) from None
 
 
 def splat_arrays(gaussians: Gaussians) -> SplatArrays:
