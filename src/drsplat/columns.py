@@ -3,10 +3,11 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32
 from scipy.sparse import csr_array
 
 from .errors import FormatError
@@ -31,37 +32,45 @@ class Columns:
         return Triples(tensors["gaussian_ids"], tensors["segment_ids"], tensors["weights"])
 
 
-def view_columns(
-    splats: SplatArrays,
-    view: View,
-    features: ViewFeatures,
-    folder: Path,
-    topk: int | None,
-    first_hits: int | None,
-    threads: int,
-) -> Columns:
-    """Compute the view's columns, unless the very same ones are in `folder` already."""
-    segment_ids = features.resized(view.width, view.height).segment_ids
-    settings = f"{COLUMNS_VERSION} {topk} {first_hits} {default_isa()}"
-    key = _key(splats, view, segment_ids, settings)
-    path = (
-        folder
-        / f"{hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()}.columns.safetensors"
-    )
-    if not _is_finished(path, key):
-        triples = view_weights(
-            splats, view, segment_ids, topk, first_hits=first_hits, threads=threads
-        )
-        folder.mkdir(parents=True, exist_ok=True)
-        write_tensors(path, triples._asdict(), {"key": key, "view": view.name}, overwrite=True)
-    return Columns(view.name, path, features.embeddings)
+@dataclass(frozen=True, eq=False)
+class ColumnMaker:
+    """Makes views' columns of one scene into `folder`, and recognises those that are there already."""
+
+    splats: SplatArrays
+    folder: Path
+    topk: int | None
+    first_hits: int | None
+    threads: int
+
+    def columns(self, view: View, features: ViewFeatures) -> Columns:
+        """Compute the view's columns, unless the very same ones are in the folder."""
+        segment_ids = features.resized(view.width, view.height).segment_ids
+        key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
+        name = hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()
+        path = self.folder / f"{name}.columns.safetensors"
+        if not _is_finished(path, key):
+            triples = view_weights(
+                self.splats,
+                view,
+                segment_ids,
+                self.topk,
+                first_hits=self.first_hits,
+                threads=self.threads,
+            )
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_tensors(path, triples._asdict(), {"key": key, "view": view.name}, overwrite=True)
+        return Columns(view.name, path, features.embeddings)
+
+    @cached_property
+    def _settings(self) -> str:
+        """Of all that every view shares: another instruction set changes the last bits."""
+        scene = _digest(*self.splats)
+        return f"{COLUMNS_VERSION} {self.topk} {self.first_hits} {default_isa()} {scene}"
 
 
-def _key(
-    splats: SplatArrays, view: View, segment_ids: Int32[np.ndarray, "h w"], settings: str
-) -> str:
-    digest = hashlib.blake2b(settings.encode(), digest_size=16)
-    for array in (*splats, view.K, view.cam_from_world, segment_ids):
+def _digest(*arrays: np.ndarray, salt: str = "") -> str:
+    digest = hashlib.blake2b(salt.encode(), digest_size=16)
+    for array in arrays:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.sparse import csr_array, hstack
 
-from .columns import Columns, stack_columns, view_columns
+from .columns import ColumnMaker, Columns, stack_columns
 from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError
 from .evidence import Evidence, Segments
@@ -142,14 +142,10 @@ def register(
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = _views_with_features(views, features)
-    splats = splat_arrays(gaussians)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        columns: list[Columns] = []
-        for view, key in track_pairs(chosen, track):
-            columns.append(
-                view_columns(splats, view, features[key], folder, topk, first_hits, threads)
-            )
+        maker = ColumnMaker(splat_arrays(gaussians), folder, topk, first_hits, threads)
+        columns = [maker.columns(v, features[key]) for v, key in track_pairs(chosen, track)]
         _check_one_size(columns)
         weights = stack_columns(columns, len(gaussians))
     evidence = Evidence(
