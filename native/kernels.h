@@ -47,7 +47,7 @@ struct Triples {  // structure of arrays, grown together
 };
 
 struct TileScratch {
-  Buffer block_masks, hits, hit_list, table, slots;
+  Buffer block_masks, hits, hit_list, table;
 };
 
 struct Tile {

@@ -1,8 +1,6 @@
 // One view, start to end: project, sort by depth, bin into tiles, then do something per tile.
 #pragma once
-#include "kernels.h"
-
-#include <vector>
+#include "workspace.h"
 
 namespace drsplat {
 
@@ -11,8 +9,6 @@ struct ViewTriples {  // sorted by (Gaussian, segment)
   std::vector<int32_t> segment_ids;
   std::vector<float> weights;
 };
-
-struct StageSeconds { double project = 0, sort = 0, bin = 0, composite = 0, merge = 0; };
 
 ViewTriples view_weights(const Kernels &, const Scene &, const Camera &, const Selection &, const int32_t *segment_ids, int threads, StageSeconds &);
 void topk_contributions(const Kernels &, const Scene &, const Camera &, const Selection &, int threads, int32_t *ids, float *weights);

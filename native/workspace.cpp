@@ -1,0 +1,140 @@
+#include "workspace.h"
+
+#include <cstring>
+
+namespace drsplat {
+namespace {
+
+void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads) {
+  w.columns = (camera.width + 15) / 16, w.rows = (camera.height + 15) / 16;
+  grow(w.projected, scene.count), grow(w.projected_extents, scene.count);
+  std::vector<uint32_t> written(threads);
+  parallel(threads, [&](int t) {
+    const Part p = part_of(scene.count, threads, t);
+    written[t] = kernels.project(scene, camera, p.begin, p.end, w.projected.data() + p.begin, w.projected_extents.data() + p.begin);
+  });
+  w.visible = 0;
+  for (uint32_t n : written) w.visible += n;
+  grow(w.keys, w.visible), grow(w.other_keys, w.visible);
+  uint32_t at = 0;
+  for (int t = 0; t < threads; t++) {
+    const uint32_t begin = part_of(scene.count, threads, t).begin;
+    for (uint32_t i = begin; i < begin + written[t]; i++) {
+      uint32_t bits;  // of a positive float: orders as the float does
+      std::memcpy(&bits, &w.projected[i].depth, 4);
+      w.keys[at++] = (uint64_t)bits << 32 | i;
+    }
+  }
+}
+
+// One stable counting-sort pass over `bits` bits of the keys; thread histograms keep it stable.
+void radix_pass(Workspace &w, int shift, int bits, int threads) {
+  const uint32_t buckets = 1u << bits, mask = buckets - 1;
+  parallel(threads, [&](int t) {
+    auto &counts = w.workers[t]->depth_counts;
+    counts.assign(buckets, 0);
+    const Part p = part_of(w.visible, threads, t);
+    for (uint32_t i = p.begin; i < p.end; i++) counts[w.keys[i] >> shift & mask]++;
+  });
+  uint32_t sum = 0;
+  for (uint32_t b = 0; b < buckets; b++)
+    for (int t = 0; t < threads; t++) {
+      uint32_t &c = w.workers[t]->depth_counts[b], n = c;
+      c = sum, sum += n;
+    }
+  parallel(threads, [&](int t) {
+    auto &next = w.workers[t]->depth_counts;
+    const Part p = part_of(w.visible, threads, t);
+    for (uint32_t i = p.begin; i < p.end; i++) w.other_keys[next[w.keys[i] >> shift & mask]++] = w.keys[i];
+  });
+  w.keys.swap(w.other_keys);
+}
+
+// Front to back; equal depths in index order.
+void sort_by_depth(Workspace &w, int threads) {
+  for (int pass = 0; pass < 3; pass++) radix_pass(w, 32 + 11 * pass, pass == 2 ? 10 : 11, threads);
+  grow(w.splats, w.visible), grow(w.extents, w.visible);
+  parallel(threads, [&](int t) {
+    const Part p = part_of(w.visible, threads, t);
+    for (uint32_t i = p.begin; i < p.end; i++) {
+      if (i + 16 < p.end) {
+        __builtin_prefetch(&w.projected[(uint32_t)w.keys[i + 16]]);
+        __builtin_prefetch(&w.projected_extents[(uint32_t)w.keys[i + 16]]);
+      }
+      w.splats[i] = w.projected[(uint32_t)w.keys[i]];
+      w.extents[i] = w.projected_extents[(uint32_t)w.keys[i]];
+    }
+  });
+}
+
+// Room for each splat's places: as many as tiles in its spans.
+void find_places(Workspace &w, uint64_t pairs, int threads) {
+  grow(w.places, pairs + 1), grow(w.places_start, w.visible + 1);
+  uint32_t sum = 0;
+  for (int t = 0; t < threads; t++) {
+    const uint32_t *span = w.workers[t]->spans.data();
+    const Part p = part_of(w.visible, threads, t);
+    for (uint32_t i = p.begin; i < p.end; i++) {
+      w.places_start[i] = sum;
+      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++) sum += (*span >> 16) - (*span & 0xffff);
+    }
+  }
+  w.places_start[w.visible] = sum;
+}
+
+// Counting sort of (tile, splat) pairs by tile; since splats come in depth order, so does every list.
+void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool remember_places) {
+  const int tiles = w.columns * w.rows;
+  parallel(threads, [&](int t) {
+    Worker &worker = *w.workers[t];
+    const Part p = part_of(w.visible, threads, t);
+    size_t rows = 0;
+    for (uint32_t i = p.begin; i < p.end; i++) rows += w.extents[i].y1 - w.extents[i].y0;
+    grow(worker.spans, rows);
+    worker.tile_counts.assign(tiles, 0);
+    kernels.tile_spans(w.splats.data() + p.begin, w.extents.data() + p.begin, p.end - p.begin, w.columns, worker.spans.data(), worker.tile_counts.data());
+  });
+  grow(w.tile_start, tiles + 1);
+  uint64_t sum = 0;
+  for (int tile = 0; tile < tiles; tile++) {
+    w.tile_start[tile] = (uint32_t)sum;
+    for (int t = 0; t < threads; t++) {
+      uint32_t &c = w.workers[t]->tile_counts[tile], n = c;
+      c = (uint32_t)sum, sum += n;
+    }
+  }
+  if (sum > UINT32_MAX) out_of_memory();
+  w.tile_start[tiles] = (uint32_t)sum;
+  grow(w.list, sum);
+  if (remember_places) find_places(w, sum, threads);
+  parallel(threads, [&](int t) {
+    Worker &worker = *w.workers[t];
+    const uint32_t *span = worker.spans.data();
+    const Part p = part_of(w.visible, threads, t);
+    for (uint32_t i = p.begin; i < p.end; i++) {
+      uint32_t *place = remember_places ? &w.places[w.places_start[i]] : nullptr;
+      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++)
+        for (uint32_t x = *span & 0xffff; x < *span >> 16; x++) {
+          const uint32_t at = worker.tile_counts[(size_t)row * w.columns + x]++;
+          w.list[at] = i;
+          if (place) *place++ = at;
+        }
+    }
+  });
+}
+
+}  // namespace
+
+StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads, bool remember_places) {
+  StageSeconds seconds;
+  const double t0 = now();
+  project_all(w, kernels, scene, camera, threads);
+  const double t1 = now();
+  sort_by_depth(w, threads);
+  const double t2 = now();
+  bin_into_tiles(w, kernels, threads, remember_places);
+  seconds.project = t1 - t0, seconds.sort = t2 - t1, seconds.bin = now() - t2;
+  return seconds;
+}
+
+}  // namespace drsplat
