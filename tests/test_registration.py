@@ -1,5 +1,6 @@
 """Registration: W by hand and by twin, shards, resuming, new encoders, and what it refuses."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from hypothesis import strategies as st
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.features import ViewFeatures
+from drsplat.formats.langsplat import read_features, write_features
 from drsplat.kernels import reference, splat_arrays, view_weights
+from drsplat.lens import distort_points
 from drsplat.registration import Registration, register
 from drsplat.views import View
 from scenes import look_at_view, random_gaussians, random_segment_map
@@ -223,6 +226,43 @@ def test_two_views_may_not_share_features(gaussians):
     features = {"000": capture(1)[1]["000"]}
     with pytest.raises(InputError, match=r"'left/000\.png' and 'right/000\.png' both find"):
         register(gaussians, nested, features)
+
+
+def test_two_views_may_not_share_a_file_of_features(gaussians, tmp_path):
+    """A folder finds its files by several names; that must not hide that they are the same."""
+    view, features = named_view(0), capture(1)[1]["000"]
+    nested = [View(f"{c}/000.png", view.K, view.cam_from_world, 64, 48) for c in ("left", "right")]
+    write_features(tmp_path, "000", features.segment_ids, features.embeddings)
+    assert register(gaussians, nested[:1], read_features(tmp_path)).num_registered > 0
+    with pytest.raises(InputError, match=r"'left/000\.png' and 'right/000\.png' both find"):
+        register(gaussians, nested, read_features(tmp_path))
+
+
+def test_masks_lie_on_the_photo_as_stored():
+    """Through a lens, one small Gaussian is seen elsewhere than in the pinhole: its mask is there."""
+    camera = look_at_view((0, 0, -6), (0, 0, 0), width=64, height=48)
+    view = replace(camera, name="000.png", distortion=(-0.6, 0.0, 0.0, 0.0))
+    gaussian = random_gaussians(1, seed=0)
+    gaussian = replace(
+        gaussian,
+        means=np.array([[2.4, 1.8, 0]], np.float32),
+        scales=np.full((1, 3), 0.01, np.float32),
+        opacities=np.array([0.9], np.float32),
+    )
+    in_camera = view.cam_from_world @ [2.4, 1.8, 0, 1]
+    in_pinhole = (view.K @ in_camera[:3])[:2] / in_camera[2]
+    on_photo = distort_points(view, in_pinhole)
+    assert np.linalg.norm(on_photo - in_pinhole) > 3
+
+    def weight_of_a_mask_around(place) -> float:
+        ids = np.full((48, 64), -1, np.int32)
+        x, y = np.floor(place).astype(int)
+        ids[y - 1 : y + 2, x - 1 : x + 2] = 0
+        features = {"000": ViewFeatures(ids, unit_rows(1, 0))}
+        return float(register(gaussian, [view], features).weights.sum())
+
+    assert weight_of_a_mask_around(on_photo) > 0.5
+    assert weight_of_a_mask_around(in_pinhole) == 0
 
 
 def test_a_view_that_sees_nothing_adds_empty_columns(gaussians):

@@ -14,6 +14,7 @@ from .errors import FormatError
 from .features import ViewFeatures
 from .formats.tensors import map_tensors, write_tensors
 from .kernels import SplatArrays, Triples, default_isa, view_weights
+from .photos import undistort_ids
 from .views import View
 
 COLUMNS_VERSION = "1"
@@ -44,7 +45,8 @@ class ColumnMaker:
 
     def columns(self, view: View, features: ViewFeatures) -> Columns:
         """Compute the view's columns, unless the very same ones are in the folder."""
-        segment_ids = features.resized(view.width, view.height).segment_ids
+        stored = features.resized(view.width, view.height).segment_ids
+        segment_ids = undistort_ids(view, stored)
         key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
         name = hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()
         path = self.folder / f"{name}.columns.safetensors"

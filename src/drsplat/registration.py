@@ -134,6 +134,8 @@ def register(
     """Register the segments of every view onto the Gaussians.
 
     features: by view name, with or without suffix; views without features are left out with a warning.
+    Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
+    on them too. For maps made on what `load_image` returned, pass views with distortion None.
     parts: folder for each view's finished columns; a run that finds them there does not redo them, so
     a killed run loses at most one view. None uses a temporary folder.
     track: wraps the views to show progress.
@@ -172,9 +174,10 @@ def _views_with_features(
 ) -> list[tuple[View, str]]:
     """In canonical order: by view name."""
     chosen, missing = [], []
+    keys = set(features)  # not `in features`: a folder of them finds one key by several names
     for view in sorted(views, key=lambda v: v.name):
         stem = str(Path(view.name).with_suffix("").as_posix())
-        key = next((key for key in (view.name, stem, Path(stem).name) if key in features), None)
+        key = next((key for key in (view.name, stem, Path(stem).name) if key in keys), None)
         if key is None:
             missing.append(view.name)
         else:
