@@ -5,7 +5,8 @@
 
 using namespace drsplat;
 
-void bind_algebra(nb::module_ &);  // bindings_algebra.cpp
+void bind_algebra(nb::module_ &);   // bindings_algebra.cpp
+void bind_training(nb::module_ &);  // bindings_training.cpp
 
 namespace {
 
@@ -17,18 +18,6 @@ Scene scene_of(const Rows &means, const Rows &covariances, const Vector &opaciti
   require(means.shape(0) == 3 && means.shape(1) == n && covariances.shape(0) == 6 && covariances.shape(1) == n, "means (3, N), covariances (6, N), opacities (N)");
   require(n < (1u << 31), "fewer than 2^31 Gaussians");
   return {means.data(), covariances.data(), opacities.data(), (uint32_t)n};
-}
-
-// camera: rotation row by row (9), translation (3), fx, fy, cx, cy
-Camera camera_of(const Vector &camera, int width, int height) {
-  require(camera.shape(0) == 16, "camera: 16 numbers");
-  require(width > 0 && height > 0 && width <= 65536 && height <= 65536, "width and height: 1 to 65536");
-  Camera c;
-  std::copy_n(camera.data(), 9, c.rotation);
-  std::copy_n(camera.data() + 9, 3, c.translation);
-  c.fx = camera.data()[12], c.fy = camera.data()[13], c.cx = camera.data()[14], c.cy = camera.data()[15];
-  c.width = width, c.height = height;
-  return c;
 }
 
 nb::tuple weights_of_view(Rows means, Rows covariances, Vector opacities, Vector camera, Array<int32_t, 2> segment_ids, int topk, int first_hits, int threads,
@@ -95,6 +84,7 @@ void bind_algebra(nb::module_ &m);
 
 NB_MODULE(_native, m) {
   bind_algebra(m);
+  bind_training(m);
   m.def("available_isas", [] {
     nb::list names;
     for (auto list = available_kernels(); *list; list++) names.append((*list)->name);

@@ -88,6 +88,38 @@ struct Scan {
   uint32_t subvectors;
 };
 
+struct Parameters {  // a scene while it is trained: pre-activation, rows of Gaussians
+  const float *means, *log_scales, *quats, *logits, *sh;
+  uint32_t count;
+  int32_t coefficients;
+};
+
+constexpr int kSplatSums = 9;  // see gradients.h
+
+struct Visible {  // a run of projected splats, in index order
+  const Splat *splats;
+  const Extent *extents;
+  const uint32_t *ranks;  // by depth
+  uint32_t count;
+};
+
+struct Places {  // of the splat of rank i: rows [start[i], start[i + 1]) of `places` are its rows of `sums`
+  const uint32_t *start, *places;
+  const float *sums;
+};
+
+struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
+  float *means, *log_scales, *quats, *logits, *sh, *screen, *radii;
+};
+
+struct LossPlanes {  // eight planes of each channel, rows padded to whole vectors
+  float *planes, *scratch;
+  int32_t width, height;
+  size_t stride;
+};
+
+struct AdamStep { float rate, beta1, beta2, root_correction, epsilon; };
+
 struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
@@ -99,6 +131,17 @@ struct Kernels {
   bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
   void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch, uint8_t *codes);
   void (*pq_scores)(const Scan &, uint64_t begin, uint64_t end, float *scores);
+
+  // training
+  void (*activate)(const Parameters &, uint32_t begin, uint32_t end, float *means, float *covariances, float *opacities);
+  void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
+  void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image, float *alpha);
+  void (*tile_backward)(const Tile &, const float *colors, const float *image, const float *gradient, TileScratch &, float *sums);
+  void (*splats_backward)(const Visible &, const Places &, const Parameters &, const Camera &, int32_t active, const float *center, const GradientArrays &);
+  void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);
+  void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
+  void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin, int row_end, float *gradient, double *row_sums);
+  void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &);
 };
 
 // Every instruction set that this build holds and this machine runs, best first; null at the end.

@@ -8,7 +8,8 @@ namespace {
 void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads) {
   w.columns = (camera.width + 15) / 16, w.rows = (camera.height + 15) / 16;
   grow(w.projected, scene.count), grow(w.projected_extents, scene.count);
-  std::vector<uint32_t> written(threads);
+  std::vector<uint32_t> &written = w.projected_counts;
+  written.assign(threads, 0);
   parallel(threads, [&](int t) {
     const Part p = part_of(scene.count, threads, t);
     written[t] = kernels.project(scene, camera, p.begin, p.end, w.projected.data() + p.begin, w.projected_extents.data() + p.begin);
@@ -51,9 +52,10 @@ void radix_pass(Workspace &w, int shift, int bits, int threads) {
 }
 
 // Front to back; equal depths in index order.
-void sort_by_depth(Workspace &w, int threads) {
+void sort_by_depth(Workspace &w, int threads, bool way_back) {
   for (int pass = 0; pass < 3; pass++) radix_pass(w, 32 + 11 * pass, pass == 2 ? 10 : 11, threads);
   grow(w.splats, w.visible), grow(w.extents, w.visible);
+  if (way_back) grow(w.ranks, w.projected.size());
   parallel(threads, [&](int t) {
     const Part p = part_of(w.visible, threads, t);
     for (uint32_t i = p.begin; i < p.end; i++) {
@@ -63,6 +65,7 @@ void sort_by_depth(Workspace &w, int threads) {
       }
       w.splats[i] = w.projected[(uint32_t)w.keys[i]];
       w.extents[i] = w.projected_extents[(uint32_t)w.keys[i]];
+      if (way_back) w.ranks[(uint32_t)w.keys[i]] = i;
     }
   });
 }
@@ -83,7 +86,7 @@ void find_places(Workspace &w, uint64_t pairs, int threads) {
 }
 
 // Counting sort of (tile, splat) pairs by tile; since splats come in depth order, so does every list.
-void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool remember_places) {
+void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_back) {
   const int tiles = w.columns * w.rows;
   parallel(threads, [&](int t) {
     Worker &worker = *w.workers[t];
@@ -106,13 +109,13 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool reme
   if (sum > UINT32_MAX) out_of_memory();
   w.tile_start[tiles] = (uint32_t)sum;
   grow(w.list, sum);
-  if (remember_places) find_places(w, sum, threads);
+  if (way_back) find_places(w, sum, threads);
   parallel(threads, [&](int t) {
     Worker &worker = *w.workers[t];
     const uint32_t *span = worker.spans.data();
     const Part p = part_of(w.visible, threads, t);
     for (uint32_t i = p.begin; i < p.end; i++) {
-      uint32_t *place = remember_places ? &w.places[w.places_start[i]] : nullptr;
+      uint32_t *place = way_back ? &w.places[w.places_start[i]] : nullptr;
       for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++)
         for (uint32_t x = *span & 0xffff; x < *span >> 16; x++) {
           const uint32_t at = worker.tile_counts[(size_t)row * w.columns + x]++;
@@ -125,14 +128,14 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool reme
 
 }  // namespace
 
-StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads, bool remember_places) {
+StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads, bool way_back) {
   StageSeconds seconds;
   const double t0 = now();
   project_all(w, kernels, scene, camera, threads);
   const double t1 = now();
-  sort_by_depth(w, threads);
+  sort_by_depth(w, threads, way_back);
   const double t2 = now();
-  bin_into_tiles(w, kernels, threads, remember_places);
+  bin_into_tiles(w, kernels, threads, way_back);
   seconds.project = t1 - t0, seconds.sort = t2 - t1, seconds.bin = now() - t2;
   return seconds;
 }

@@ -38,7 +38,10 @@ struct Workspace {
   std::vector<Extent> projected_extents, extents;
   std::vector<uint64_t> keys, other_keys;
   std::vector<uint32_t> list, tile_start;
-  std::vector<uint32_t> places, places_start;  // per splat, its entries of `list` in tile order
+  // For the way back, if asked: how many each thread projected, in index order; the depth rank of each;
+  // and by rank its entries of `list`, in tile order.
+  std::vector<uint32_t> projected_counts, ranks, places, places_start;
+  std::vector<float> scene, colors, sums, gradients;     // training only
   std::vector<std::unique_ptr<Worker>> workers;
   int columns = 0, rows = 0;
   uint32_t visible = 0;
@@ -73,8 +76,8 @@ void grow(std::vector<T> &v, size_t n) {
 }
 
 
-// Projects, sorts by depth and bins into tiles. Remembers, if asked, where each splat went in `list`.
-StageSeconds prepare(Workspace &, const Kernels &, const Scene &, const Camera &, int threads, bool remember_places = false);
+// Projects, sorts by depth and bins into tiles. `way_back` fills ranks and places.
+StageSeconds prepare(Workspace &, const Kernels &, const Scene &, const Camera &, int threads, bool way_back = false);
 
 // Calls work(worker number, tile number, tile) for every tile, on whichever thread is free.
 template <class Work>

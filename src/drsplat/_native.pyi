@@ -51,3 +51,40 @@ def pq_encode(features: Array, centroids: Array, threads: int, isa: str) -> Arra
 def pq_scores(
     codes: Array, lut: Array, scale: Array, bias: Array | None, threads: int, isa: str
 ) -> Array: ...
+
+class TrainingPass:
+    def forward(self) -> tuple[Array, Array]: ...
+    def backward(self, image: Array, gradient: Array) -> tuple[Array, ...]: ...
+    @property
+    def seconds(self) -> dict[str, float]: ...
+
+def training_pass(
+    means: Array,
+    log_scales: Array,
+    quats: Array,
+    logits: Array,
+    sh: Array,
+    camera: Array,
+    width: int,
+    height: int,
+    active: int,
+    background: Array,
+    threads: int,
+    isa: str,
+) -> TrainingPass: ...
+def photometric_loss(
+    image: Array, target: Array, ssim_weight: float, threads: int, isa: str
+) -> tuple[float, float, Array]: ...
+def adam_step(
+    parameter: Array,
+    gradient: Array,
+    first: Array,
+    second: Array,
+    rate: float,
+    step: int,
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    threads: int,
+    isa: str,
+) -> None: ...

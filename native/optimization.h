@@ -1,0 +1,115 @@
+// The photometric loss of 3DGS, (1 - w) L1 + w (1 - SSIM), with its gradient, and the Adam step.
+#pragma once
+
+constexpr int kWindow = 11, kReach = kWindow / 2;  // Gaussian window, sigma 1.5
+constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
+
+struct Window {
+  float w[kWindow];
+  Window() {
+    double total = 0, raw[kWindow];
+    for (int i = 0; i < kWindow; i++) total += raw[i] = __builtin_exp(-(i - kReach) * (i - kReach) / (2 * 1.5 * 1.5));
+    for (int i = 0; i < kWindow; i++) w[i] = (float)(raw[i] / total);
+  }
+};
+
+static inline float *plane_of(const LossPlanes &p, int i, int channel) { return p.planes + (size_t)(i * 3 + channel) * p.stride * (size_t)p.height; }
+
+// One row, zero beyond its ends: `padded` has kReach zeros in front and 16 + kReach behind.
+static inline void blur_row(const Window &g, const float *padded, float *out, int width) {
+  for (int x = 0; x < width; x += 16) {
+    Floats s = splat(0.f);
+    for (int k = 0; k < kWindow; k++) s = s + splat(g.w[k]) * load(padded + x + k);
+    store(out + x, s);
+  }
+}
+
+// The vertical half: 16 columns at x of row y, from a plane of `stride` floats a row.
+INLINE Floats blur_column(const Window &g, const float *plane, size_t stride, int height, int y, int x) {
+  Floats s = splat(0.f);
+  for (int k = 0; k < kWindow; k++) {
+    const int row = y + k - kReach;
+    if (row >= 0 && row < height) s = s + splat(g.w[k]) * load(plane + (size_t)row * stride + x);
+  }
+  return s;
+}
+
+// Rows of one channel of two images as planes, then their five products blurred along the row.
+static void ssim_rows(const float *image, const float *target, const LossPlanes &p, int row_begin, int row_end) {
+  const Window g;
+  float *padded = p.scratch, *rows[5];
+  for (int i = 0; i < 5; i++) rows[i] = padded + (size_t)i * (p.stride + 32);
+  memset(padded, 0, 5 * (p.stride + 32) * sizeof(float));
+  for (int y = row_begin; y < row_end; y++)
+    for (int c = 0; c < 3; c++) {
+      for (int x = 0; x < p.width; x++) {
+        const size_t at = ((size_t)y * p.width + x) * 3 + c;
+        const float a = image[at], b = target[at];
+        rows[0][kReach + x] = a, rows[1][kReach + x] = b, rows[2][kReach + x] = a * a, rows[3][kReach + x] = b * b, rows[4][kReach + x] = a * b;
+      }
+      for (int i = 0; i < 5; i++) blur_row(g, rows[i], plane_of(p, i, c) + (size_t)y * p.stride, p.width);
+    }
+}
+
+// SSIM of each pixel and its derivatives by the blurred image, its square and the product, which are
+// blurred along the row at once. Sums of SSIM go to row_sums, one per row and channel.
+static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, double *row_sums) {
+  const Window g;
+  const Floats c1 = splat(kC1), c2 = splat(kC2), two = splat(2.f), one = splat(1.f);
+  float *rows[3];
+  for (int i = 0; i < 3; i++) rows[i] = p.scratch + (size_t)i * (p.stride + 32);
+  memset(p.scratch, 0, 3 * (p.stride + 32) * sizeof(float));
+  for (int y = row_begin; y < row_end; y++)
+    for (int c = 0; c < 3; c++) {
+      double total = 0;
+      for (int x = 0; x < p.width; x += 16) {
+        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, i, c), p.stride, p.height, y, x); };
+        const Floats a = blurred(0), b = blurred(1), aa = a * a, bb = b * b, ab = a * b;
+        const Floats top1 = two * ab + c1, top2 = two * (blurred(4) - ab) + c2;
+        const Floats low1 = aa + bb + c1, low2 = (blurred(2) - aa) + (blurred(3) - bb) + c2;
+        const Floats inverse = one / (low1 * low2), ssim = top1 * top2 * inverse;
+        const Floats by_product = two * top1 * inverse;
+        const Floats by_square = splat(0.f) - ssim / low2;
+        const Floats by_mean = two * b * (top2 - top1) * inverse - two * a * ssim * (one / low1 - one / low2);
+        const int n = p.width - x < 16 ? p.width - x : 16;
+        for (int i = 0; i < n; i++) {
+          total += (double)lane(ssim, i);
+          rows[0][kReach + x + i] = lane(by_mean, i), rows[1][kReach + x + i] = lane(by_square, i), rows[2][kReach + x + i] = lane(by_product, i);
+        }
+      }
+      row_sums[y * 3 + c] = total;
+      for (int i = 0; i < 3; i++) blur_row(g, rows[i], plane_of(p, 5 + i, c) + (size_t)y * p.stride, p.width);
+    }
+}
+
+// The vertical half of the transposed blur, and the loss's gradient; row_sums of |image - target|.
+static void loss_gradient(const float *image, const float *target, const LossPlanes &p, float ssim_weight, int row_begin, int row_end, float *gradient, double *row_sums) {
+  const Window g;
+  const float share = 1.f / (3.f * (float)p.width * (float)p.height), l1 = (1 - ssim_weight) * share, structure = -ssim_weight * share;
+  for (int y = row_begin; y < row_end; y++)
+    for (int c = 0; c < 3; c++) {
+      double total = 0;
+      for (int x = 0; x < p.width; x += 16) {
+        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, 5 + i, c), p.stride, p.height, y, x); };
+        const Floats by_mean = blurred(0), by_square = blurred(1), by_product = blurred(2);
+        const int n = p.width - x < 16 ? p.width - x : 16;
+        for (int i = 0; i < n; i++) {
+          const size_t at = ((size_t)y * p.width + x + i) * 3 + c;
+          const float a = image[at], b = target[at], difference = a - b;
+          total += __builtin_fabs((double)difference);
+          const float slope = lane(by_mean, i) + 2 * a * lane(by_square, i) + b * lane(by_product, i);
+          gradient[at] = l1 * (difference > 0 ? 1.f : difference < 0 ? -1.f : 0.f) + structure * slope;
+        }
+      }
+      row_sums[y * 3 + c] = total;
+    }
+}
+
+// One Adam step, in place. rate and epsilon carry the bias corrections (Kingma & Ba 2015, end of Sec. 2).
+static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &s) {
+  for (size_t i = begin; i < end; i++) {
+    const float g = gradient[i], m = s.beta1 * first[i] + (1 - s.beta1) * g, v = s.beta2 * second[i] + (1 - s.beta2) * g * g;
+    first[i] = m, second[i] = v;
+    parameter[i] -= s.rate * m / (__builtin_sqrtf(v) * s.root_correction + s.epsilon);
+  }
+}

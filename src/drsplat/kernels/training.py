@@ -1,0 +1,183 @@
+"""Rendering with gradients, the photometric loss and the Adam step (native; float32).
+
+Semantics of the forward pass are those of `kernels.splatting`; the backward pass takes the same
+decisions: no gradient through the clamp at 0.99, the cut at 1/255 and the stop at 1e-4. Every function
+is the same to the bit for any number of threads.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from .. import _native
+from ..errors import InputError
+from ..views import View
+from .splatting import _camera, _checked_isa
+
+
+class SceneParameters(NamedTuple):
+    """A scene as it is optimised: pre-activation, C-contiguous float32.
+
+    quats: wxyz, of any length. log_scales: natural logarithms. logits: of the opacities.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    log_scales: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    logits: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n k 3"]
+
+
+class Gradients(NamedTuple):
+    """dL/d(parameter), and what density control wants to know; all zero for unseen Gaussians.
+
+    screen: norm of dL/d(projected centre), with the image 2 units wide and high (3DGS's measure).
+    radii: three standard deviations of the splat's longer axis, rounded up, in pixels.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    log_scales: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    logits: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n k 3"]
+    screen: Float32[np.ndarray, " n"]
+    radii: Float32[np.ndarray, " n"]
+
+
+class Loss(NamedTuple):
+    """value = (1 - w) l1 + w (1 - ssim), and its gradient by the image."""
+
+    value: float
+    l1: float
+    ssim: float
+    gradient: Float32[np.ndarray, "h w 3"]
+
+
+class TrainingView:
+    """One forward pass, kept for its backward pass; change no parameter in between.
+
+    image: RGB over the background. alpha: 1 - the transmittance that is left.
+    """
+
+    image: Float32[np.ndarray, "h w 3"]
+    alpha: Float32[np.ndarray, "h w"]
+
+    def __init__(self, native: _native.TrainingPass) -> None:
+        self._native, self._done = native, False
+        self.image, self.alpha = native.forward()
+
+    def backward(self, image_gradient: Float32[np.ndarray, "h w 3"]) -> Gradients:
+        """Gradients of any loss, given its gradient by the image. Once for each forward pass.
+
+        Raises: InputError: a gradient of another size than the image; a second call.
+        """
+        if self._done:
+            raise InputError("one backward pass for each forward pass: call forward again")
+        if image_gradient.shape != self.image.shape:
+            raise InputError(f"expected a gradient {self.image.shape}, got {image_gradient.shape}")
+        self._done = True
+        return Gradients(*self._native.backward(self.image, np.ascontiguousarray(image_gradient)))
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """What each stage took."""
+        return dict(self._native.seconds)
+
+
+def forward(
+    parameters: SceneParameters,
+    view: View,
+    sh_degree: int,
+    background: Float32[np.ndarray, "3"],
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> TrainingView:
+    """Render the scene as it stands, with SH coefficients up to `sh_degree` (0-3).
+
+    Raises: InputError: a degree beyond what is stored; arrays that are not contiguous float32.
+    Source: 3DGS Sec. 4-5.  Twin: kernels.reference_training.
+    """
+    active = (sh_degree + 1) ** 2
+    if not 0 <= sh_degree <= 3 or active > parameters.sh.shape[1]:
+        raise InputError(f"sh_degree {sh_degree}: {parameters.sh.shape[1]} coefficients are stored")
+    for name, array in parameters._asdict().items():
+        if array.dtype != np.float32 or not array.flags.c_contiguous:
+            raise InputError(f"{name}: expected contiguous float32, got {array.dtype}")
+    native = _native.training_pass(
+        *parameters,
+        _camera(view),
+        view.width,
+        view.height,
+        active,
+        np.ascontiguousarray(background, np.float32),
+        threads,
+        _checked_isa(isa),
+    )
+    return TrainingView(native)
+
+
+def photometric_loss(
+    image: Float32[np.ndarray, "h w 3"],
+    target: Float32[np.ndarray, "h w 3"],
+    ssim_weight: float = 0.2,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Loss:
+    """(1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
+
+    Raises: InputError: images of different sizes.
+    Source: 3DGS Eq. 7; Wang et al. 2004.  Twin: kernels.reference_training.
+    """
+    if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
+        raise InputError(f"expected two images (H, W, 3), got {image.shape} and {target.shape}")
+    l1, ssim, gradient = _native.photometric_loss(
+        np.ascontiguousarray(image),
+        np.ascontiguousarray(target),
+        ssim_weight,
+        threads,
+        _checked_isa(isa),
+    )
+    return Loss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim, gradient)
+
+
+def adam_step(
+    parameter: np.ndarray,
+    gradient: np.ndarray,
+    first_moment: np.ndarray,
+    second_moment: np.ndarray,
+    rate: float,
+    step: int,
+    *,
+    beta1: float = 0.9,
+    beta2: float = 0.999,
+    epsilon: float = 1e-15,
+    threads: int = 0,
+    isa: str = "",
+) -> None:
+    """One Adam step in place: parameter and both moments change. step counts from 1.
+
+    Raises: InputError: arrays that are not contiguous float32 of one shape.
+    Source: Kingma & Ba 2015, Algorithm 1.  Twin: kernels.reference_training.
+    """
+    arrays = (parameter, gradient, first_moment, second_moment)
+    for array in arrays:
+        if array.shape != parameter.shape or array.dtype != np.float32:
+            raise InputError(f"expected float32 {parameter.shape}, got {array.dtype} {array.shape}")
+        if not array.flags.c_contiguous:
+            raise InputError("adam_step works in place: all arrays must be contiguous")
+    _native.adam_step(
+        parameter,
+        gradient.reshape(-1),
+        first_moment,
+        second_moment,
+        rate,
+        step,
+        beta1,
+        beta2,
+        epsilon,
+        threads,
+        _checked_isa(isa),
+    )
