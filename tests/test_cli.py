@@ -21,7 +21,9 @@ from drsplat import (
     cli,
     load_field,
     read_gaussians,
+    read_views,
     save_codebook,
+    write_cameras_json,
     write_gaussians,
 )
 from drsplat.cli import VERBS, main
@@ -116,7 +118,18 @@ def test_version(capsys: Capture) -> None:
 
 @pytest.mark.parametrize(
     "argv",
-    [[], ["bogus"], ["query"], ["inspect", "x", "--threads", "-1"], ["inspect", "x", "--jso"]],
+    [
+        [],
+        ["bogus"],
+        ["query"],
+        ["inspect", "x", "--threads", "-1"],
+        ["inspect", "x", "--jso"],
+        ["query", "x", "mug", "--threshold", "nan"],
+        ["query", "x", "mug", "--threshold", "high"],
+        ["query", "x", "mug", "--top", "0"],
+        ["query", "x", "mug", "--min-gaussians", "-1"],
+        ["render", "x", "--views", "x", "--all", "--threshold", "inf"],
+    ],
 )
 def test_bad_usage_is_2(argv: list[str], capsys: Capture) -> None:
     assert "--help" in error_of(capsys, *argv, code=2)
@@ -194,6 +207,43 @@ def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture
     assert sum(field["file_bytes"].values()) > 100 * len(story.field)
     for path in ("scene.ply", "", "language_features", "room.field"):
         assert str(room / path) in text_of(capsys, "inspect", room / path).replace("\n", "")
+
+
+def test_inspect_knows_a_vocabulary_from_cameras(
+    room: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    words = tmp_path / "words.json"
+    words.write_text(json.dumps({"frames": [1, 0, 0], "red mug": [0.0, 1.0, 0.0]}))
+    vocabulary = answer_of(capsys, "inspect", words)
+    assert (vocabulary["kind"], vocabulary["dim"]) == ("vocabulary", 3)
+    assert vocabulary["texts"] == ["frames", "red mug"]
+    cameras = tmp_path / "some_cameras.json"
+    write_cameras_json(cameras, read_views(room))
+    assert answer_of(capsys, "inspect", cameras)["kind"] == "capture"
+    frameless = tmp_path / "transforms.json"
+    frameless.write_text("{}")
+    assert '"frames"' in error_of(capsys, "inspect", frameless)
+
+
+def test_register_refuses_what_is_no_field_before_it_works(
+    room: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    (tmp_path / "notes").mkdir()
+    argv = registering(room, tmp_path / "notes")
+    assert "not ours to replace" in error_of(capsys, *argv, "--overwrite")
+    assert not (tmp_path / "notes.parts").exists()
+
+
+def test_register_counts_the_coarse_id_of_residual_codes(
+    room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    plain, path = story.field.codebook, tmp_path / "residual.safetensors"
+    save_codebook(replace(plain, coarse=np.zeros((1, plain.dim), np.float32)), path)
+    report = answer_of(capsys, *registering(room, tmp_path / "a.field", path))
+    assert report["bytes_per_gaussian"] == report["num_subvectors"] + 2
+    assert f"{report['bytes_per_gaussian']} bytes per Gaussian" in text_of(
+        capsys, *registering(room, tmp_path / "b.field", path)
+    )
 
 
 def test_register_reports_and_refuses_to_overwrite(
@@ -365,6 +415,10 @@ def test_query_needs_the_right_encoder(
     )
     assert answer_of(capsys, *argv, "--relevancy")["num_selected"] > 0
     assert "blue mug" in error_of(capsys, "query", output, "blue mug", "--vocabulary", vocabulary)
+    short = tmp_path / "short.json"
+    short.write_text('{"red mug": [1.0, 0.0]}')
+    message = error_of(capsys, "query", output, "red mug", "--vocabulary", short)
+    assert "its vectors have 2 numbers, those of this field 512" in message
 
 
 def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -377,6 +431,11 @@ def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Captu
     assert "--overwrite" in error_of(
         capsys, "query", field, "mug", "--scene", scene, "--save", scene
     )
+    nowhere = tmp_path / "nowhere" / "x.ply"
+    message = error_of(
+        capsys, "query", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere
+    )
+    assert "there is no folder" in message  # said before the field is looked for
     write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
     assert "512" in error_of(capsys, "query", field, "--vector", tmp_path / "short.npy")
     other = tmp_path / "other.ply"

@@ -278,7 +278,7 @@ def test_unknown_words_have_advice(vocabulary):
         vocabulary.encode_texts(["sofa", "soffa"])
     with pytest.raises(InputError, match="closest: 'Table'"):
         vocabulary.encode_texts(["table"])
-    with pytest.raises(InputError, match="starts with"):
+    with pytest.raises(InputError, match="starts with '"):
         vocabulary.encode_texts(["zzzzzz"])
     with pytest.raises(InputError, match="a list of texts"):
         vocabulary.encode_texts("sofa")

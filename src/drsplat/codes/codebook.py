@@ -74,6 +74,11 @@ class Codebook:
         return len(self.centroids)
 
     @property
+    def code_bytes(self) -> int:
+        """Of one code: one per sub-vector, two more for the coarse id of a residual codebook."""
+        return self.num_subvectors + (0 if self.coarse is None else 2)
+
+    @property
     def dim(self) -> int:
         return int(self.centroids.shape[0] * self.centroids.shape[2])
 
@@ -198,7 +203,8 @@ def train_codebook(
     n, dim = embeddings.shape
     if n == 0 or num_subvectors < 1 or dim % num_subvectors:
         raise InputError(
-            f"cannot train {num_subvectors} sub-vectors on {n} embeddings of {dim} numbers"
+            f"cannot train {num_subvectors} sub-vectors on {n} embeddings of {dim} numbers: give at "
+            f"least one embedding, and a number of sub-vectors that divides {dim}"
         )
     if n > TRAINING_POINTS:
         drawn = np.random.default_rng(seed).choice(n, TRAINING_POINTS, replace=False)

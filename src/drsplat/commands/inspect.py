@@ -24,7 +24,7 @@ PERCENTILES = (1, 50, 99)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", help="any file or folder that the other verbs read or write")
+    parser.add_argument("path", help="file or folder of any of these")
     add_capture_options(parser)
 
 
@@ -70,9 +70,19 @@ def _file_kind(path: Path) -> str:
         from ..formats.tensors import map_tensors
 
         return "codebook" if "centroids" in map_tensors(path)[0] else "vocabulary"
-    return {".faiss": "codebook", ".json": "capture", ".bin": "capture", ".txt": "capture"}.get(
-        path.suffix, "scene"
-    )
+    if path.suffix == ".json":
+        return _json_kind(path)
+    return {".faiss": "codebook", ".bin": "capture", ".txt": "capture"}.get(path.suffix, "scene")
+
+
+def _json_kind(path: Path) -> str:
+    """cameras.json is a list, transforms.json has frames; a vocabulary may have vectors of that name."""
+    from ..formats.json_files import read_json
+
+    document = read_json(path)
+    frames = document.get("frames") if isinstance(document, dict) else document
+    posed = isinstance(frames, list) and not any(isinstance(frame, int | float) for frame in frames)
+    return "capture" if posed or path.name == "transforms.json" else "vocabulary"
 
 
 def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -175,7 +185,7 @@ def _codebook_facts(codebook: Codebook) -> dict[str, Any]:
         "codebook": codebook.hash,
         "num_subvectors": codebook.num_subvectors,
         "num_coarse": 0 if coarse is None else len(coarse),
-        "bytes_per_gaussian": codebook.num_subvectors + (0 if coarse is None else 2),
+        "bytes_per_gaussian": codebook.code_bytes,
     }
 
 

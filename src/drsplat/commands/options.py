@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,24 @@ LEVEL_HELP = (
     "features made by LangSplat, but Dr. Splat's own preprocessing stores its *large* masks in all four levels and "
     "its README trains with level 1. 'large' is right for both"
 )
+
+
+def count(text: str) -> int:
+    """An option's positive whole number."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive whole number, got '{text}'")
+    return int(text)
+
+
+def finite(text: str) -> float:
+    """An option's number; NaN would compare with nothing, and JSON has no word for it."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"expected a finite number, got '{text}'")
+    return number
 
 
 def add_overwrite(parser: argparse._ActionsContainer) -> None:
@@ -86,14 +105,21 @@ def encoder_for(field: LanguageField, vocabulary: str | None) -> Encoder:
     """What turns words into queries of this field.
 
     Raises: InputError: a field of another encoder than the built-in one, and no vocabulary.
+    MismatchError: a vocabulary that does not say who made it, of another dimension.
     """
     from .. import WordEncoder, read_vocabulary
-    from ..errors import InputError
+    from ..errors import InputError, MismatchError
 
     if vocabulary is not None:
         # JSON does not say who made it, and neither does a field registered without --encoder-name
         anonymous = Path(vocabulary).suffix == ".json" or field.encoder.name == "unknown"
-        return read_vocabulary(vocabulary, name=field.encoder.name if anonymous else None)
+        words = read_vocabulary(vocabulary, name=field.encoder.name if anonymous else None)
+        if anonymous and words.identity.dim != field.encoder.dim:
+            raise MismatchError(
+                f"{vocabulary}: its vectors have {words.identity.dim} numbers, those of this field "
+                f"{field.encoder.dim}: embed the texts with the encoder of the masks, '{field.encoder.name}'"
+            )
+        return words
     if field.encoder.matches(WordEncoder.identity):
         return WordEncoder()
     raise InputError(

@@ -10,6 +10,8 @@ from .options import (
     add_capture_options,
     add_overwrite,
     add_vocabulary,
+    count,
+    finite,
     new_output,
     view_named,
     views_of,
@@ -38,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_vocabulary(parser)
     parser.add_argument(
-        "--threshold", type=float, metavar="T",
+        "--threshold", type=finite, metavar="T",
         help=f"select Gaussians above this (default: {COSINE_THRESHOLD} of the cosine, in [-1, 1], 0.6 with the "
         f"built-in words encoder; {RELEVANCY_THRESHOLD} of the relevancy, in [0, 1])",
     )  # fmt: skip
@@ -55,10 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scene", help="the scene that was registered; needed for places, --save and --picture"
     )
     parser.add_argument(
-        "--top", type=int, default=10, metavar="N", help="things to list, best first (default: 10)"
+        "--top",
+        type=count,
+        default=10,
+        metavar="N",
+        help="things to list, best first (default: 10)",
     )
     parser.add_argument(
-        "--min-gaussians", type=int, default=MIN_GAUSSIANS, metavar="N",
+        "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
         help=f"smaller things are specks and left out (default: {MIN_GAUSSIANS})",
     )  # fmt: skip
     output = parser.add_argument_group("output")
@@ -99,7 +105,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     least = arguments.min_gaussians
     things = locate(answer.field, scene, answer.values, answer.threshold, min_gaussians=least)
     report |= {"found": bool(things), "num_instances": len(things)}
-    report["instances"] = [_instance(answer, thing) for thing in things[: max(0, arguments.top)]]
+    report["instances"] = [_instance(answer, thing) for thing in things[: arguments.top]]
     if arguments.save:
         _save(arguments, answer, scene, things)
     if arguments.picture:
@@ -147,7 +153,9 @@ def _check(arguments: argparse.Namespace) -> None:
         ("--picture", arguments.picture, ""),
     ):
         if output is not None:
-            new_output(output, arguments.overwrite, suffix)
+            folder = new_output(output, arguments.overwrite, suffix).parent
+            if not folder.is_dir():
+                raise InputError(f"{option}: there is no folder {folder}: make it first")
             if arguments.scene is None:
                 raise InputError(f"{option} needs --scene SCENE")
     if arguments.picture is not None and arguments.views is None:

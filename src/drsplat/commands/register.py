@@ -5,11 +5,20 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import LEVEL_HELP, add_capture_options, add_overwrite, new_output, tracker, views_of
+from .options import (
+    LEVEL_HELP,
+    add_capture_options,
+    add_overwrite,
+    count,
+    new_output,
+    tracker,
+    views_of,
+)
 
 if TYPE_CHECKING:
     from ..codes import Codebook
     from ..encoders import EncoderIdentity
+    from ..field import LanguageField
 
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
 EXAMPLES = """\
@@ -55,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="Gaussians per pixel that are kept, by weight: a number or 'all' (default: 40)",
     )  # fmt: skip
     method.add_argument(
-        "--first-hits", type=_count, metavar="N",
+        "--first-hits", type=count, metavar="N",
         help="take the top K only among the first N of each ray; the published code has 100 (default: no limit)",
     )  # fmt: skip
     method.add_argument(
@@ -63,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="codebook to code features with, .safetensors or the authors' .faiss (default: trained on this scene)",
     )  # fmt: skip
     method.add_argument(
-        "--subvectors", type=_count, metavar="L",
+        "--subvectors", type=count, metavar="L",
         help="bytes per Gaussian of a codebook that is trained here (default: 128, or what divides the embedding size)",
     )  # fmt: skip
     method.add_argument(
@@ -81,9 +90,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_features, read_gaussians, register
     from ..field import build_field
+    from ..formats.field_folder import refuse_to_replace_others
     from ..progress import Stopwatch, peak_memory_bytes
 
     output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
+    refuse_to_replace_others(output)
     gaussians = read_gaussians(arguments.scene)
     views = views_of(arguments, arguments.capture)
     codebook = _codebook(arguments)
@@ -115,15 +126,22 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_views_reused": reused,
         "num_segments": len(registration.segments),
         "num_weights": int(registration.weights.nnz),
-        "dim": field.encoder.dim,
-        "encoder": field.encoder.name,
-        "num_subvectors": field.codebook.num_subvectors,
-        "codebook": field.codebook.hash,
+        **_coding(field),
         "topk": arguments.topk,
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
         "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
         "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def _coding(field: "LanguageField") -> dict[str, Any]:
+    return {
+        "dim": field.encoder.dim,
+        "encoder": field.encoder.name,
+        "num_subvectors": field.codebook.num_subvectors,
+        "bytes_per_gaussian": field.codebook.code_bytes,
+        "codebook": field.codebook.hash,
     }
 
 
@@ -142,7 +160,7 @@ def show(answer: dict[str, Any]) -> None:
             "views": f"{said(answer['num_views'])}{reused}",
             "masks": f"{said(answer['num_segments'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),
-            "codes": f"{answer['num_subvectors']} bytes per Gaussian",
+            "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
             "field": size_said(answer["field_bytes"]),
             "time": f"{answer['seconds']:.1f} s ({stages})",
             "peak memory": size_said(answer["peak_memory_bytes"]),
@@ -155,14 +173,8 @@ def _finished(parts: Path) -> dict[str, int]:
     return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.safetensors")}
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a positive whole number, got '{text}'")
-    return int(text)
-
-
 def _count_or_all(text: str) -> int | None:
-    return None if text == "all" else _count(text)
+    return None if text == "all" else count(text)
 
 
 def _level(text: str) -> str | int:

@@ -10,6 +10,7 @@ from .options import (
     add_capture_options,
     add_overwrite,
     add_vocabulary,
+    finite,
     new_output,
     tracker,
     view_named,
@@ -67,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep in colour what this finds, the rest grey",
     )
     parser.add_argument(
-        "--threshold", type=float, metavar="T", help="of --query (default: as `drsplat query`)"
+        "--threshold", type=finite, metavar="T", help="of --query (default: as `drsplat query`)"
     )
     add_vocabulary(parser)
     add_capture_options(parser)

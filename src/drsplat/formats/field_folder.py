@@ -46,8 +46,7 @@ def write_folder(
     if path.exists() or path.is_symlink():
         if not overwrite:
             raise InputError(f"{path} exists already: pass overwrite=True to replace it")
-        if not (path / MANIFEST).is_file():
-            raise InputError(f"{path} exists and has no {MANIFEST}: it is not ours to replace")
+        refuse_to_replace_others(path)
     if not path.parent.is_dir():
         raise InputError(
             f"there is no folder {path.parent} to write {path.name} into: make it first"
@@ -61,6 +60,12 @@ def write_folder(
         _take_place(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_to_replace_others(path: Path) -> None:
+    """Raises: InputError: something is at `path` that is not such a folder."""
+    if (path.exists() or path.is_symlink()) and not (path / MANIFEST).is_file():
+        raise InputError(f"{path} exists and has no {MANIFEST}: it is not ours to replace")
 
 
 def read_manifest(path: Path) -> dict[str, object]:

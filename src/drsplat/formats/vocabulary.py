@@ -52,7 +52,7 @@ class VocabularyEncoder:
         advice = (
             f"closest: {', '.join(map(repr, close))}"
             if close
-            else f"it starts with {self.texts[:5]}"
+            else f"it starts with {', '.join(map(repr, self.texts[:5]))}"
         )
         raise InputError(
             f"{text!r} is not among the {len(self.texts)} texts of vocabulary "
