@@ -129,7 +129,7 @@ def photometric_loss(
     """(1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
 
     Raises: InputError: images of different sizes.
-    Source: 3DGS Eq. 7; Wang et al. 2004.  Twin: kernels.reference_training.
+    Source: 3DGS Eq. 7; Wang et al. 2004.  Twin: kernels.reference_loss.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected two images (H, W, 3), got {image.shape} and {target.shape}")
@@ -160,7 +160,7 @@ def adam_step(
     """One Adam step in place: parameter and both moments change. step counts from 1.
 
     Raises: InputError: arrays that are not contiguous float32 of one shape.
-    Source: Kingma & Ba 2015, Algorithm 1.  Twin: kernels.reference_training.
+    Source: Kingma & Ba 2015, Algorithm 1.  Twin: kernels.reference_loss.
     """
     arrays = (parameter, gradient, first_moment, second_moment)
     for array in arrays:

@@ -1,0 +1,417 @@
+"""The native training kernels against their float64 twins, and both against torch's autograd.
+
+Where float32 may rightly decide otherwise than float64 (the boundary band), the image gradient is set to
+zero, so that both sides differentiate the same function. Errors are relative to the entry itself, or to
+a hundredth of the largest of its kind where the entry is smaller than that.
+"""
+
+import importlib.util
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drsplat.gaussians import Gaussians
+from drsplat.kernels import (
+    available_isas,
+    reference,
+    reference_gradients,
+    reference_training,
+    splat_arrays,
+)
+from drsplat.kernels.reference_training import Parameters
+from drsplat.kernels.training import Gradients, SceneParameters, forward
+from drsplat.rendering import render
+from drsplat.views import View
+from scenes import look_at_view, random_gaussians
+
+TOLERANCE = 1e-3
+KINDS = ("means", "log_scales", "quats", "logits", "sh", "screen")
+INSIDE = {"target": (1.0, 0.3, 0.1), "fov_degrees": 90.0}
+
+
+class Case(NamedTuple):
+    count: int
+    sh_degree: int
+    eye: tuple[float, float, float]
+    options: dict
+    background: tuple[float, float, float] = (0.2, 0.5, 0.9)
+
+
+CASES = {
+    "outside": Case(120, 0, (0.0, -5.0, 1.0), {"width": 48, "height": 40}),
+    "off-centre": Case(
+        100, 1, (3.0, -3.0, 2.0), {"width": 48, "height": 40, "principal": (15.0, 28.0)}
+    ),
+    "inside": Case(150, 2, (0.1, 0.2, 0.0), {"width": 48, "height": 40, **INSIDE}),
+    "black": Case(60, 3, (0.0, -3.5, 0.5), {"width": 45, "height": 37}, (0.0, 0.0, 0.0)),
+}
+every_case = pytest.mark.parametrize("case", CASES)
+every_isa = pytest.mark.parametrize("isa", available_isas())
+
+
+def parameters_of(gaussians: Gaussians, seed: int = 0) -> SceneParameters:
+    """Before activation: quaternions of any length, a fifth of the Gaussians nearly opaque."""
+    rng = np.random.default_rng(seed)
+    opacities = gaussians.opacities.astype(np.float64).clip(1e-3, 0.999)
+    logits = np.log(opacities / (1 - opacities))
+    logits[rng.random(len(logits)) < 0.2] = 6.0
+    quats = gaussians.quats * np.exp(rng.normal(0, 0.5, (len(logits), 1)))
+    columns = (gaussians.means, np.log(gaussians.scales), quats, logits, gaussians.sh)
+    return SceneParameters(*(np.ascontiguousarray(c, np.float32) for c in columns))
+
+
+def random_scene(count: int, seed: int, sh_degree: int) -> SceneParameters:
+    scene = random_gaussians(count, seed, extent=1.5, size=0.3, sh_degree=sh_degree)
+    return parameters_of(scene, seed)
+
+
+@lru_cache
+def scene_of(case: str) -> SceneParameters:
+    return random_scene(CASES[case].count, list(CASES).index(case), CASES[case].sh_degree)
+
+
+@lru_cache
+def view_of(case: str) -> View:
+    return look_at_view(CASES[case].eye, **CASES[case].options)
+
+
+def background_of(case: str) -> np.ndarray:
+    return np.array(CASES[case].background, np.float32)
+
+
+@lru_cache
+def decisions_of(case: str) -> reference_training.Decisions:
+    return reference_training.decide(
+        Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree
+    )
+
+
+@lru_cache
+def image_gradient_of(case: str) -> np.ndarray:
+    view = view_of(case)
+    return off_the_boundary(decisions_of(case).unsure, view)
+
+
+def off_the_boundary(unsure: np.ndarray, view: View, seed: int = 0) -> np.ndarray:
+    """A random image gradient, zero where float32 may decide otherwise."""
+    values = np.random.default_rng(seed).normal(size=(view.height, view.width, 3))
+    return (values * ~unsure[..., None]).astype(np.float32)
+
+
+@lru_cache
+def slopes_of(case: str) -> reference_gradients.Gradients:
+    """The finite differences."""
+    return reference_gradients.gradients(
+        Parameters(*scene_of(case)),
+        view_of(case),
+        CASES[case].sh_degree,
+        background_of(case),
+        image_gradient_of(case),
+    )
+
+
+def native_pass(case: str, **options):
+    return forward(
+        scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), **options
+    )
+
+
+def relative_error(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    assert found.shape == expected.shape
+    size = np.abs(expected)
+    return np.abs(found - expected) / np.maximum(size, 1e-2 * size.max() + 1e-300)
+
+
+def assert_gradients_agree(found, expected, tolerance: float = TOLERANCE) -> None:
+    """All kinds that `expected` has; every wrong kind is named with its worst entry."""
+    wrong = []
+    for kind in KINDS:
+        ours, theirs = np.asarray(getattr(found, kind)), np.asarray(getattr(expected, kind))
+        error = relative_error(ours, theirs)
+        place = np.unravel_index(error.argmax(), error.shape)
+        if not error.max() <= tolerance:
+            place_of = tuple(map(int, place))
+            wrong.append(
+                f"{kind}{place_of}: {ours[place]:.7g}, expected {theirs[place]:.7g}; "
+                f"{(error > tolerance).sum()} of {error.size} over {tolerance:g}"
+            )
+    assert not wrong, "\n".join(wrong)
+
+
+# --- the twin ------------------------------------------------------------------------------------
+
+
+def test_the_cases_hold_every_rule():
+    """Else the comparisons below would prove less than they seem to."""
+    capped = dark = clamped = stopped = 0
+    for case in CASES:
+        entries, branches, unsure = decisions_of(case)
+        seen = np.unique(entries.ids)
+        capped += entries.capped.sum()
+        dark += (~branches.lit[seen]).sum()
+        clamped += np.abs(branches.sides[seen]).sum()
+        image = reference_training.image(
+            Parameters(*scene_of(case)),
+            view_of(case),
+            CASES[case].sh_degree,
+            background_of(case) * 0 + 1e6,
+            decisions_of(case),
+        )
+        stopped += (image < 1e6 * 2e-4).sum()
+        assert unsure.mean() < 0.03
+        assert len(seen) > 40
+    assert min(capped, dark, clamped, stopped) > 10
+
+
+@every_case
+def test_held_decisions_change_no_image(case):
+    """With the parameters they were taken for, the image is that of the compositing twin."""
+    scene, view, degree = scene_of(case), view_of(case), CASES[case].sh_degree
+    image = reference_training.image(
+        Parameters(*scene), view, degree, background_of(case), decisions_of(case)
+    )
+    gaussians = activated(scene)
+    colors = reference.sh_colors(gaussians.sh, gaussians.means, view.center)
+    expected = reference.render_channels(
+        splat_arrays(gaussians), view, colors, background_of(case)
+    ).channels
+    sure = ~decisions_of(case).unsure
+    assert_allclose(image[sure], expected[sure], rtol=0, atol=2e-5)  # theirs activated in float32
+
+
+def activated(scene: SceneParameters) -> Gaussians:
+    wide = [column.astype(np.float64) for column in scene]
+    quats = wide[2] / np.linalg.norm(wide[2], axis=1, keepdims=True)
+    columns = (wide[0], quats, np.exp(wide[1]), 1 / (1 + np.exp(-wide[3])), wide[4])
+    return Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+# --- the image and its gradient -------------------------------------------------------------------
+
+
+@every_case
+@every_isa
+def test_gradients_are_those_of_finite_differences(case, isa):
+    found = native_pass(case, isa=isa).backward(image_gradient_of(case))
+    assert_gradients_agree(found, slopes_of(case))
+
+
+@every_case
+@every_isa
+def test_the_image_is_that_of_the_twin(case, isa):
+    view = native_pass(case, isa=isa)
+    expected = reference_training.image(
+        Parameters(*scene_of(case)),
+        view_of(case),
+        CASES[case].sh_degree,
+        background_of(case),
+        decisions_of(case),
+    )
+    sure = ~decisions_of(case).unsure
+    assert_allclose(view.image[sure], expected[sure], rtol=0, atol=1e-5)
+
+
+@every_case
+def test_the_image_is_that_of_render(case):
+    """Both activated in float32, so that not one decision differs."""
+    view = native_pass(case)
+    picture = render(activated(scene_of(case)), view_of(case), background=CASES[case].background)
+    sure = ~decisions_of(case).unsure
+    assert_allclose(view.image[sure], picture.rgb[sure], rtol=0, atol=1e-6)
+    assert_allclose(view.alpha[sure], picture.alpha[sure], rtol=0, atol=1e-6)
+
+
+@every_case
+def test_radii_are_those_of_the_projection(case):
+    """Three standard deviations along the long axis, rounded up; 0 where nothing is seen."""
+    found = native_pass(case).backward(image_gradient_of(case))
+    entries, branches, _ = decisions_of(case)
+    scene = Parameters(*(column.astype(np.float64) for column in scene_of(case)))
+    marks = reference_training.footprints(scene, view_of(case), 0, branches)
+    a, b, c = marks.covariances.T
+    mid = 0.5 * (a + c)
+    reach = 3 * np.sqrt(mid + np.sqrt(np.maximum(0.1, mid * mid - (a * c - b * b))))
+    seen = np.unique(entries.ids)
+    sure = seen[np.abs(reach[seen] - np.round(reach[seen])) > 1e-3]
+    assert len(sure) > 0.9 * len(seen)
+    assert_array_equal(found.radii[sure], np.ceil(reach[sure]))
+    points = scene.means @ view_of(case).cam_from_world[2, :3] + view_of(case).cam_from_world[2, 3]
+    assert_array_equal(found.radii[points < 0.2], 0)
+    assert set(np.flatnonzero(found.screen)) <= set(np.flatnonzero(found.radii))
+
+
+@pytest.mark.parametrize("active", [0, 1, 2])
+def test_degrees_beyond_the_active_one_do_nothing(active):
+    scene, view = random_scene(60, 3, 3), view_of("black")
+    cut = scene._replace(sh=np.ascontiguousarray(scene.sh[:, : (active + 1) ** 2]))
+    black = np.zeros(3, np.float32)
+    full, short = forward(scene, view, active, black), forward(cut, view, active, black)
+    assert_array_equal(full.image, short.image)
+    gradient = off_the_boundary(np.zeros((view.height, view.width), bool), view)
+    ours, theirs = full.backward(gradient), short.backward(gradient)
+    beyond = (active + 1) ** 2
+    assert_array_equal(ours.sh[:, beyond:], 0)
+    assert_array_equal(ours.sh[:, :beyond], theirs.sh)
+    assert np.abs(theirs.sh).max() > 0
+    for kind in set(KINDS) - {"sh"}:
+        assert_array_equal(getattr(ours, kind), getattr(theirs, kind))
+
+
+def test_a_gradient_is_linear_in_that_of_the_image():
+    """Twice is exact in binary floating point; nothing gives nothing; a second time changes nothing."""
+    gradient = image_gradient_of("outside")
+    once, again, twice, nothing = (
+        native_pass("outside").backward(factor * gradient) for factor in np.float32([1, 1, 2, 0])
+    )
+    for kind in KINDS:
+        assert_array_equal(getattr(again, kind), getattr(once, kind))
+        assert_array_equal(getattr(twice, kind), 2 * getattr(once, kind))
+        assert_array_equal(getattr(nothing, kind), 0)
+
+
+def test_the_length_of_a_quaternion_is_free():
+    found = native_pass("outside").backward(image_gradient_of("outside"))
+    along = np.einsum("nk,nk->n", found.quats.astype(np.float64), scene_of("outside").quats)
+    lengths = np.linalg.norm(scene_of("outside").quats, axis=1)
+    assert np.abs(along).max() < 1e-5 * np.abs(found.quats).max() * lengths.max()
+
+
+def test_what_is_not_seen_has_no_gradient():
+    scene = scene_of("outside")
+    away = look_at_view((0.0, -5.0, 1.0), (0.0, -9.0, 1.0), width=48, height=40)
+    view = forward(scene, away, 0, np.float32([0.25, 0.5, 0.75]))
+    assert_array_equal(view.image, np.broadcast_to(np.float32([0.25, 0.5, 0.75]), (40, 48, 3)))
+    assert_array_equal(view.alpha, 0)
+    found = view.backward(np.ones((40, 48, 3), np.float32))
+    for column in found:
+        assert_array_equal(column, 0)
+
+
+def test_extreme_parameters_give_finite_gradients():
+    """What an optimiser may run into: collapsed, huge, faint, opaque, behind or in the camera."""
+    view = view_of("black")
+    columns = [column.copy() for column in random_scene(200, 7, 3)]
+    means, log_scales, quats, logits, sh = columns
+    quats[0:5], quats[5:10], quats[10:15] = 0, 1e-12 * quats[5:10], 1e12 * quats[10:15]
+    logits[15:20], logits[20:25], logits[25:30], logits[30:35] = 50, -50, 200, -200
+    log_scales[35:40], log_scales[40:45], log_scales[45:50] = -100, -30, 30
+    log_scales[50:55], log_scales[55:60] = [5, -12, -12], 8
+    means[60:65], means[65:70], means[70:75] = view.center, view.center + 1e-4, 1e10
+    sh[75:80], sh[80:85] = 1e10, -1e10
+    found = forward(SceneParameters(*columns), view, 3, np.zeros(3, np.float32))
+    assert np.isfinite(found.image).all()
+    for name, column in found.backward(image_gradient_of("black"))._asdict().items():
+        assert np.isfinite(column).all(), name
+        assert np.any(column), name
+
+
+def test_no_gaussians_at_all():
+    scene, view = random_scene(1, 0, 1), view_of("outside")
+    empty = SceneParameters(*(column[:0] for column in scene))
+    found = forward(empty, view, 1, np.float32([0.25, 0.5, 0.75]))
+    assert_array_equal(found.image[7, 9], [0.25, 0.5, 0.75])
+    shapes = [column.shape for column in found.backward(np.ones_like(found.image))]
+    assert shapes == [(0, 3), (0, 3), (0, 4), (0,), (0, 4, 3), (0,), (0,)]
+
+
+@lru_cache
+def crowd() -> tuple[SceneParameters, View]:
+    scene = parameters_of(random_gaussians(3000, 5, sh_degree=2), 5)
+    return scene, look_at_view((0.5, -4.0, 1.0), width=150, height=110)
+
+
+def crowd_gradients(**options) -> tuple[np.ndarray, Gradients]:
+    scene, view = crowd()
+    found = forward(scene, view, 2, np.float32([0.1, 0.2, 0.3]), **options)
+    rng = np.random.default_rng(0)
+    gradient = rng.normal(size=(view.height, view.width, 3)).astype(np.float32)
+    return np.dstack([found.image, found.alpha]), found.backward(gradient)
+
+
+@every_isa
+def test_threads_change_no_bit(isa):
+    image, gradients = crowd_gradients(threads=1, isa=isa)
+    for threads in (2, 3, 5):
+        other_image, other = crowd_gradients(threads=threads, isa=isa)
+        assert_array_equal(other_image, image)
+        for ours, theirs in zip(other, gradients, strict=True):
+            assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("isa", available_isas()[1:])
+def test_instruction_sets_agree(isa):
+    """But for the few pixels where rounding decides."""
+    image, gradients = crowd_gradients(isa=isa)
+    best_image, best = crowd_gradients()
+    assert np.quantile(np.abs(image - best_image), 0.999) < 1e-5
+    for kind in KINDS:
+        ours, theirs = getattr(gradients, kind), getattr(best, kind)
+        assert np.abs(ours - theirs).sum() < 1e-4 * np.abs(theirs).sum(), kind
+
+
+# --- torch ----------------------------------------------------------------------------------------
+
+
+def autograd(scene, view, sh_degree, background, image_gradient) -> reference_gradients.Gradients:
+    """The gradients of the dense rasterizer in float64; in the way of the kernels."""
+    import torch
+
+    import dense_torch
+
+    leaves = dense_torch.Scene(
+        *(torch.tensor(c.astype(np.float64), requires_grad=True) for c in scene)
+    )
+    behind = torch.tensor(background.astype(np.float64))
+    dense = dense_torch.render(leaves, view, sh_degree, behind)
+    (dense.image * torch.tensor(image_gradient.astype(np.float64))).sum().backward()
+    half_size = 0.5 * np.array([view.width, view.height])
+    screen = np.linalg.norm(dense.offsets.grad.numpy() * half_size, axis=1)
+    slopes = [np.zeros(leaf.shape) if leaf.grad is None else leaf.grad.numpy() for leaf in leaves]
+    return reference_gradients.Gradients(*slopes, screen)
+
+
+oracle = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="the oracle needs torch"
+)
+
+
+@pytest.mark.oracle
+@oracle
+@every_case
+def test_finite_differences_are_those_of_autograd(case):
+    """The twin and torch, both in float64: two ways to the truth."""
+    expected = autograd(
+        scene_of(case),
+        view_of(case),
+        CASES[case].sh_degree,
+        background_of(case),
+        image_gradient_of(case),
+    )
+    assert_gradients_agree(slopes_of(case), expected, 3e-5)
+
+
+@pytest.mark.oracle
+@oracle
+@pytest.mark.parametrize("seed", range(24))
+def test_gradients_are_those_of_autograd(seed):
+    """Random scenes, sizes, lenses and backgrounds; a camera somewhere in or about the scene."""
+    rng = np.random.default_rng(seed)
+    width, height = (int(n) for n in rng.integers(17, 60, 2))
+    view = look_at_view(
+        rng.uniform(-3, 3, 3),
+        rng.uniform(-0.7, 0.7, 3),
+        width=width,
+        height=height,
+        fov_degrees=rng.uniform(30, 100),
+        principal=tuple(rng.uniform(0.3, 0.7, 2) * (width, height)),
+    )
+    degree = int(rng.integers(0, 4))
+    scene = random_scene(int(rng.integers(20, 200)), seed, 3)
+    unsure = reference_training.decide(Parameters(*scene), view, degree).unsure
+    image_gradient = off_the_boundary(unsure, view, seed)
+    background = rng.random(3).astype(np.float32)
+    found = forward(scene, view, degree, background).backward(image_gradient)
+    assert_gradients_agree(found, autograd(scene, view, degree, background, image_gradient))
