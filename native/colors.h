@@ -2,26 +2,28 @@
 // max(0, 0.5 + sum_k c_k Y_k(d)), d the unit direction from the camera to the Gaussian.
 #pragma once
 
-static inline int sh_basis(float x, float y, float z, int coefficients, float *Y) {
-  Y[0] = 0.28209479177387814f;
+// F is float, or Floats for sixteen directions at once.
+template <class F>
+static inline int sh_basis(F x, F y, F z, int coefficients, F *Y) {
+  Y[0] = constant<F>(0.28209479177387814f);
   if (coefficients <= 1) return 1;
   const float c1 = 0.4886025119029199f;
   Y[1] = -c1 * y, Y[2] = c1 * z, Y[3] = -c1 * x;
   if (coefficients <= 4) return 4;
-  const float xx = x * x, yy = y * y, zz = z * z;
-  Y[4] = 1.0925484305920792f * x * y;
-  Y[5] = -1.0925484305920792f * y * z;
-  Y[6] = 0.31539156525252005f * (2 * zz - xx - yy);
-  Y[7] = -1.0925484305920792f * x * z;
+  const F xx = x * x, yy = y * y, zz = z * z;
+  Y[4] = 1.0925484305920792f * (x * y);
+  Y[5] = -1.0925484305920792f * (y * z);
+  Y[6] = 0.31539156525252005f * (2.f * zz - xx - yy);
+  Y[7] = -1.0925484305920792f * (x * z);
   Y[8] = 0.5462742152960396f * (xx - yy);
   if (coefficients <= 9) return 9;
-  Y[9] = -0.5900435899266435f * y * (3 * xx - yy);
-  Y[10] = 2.890611442640554f * x * y * z;
-  Y[11] = -0.4570457994644658f * y * (4 * zz - xx - yy);
-  Y[12] = 0.3731763325901154f * z * (2 * zz - 3 * xx - 3 * yy);
-  Y[13] = -0.4570457994644658f * x * (4 * zz - xx - yy);
-  Y[14] = 1.445305721320277f * z * (xx - yy);
-  Y[15] = -0.5900435899266435f * x * (xx - 3 * yy);
+  Y[9] = -0.5900435899266435f * (y * (3.f * xx - yy));
+  Y[10] = 2.890611442640554f * (x * y * z);
+  Y[11] = -0.4570457994644658f * (y * (4.f * zz - xx - yy));
+  Y[12] = 0.3731763325901154f * (z * (2.f * zz - 3.f * xx - 3.f * yy));
+  Y[13] = -0.4570457994644658f * (x * (4.f * zz - xx - yy));
+  Y[14] = 1.445305721320277f * (z * (xx - yy));
+  Y[15] = -0.5900435899266435f * (x * (xx - 3.f * yy));
   return 16;
 }
 

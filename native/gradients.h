@@ -52,49 +52,69 @@ static void activate(const Parameters &p, uint32_t begin, uint32_t end, float *m
 
 // --- colours of the visible splats ---------------------------------------------------------------
 
-struct Direction { float d[3], inverse_distance; };
+struct Directions { Floats x, y, z, inverse_distance; };  // unit, from the camera to sixteen Gaussians
 
-static inline Direction direction_to(const float *mean, const float *center) {
-  float v[3];
-  for (int a = 0; a < 3; a++) v[a] = mean[a] - center[a];
-  const float norm2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], inverse = norm2 > 0 ? 1.f / __builtin_sqrtf(norm2) : 0.f;
-  return {{v[0] * inverse, v[1] * inverse, v[2] * inverse}, inverse};
+static inline Directions directions_to(const Floats *mean, const float *center) {
+  const Floats x = mean[0] - splat(center[0]), y = mean[1] - splat(center[1]), z = mean[2] - splat(center[2]);
+  const Floats norm2 = x * x + y * y + z * z, inverse = keep(splat(0.f) < norm2, splat(1.f) / square_root(maximum(norm2, splat(1e-30f))));
+  return {x * inverse, y * inverse, z * inverse, inverse};
+}
+
+// Of up to sixteen splats, lane by lane: rows [i][16] of an array of structures.
+template <int Width>
+static inline void gather(const float *rows, const size_t *ids, int n, float (*out)[16]) {
+  for (int l = 0; l < n; l++)
+    for (int i = 0; i < Width; i++) out[i][l] = rows[ids[l] * Width + i];
+}
+
+template <int Width>
+static inline void scatter(const Floats *values, const size_t *ids, int n, float *rows) {
+  for (int l = 0; l < n; l++)
+    for (int i = 0; i < Width; i++) rows[ids[l] * Width + i] = lane(values[i], l);
 }
 
 // colors: 3 for each splat, by rank.
 static void splat_colors(const Visible &v, const Parameters &p, int32_t active, const float *center, float *colors) {
-  for (uint32_t i = 0; i < v.count; i++) {
-    const size_t id = v.splats[i].id;
-    float Y[16], color[3] = {0.5f, 0.5f, 0.5f}, *out = colors + 3 * (size_t)v.ranks[i];
-    const Direction to = direction_to(p.means + 3 * id, center);
-    const int n = sh_basis(to.d[0], to.d[1], to.d[2], active, Y);
-    const float *row = p.sh + id * p.coefficients * 3;
-    for (int k = 0; k < n; k++)
-      for (int c = 0; c < 3; c++) color[c] += Y[k] * row[3 * k + c];
-    for (int c = 0; c < 3; c++) out[c] = color[c] > 0 ? color[c] : 0.f;
+  for (uint32_t first = 0; first < v.count; first += 16) {
+    const int count = v.count - first < 16 ? (int)(v.count - first) : 16;
+    size_t ids[16];
+    float means[3][16] = {};
+    for (int l = 0; l < count; l++) ids[l] = v.splats[first + l].id;
+    gather<3>(p.means, ids, count, means);
+    const Floats mean[3] = {load(means[0]), load(means[1]), load(means[2])};
+    const Directions to = directions_to(mean, center);
+    Floats Y[16];
+    const int n = sh_basis(to.x, to.y, to.z, active, Y);
+    for (int l = 0; l < count; l++) {
+      const float *row = p.sh + ids[l] * p.coefficients * 3;
+      float color[3] = {0.5f, 0.5f, 0.5f}, *out = colors + 3 * (size_t)v.ranks[first + l];
+      for (int k = 0; k < n; k++)
+        for (int c = 0; c < 3; c++) color[c] += lane(Y[k], l) * row[3 * k + c];
+      for (int c = 0; c < 3; c++) out[c] = color[c] > 0 ? color[c] : 0.f;
+    }
   }
 }
 
-// d(basis) / d(x, y, z), the basis taken as polynomials.
-static inline void sh_basis_gradient(float x, float y, float z, int coefficients, float (*D)[3]) {
-  const auto set = [D](int k, float dx, float dy, float dz) { D[k][0] = dx, D[k][1] = dy, D[k][2] = dz; };
-  set(0, 0, 0, 0);
+// sum over k of shade_k * d(basis_k) / d(x, y, z), the basis taken as polynomials.
+static inline void add_basis_slopes(const Directions &to, int coefficients, const Floats *s, Floats *out) {
+  for (int a = 0; a < 3; a++) out[a] = splat(0.f);
   if (coefficients <= 1) return;
+  const Floats x = to.x, y = to.y, z = to.z;
   const float c1 = 0.4886025119029199f;
-  set(1, 0, -c1, 0), set(2, 0, 0, c1), set(3, -c1, 0, 0);
+  out[0] = -c1 * s[3], out[1] = -c1 * s[1], out[2] = c1 * s[2];
   if (coefficients <= 4) return;
   const float a = 1.0925484305920792f, b = 0.31539156525252005f, c = 0.5462742152960396f;
-  set(4, a * y, a * x, 0), set(5, 0, -a * z, -a * y), set(6, -2 * b * x, -2 * b * y, 4 * b * z), set(7, -a * z, 0, -a * x), set(8, 2 * c * x, -2 * c * y, 0);
+  out[0] = out[0] + a * (s[4] * y - s[7] * z) - (2 * b) * (s[6] * x) + (2 * c) * (s[8] * x);
+  out[1] = out[1] + a * (s[4] * x - s[5] * z) - (2 * b) * (s[6] * y) - (2 * c) * (s[8] * y);
+  out[2] = out[2] - a * (s[5] * y + s[7] * x) + (4 * b) * (s[6] * z);
   if (coefficients <= 9) return;
   const float e = 0.5900435899266435f, f = 2.890611442640554f, g = 0.4570457994644658f, h = 0.3731763325901154f, i = 1.445305721320277f;
-  const float xx = x * x, yy = y * y, zz = z * z;
-  set(9, -6 * e * x * y, -e * (3 * xx - 3 * yy), 0);
-  set(10, f * y * z, f * x * z, f * x * y);
-  set(11, 2 * g * x * y, -g * (4 * zz - xx - 3 * yy), -8 * g * y * z);
-  set(12, -6 * h * x * z, -6 * h * y * z, h * (6 * zz - 3 * xx - 3 * yy));
-  set(13, -g * (4 * zz - 3 * xx - yy), 2 * g * x * y, -8 * g * x * z);
-  set(14, 2 * i * x * z, -2 * i * y * z, i * (xx - yy));
-  set(15, -e * (3 * xx - 3 * yy), 6 * e * x * y, 0);
+  const Floats xx = x * x, yy = y * y, zz = z * z, xy = x * y, xz = x * z, yz = y * z;
+  out[0] = out[0] - (6 * e) * (s[9] * xy) + f * (s[10] * yz) + (2 * g) * (s[11] * xy) - (6 * h) * (s[12] * xz) - g * (s[13] * (4.f * zz - 3.f * xx - yy)) +
+           (2 * i) * (s[14] * xz) - (3 * e) * (s[15] * (xx - yy));
+  out[1] = out[1] - (3 * e) * (s[9] * (xx - yy)) + f * (s[10] * xz) - g * (s[11] * (4.f * zz - xx - 3.f * yy)) - (6 * h) * (s[12] * yz) + (2 * g) * (s[13] * xy) -
+           (2 * i) * (s[14] * yz) + (6 * e) * (s[15] * xy);
+  out[2] = out[2] + f * (s[10] * xy) - (8 * g) * (s[11] * yz) + h * (s[12] * (6.f * zz - 3.f * xx - 3.f * yy)) - (8 * g) * (s[13] * xz) + i * (s[14] * (xx - yy));
 }
 
 // --- tiles ---------------------------------------------------------------------------------------
@@ -188,121 +208,158 @@ static void tile_backward(const Tile &tile, const float *colors, const float *im
   }
 }
 
-// --- splats -> parameters ------------------------------------------------------------------------
+// --- splats -> parameters, sixteen at a time -------------------------------------------------------
 
-struct Symmetric2 { float xx, xy, yy; };
+struct SplatLanes {  // what the way back needs of sixteen splats
+  Floats mean[3], log_scale[3], quat[4], logit, cov_xx, cov_xy, cov_yy, sums[kSplatSums];
+};
 
-// dL/d(covariance in 2D) = 1/2 Q M Q, M the second moments of G, Q the conic.
-static inline Symmetric2 covariance_gradient(const Symmetric2 &Q, const float *m) {
-  const float a = Q.xx * m[0] + Q.xy * m[1], b = Q.xx * m[1] + Q.xy * m[2], c = Q.xy * m[0] + Q.yy * m[1], d = Q.xy * m[1] + Q.yy * m[2];
-  return {0.5f * (a * Q.xx + b * Q.xy), 0.5f * (a * Q.xy + b * Q.yy), 0.5f * (c * Q.xy + d * Q.yy)};
+struct LaneGradients {
+  Floats mean[3], log_scale[3], quat[4], logit, screen, radius;
+};
+
+static inline void lane_rotation(const Floats *q, Floats *R) {
+  const Floats w = q[0], x = q[1], y = q[2], z = q[3], one = splat(1.f);
+  R[0] = one - 2.f * (y * y + z * z), R[1] = 2.f * (x * y - w * z), R[2] = 2.f * (x * z + w * y);
+  R[3] = 2.f * (x * y + w * z), R[4] = one - 2.f * (x * x + z * z), R[5] = 2.f * (y * z - w * x);
+  R[6] = 2.f * (x * z - w * y), R[7] = 2.f * (y * z + w * x), R[8] = one - 2.f * (x * x + y * y);
 }
 
-// dL/d(raw quaternion) from dL/d(rotation).
-static inline void quaternion_gradient(const float *q, float inverse_norm, const float *D, float *out) {
-  const float w = q[0], x = q[1], y = q[2], z = q[3];
-  const float unit[4] = {
-      2 * (-z * D[1] + y * D[2] + z * D[3] - x * D[5] - y * D[6] + x * D[7]),
-      2 * (y * D[1] + z * D[2] + y * D[3] - 2 * x * D[4] - w * D[5] + z * D[6] + w * D[7] - 2 * x * D[8]),
-      2 * (-2 * y * D[0] + x * D[1] + w * D[2] + x * D[3] + z * D[5] - w * D[6] + z * D[7] - 2 * y * D[8]),
-      2 * (-2 * z * D[0] - w * D[1] + x * D[2] + w * D[3] - 2 * z * D[4] + y * D[5] + x * D[6] + y * D[7])};
-  const float along = unit[0] * w + unit[1] * x + unit[2] * y + unit[3] * z;
+// dL/d(raw quaternion) from dL/d(rotation); q the unit one.
+static inline void quaternion_gradient(const Floats *q, Floats inverse_norm, const Floats *D, Floats *out) {
+  const Floats w = q[0], x = q[1], y = q[2], z = q[3];
+  const Floats unit[4] = {2.f * (z * (D[3] - D[1]) + y * (D[2] - D[6]) + x * (D[7] - D[5])),
+                          2.f * (y * (D[1] + D[3]) + z * (D[2] + D[6]) + w * (D[7] - D[5]) - 2.f * x * (D[4] + D[8])),
+                          2.f * (x * (D[1] + D[3]) + w * (D[2] - D[6]) + z * (D[5] + D[7]) - 2.f * y * (D[0] + D[8])),
+                          2.f * (w * (D[3] - D[1]) + x * (D[2] + D[6]) + y * (D[5] + D[7]) - 2.f * z * (D[0] + D[4]))};
+  const Floats along = unit[0] * w + unit[1] * x + unit[2] * y + unit[3] * z;
   for (int i = 0; i < 4; i++) out[i] = (unit[i] - along * q[i]) * inverse_norm;
 }
 
-// Through the colour: dL/d(sh), and what it adds to dL/d(mean) by the viewing direction.
-static inline void color_backward(const Parameters &p, size_t id, int32_t active, const float *center, const float *sums, float *sh_out, float *mean_out) {
-  float Y[16], D[16][3], color[3] = {0.5f, 0.5f, 0.5f}, g[3], along_d[3] = {};
-  const Direction to = direction_to(p.means + 3 * id, center);
-  const int n = sh_basis(to.d[0], to.d[1], to.d[2], active, Y);
-  sh_basis_gradient(to.d[0], to.d[1], to.d[2], active, D);
-  const float *row = p.sh + id * p.coefficients * 3;
-  for (int k = 0; k < n; k++)
-    for (int c = 0; c < 3; c++) color[c] += Y[k] * row[3 * k + c];
-  for (int c = 0; c < 3; c++) g[c] = color[c] > 0 ? sums[c] : 0.f;
-  for (int k = 0; k < n; k++) {
-    float shade = 0;
-    for (int c = 0; c < 3; c++) sh_out[3 * k + c] = Y[k] * g[c], shade += g[c] * row[3 * k + c];
-    for (int a = 0; a < 3; a++) along_d[a] += shade * D[k][a];
-  }
-  const float radial = along_d[0] * to.d[0] + along_d[1] * to.d[1] + along_d[2] * to.d[2];
-  for (int a = 0; a < 3; a++) mean_out[a] += (along_d[a] - radial * to.d[a]) * to.inverse_distance;
-}
+// From the 2D covariance and the sums over pixels to all parameters but the colours; `T` is J R.
+//   dL/d(centre) = Q [G dx, G dy];  dL/d(cov2d) = D = 1/2 Q M Q, M the second moments of G, Q the conic;
+//   dL/dT = 2 D T V;  dL/dV = T^t D T;  dL/d(axes) = 2 dL/dV axes, with V = axes axes^t.
+static inline LaneGradients splat_gradients(const SplatLanes &s, const Camera &cam) {
+  LaneGradients out;
+  const Floats det = s.cov_xx * s.cov_yy - s.cov_xy * s.cov_xy, inverse = splat(1.f) / det;
+  const Floats qxx = s.cov_yy * inverse, qxy = -(s.cov_xy * inverse), qyy = s.cov_xx * inverse;
+  const Floats sx = qxx * s.sums[4] + qxy * s.sums[5], sy = qxy * s.sums[4] + qyy * s.sums[5];
+  const Floats a = qxx * s.sums[6] + qxy * s.sums[7], b = qxx * s.sums[7] + qxy * s.sums[8];
+  const Floats c = qxy * s.sums[6] + qyy * s.sums[7], d = qxy * s.sums[7] + qyy * s.sums[8];
+  const Floats Dxx = 0.5f * (a * qxx + b * qxy), Dxy = 0.5f * (a * qxy + b * qyy), Dyy = 0.5f * (c * qxy + d * qyy);
+  const Floats mid = 0.5f * (s.cov_xx + s.cov_yy), three_sigma = 3.f * square_root(mid + square_root(maximum(splat(0.1f), mid * mid - det)));
+  const Floats rounded = floor_of(minimum(three_sigma, splat(1e6f)));
+  out.radius = select(rounded < three_sigma, rounded + splat(1.f), rounded);
+  out.screen = 0.5f * square_root((float)cam.width * (float)cam.width * (sx * sx) + (float)cam.height * (float)cam.height * (sy * sy));
 
-static inline void splat_backward(const Splat &g, const Extent &e, const Parameters &p, const Camera &cam, int32_t active, const float *center,
-                                  const float *sums, const GradientArrays &out) {
-  const size_t id = g.id;
-  const float det = e.cov_xx * e.cov_yy - e.cov_xy * e.cov_xy, inverse = 1.f / det;
-  const Symmetric2 Q = {e.cov_yy * inverse, -e.cov_xy * inverse, e.cov_xx * inverse};
-  const float sx = Q.xx * sums[4] + Q.xy * sums[5], sy = Q.xy * sums[4] + Q.yy * sums[5];  // dL/d(centre), pixels
-  const Symmetric2 D = covariance_gradient(Q, sums + 6);
-  const float mid = 0.5f * (e.cov_xx + e.cov_yy), gap = mid * mid - det;
-  out.radii[id] = __builtin_ceilf(3.f * __builtin_sqrtf(mid + __builtin_sqrtf(gap > 0.1f ? gap : 0.1f)));
-  out.screen[id] = 0.5f * __builtin_sqrtf(sx * sx * (float)cam.width * (float)cam.width + sy * sy * (float)cam.height * (float)cam.height);
-
-  // the same projection as in the forward pass
-  const float *R = cam.rotation, *mean = p.means + 3 * id;
-  float t[3];
-  for (int a = 0; a < 3; a++) t[a] = R[3 * a] * mean[0] + R[3 * a + 1] * mean[1] + R[3 * a + 2] * mean[2] + cam.translation[a];
-  const float iz = 1.f / t[2], limit_x = 1.3f * 0.5f * (float)cam.width / cam.fx, limit_y = 1.3f * 0.5f * (float)cam.height / cam.fy;
-  const float ux = t[0] * iz, uy = t[1] * iz;
-  const bool free_x = ux >= -limit_x && ux <= limit_x, free_y = uy >= -limit_y && uy <= limit_y;
-  const float cx = free_x ? ux : ux < 0 ? -limit_x : limit_x, cy = free_y ? uy : uy < 0 ? -limit_y : limit_y;
-  const float j00 = cam.fx * iz, j02 = -j00 * cx, j11 = cam.fy * iz, j12 = -j11 * cy;
-  float T[6], q[4];
-  for (int i = 0; i < 3; i++) T[i] = j00 * R[i] + j02 * R[6 + i], T[3 + i] = j11 * R[3 + i] + j12 * R[6 + i];
-  const float inverse_norm = unit_quaternion(p.quats + 4 * id, q);
-  const Rotation rot = rotation_of(q);
-  float scale[3], M[9], V[9];
-  for (int a = 0; a < 3; a++) scale[a] = __builtin_expf(p.log_scales[3 * id + a]);
+  // The same projection as in the forward pass.
+  const float *R = cam.rotation;
+  Floats t[3];
+  for (int i = 0; i < 3; i++) t[i] = R[3 * i] * s.mean[0] + R[3 * i + 1] * s.mean[1] + R[3 * i + 2] * s.mean[2] + splat(cam.translation[i]);
+  const Floats iz = splat(1.f) / t[2], ux = t[0] * iz, uy = t[1] * iz;
+  const float limit_x = 1.3f * 0.5f * (float)cam.width / cam.fx, limit_y = 1.3f * 0.5f * (float)cam.height / cam.fy;
+  const Mask free_x = (ux >= splat(-limit_x)) & (splat(limit_x) >= ux), free_y = (uy >= splat(-limit_y)) & (splat(limit_y) >= uy);
+  const Floats cx = clamp(ux, -limit_x, limit_x), cy = clamp(uy, -limit_y, limit_y);
+  const Floats j00 = cam.fx * iz, j02 = -(j00 * cx), j11 = cam.fy * iz, j12 = -(j11 * cy);
+  Floats T[6], q[4], rotation[9], scale[3], axes[9], V[9];
+  for (int i = 0; i < 3; i++) T[i] = R[i] * j00 + R[6 + i] * j02, T[3 + i] = R[3 + i] * j11 + R[6 + i] * j12;
+  const Floats norm2 = s.quat[0] * s.quat[0] + s.quat[1] * s.quat[1] + s.quat[2] * s.quat[2] + s.quat[3] * s.quat[3];
+  const Floats inverse_norm = splat(1.f) / square_root(maximum(norm2, splat(1e-30f)));
+  for (int i = 0; i < 4; i++) q[i] = s.quat[i] * inverse_norm;
+  lane_rotation(q, rotation);
+  for (int i = 0; i < 3; i++) scale[i] = exp_of(s.log_scale[i]);
+  for (int i = 0; i < 9; i++) axes[i] = rotation[i] * scale[i % 3];
   for (int r = 0; r < 3; r++)
-    for (int c = 0; c < 3; c++) M[3 * r + c] = rot.r[3 * r + c] * scale[c];
-  for (int r = 0; r < 3; r++)
-    for (int c = 0; c < 3; c++) V[3 * r + c] = M[3 * r] * M[3 * c] + M[3 * r + 1] * M[3 * c + 1] + M[3 * r + 2] * M[3 * c + 2];
+    for (int k = 0; k < 3; k++) V[3 * r + k] = axes[3 * r] * axes[3 * k] + axes[3 * r + 1] * axes[3 * k + 1] + axes[3 * r + 2] * axes[3 * k + 2];
 
-  // D T (2x3), then dL/dT = 2 (D T) V, dL/dV = T^t (D T), dL/dM = 2 dL/dV M
-  float DT[6], dT[6], dM[9], dR[9];
-  for (int i = 0; i < 3; i++) DT[i] = D.xx * T[i] + D.xy * T[3 + i], DT[3 + i] = D.xy * T[i] + D.yy * T[3 + i];
+  Floats DT[6], dT[6], daxes[9], drotation[9];
+  for (int i = 0; i < 3; i++) DT[i] = Dxx * T[i] + Dxy * T[3 + i], DT[3 + i] = Dxy * T[i] + Dyy * T[3 + i];
   for (int r = 0; r < 2; r++)
-    for (int c = 0; c < 3; c++) dT[3 * r + c] = 2 * (DT[3 * r] * V[c] + DT[3 * r + 1] * V[3 + c] + DT[3 * r + 2] * V[6 + c]);
-  for (int r = 0; r < 3; r++)
-    for (int c = 0; c < 3; c++) {
-      dM[3 * r + c] = 0;
-      for (int k = 0; k < 3; k++) dM[3 * r + c] += 2 * (T[r] * DT[k] + T[3 + r] * DT[3 + k]) * M[3 * k + c];
-    }
-  for (int a = 0; a < 3; a++) {
-    out.log_scales[3 * id + a] = scale[a] * (dM[a] * rot.r[a] + dM[3 + a] * rot.r[3 + a] + dM[6 + a] * rot.r[6 + a]);
-    for (int r = 0; r < 3; r++) dR[3 * r + a] = dM[3 * r + a] * scale[a];
+    for (int k = 0; k < 3; k++) dT[3 * r + k] = 2.f * (DT[3 * r] * V[k] + DT[3 * r + 1] * V[3 + k] + DT[3 * r + 2] * V[6 + k]);
+  for (int k = 0; k < 3; k++) {
+    const Floats first = DT[0] * axes[k] + DT[1] * axes[3 + k] + DT[2] * axes[6 + k], second = DT[3] * axes[k] + DT[4] * axes[3 + k] + DT[5] * axes[6 + k];
+    for (int r = 0; r < 3; r++) daxes[3 * r + k] = 2.f * (T[r] * first + T[3 + r] * second);
+    out.log_scale[k] = scale[k] * (daxes[k] * rotation[k] + daxes[3 + k] * rotation[3 + k] + daxes[6 + k] * rotation[6 + k]);
+    for (int r = 0; r < 3; r++) drotation[3 * r + k] = daxes[3 * r + k] * scale[k];
   }
-  quaternion_gradient(q, inverse_norm, dR, out.quats + 4 * id);
-  out.logits[id] = sums[3] * (1.f - 1.f / (1.f + __builtin_expf(-p.logits[id])));
+  quaternion_gradient(q, inverse_norm, drotation, out.quat);
+  out.logit = s.sums[3] * (splat(1.f) - splat(1.f) / (splat(1.f) + exp_of(-s.logit)));
 
-  // dL/dJ = dL/dT R^t; J = fx/z (1, 0, -cx), fy/z (0, 1, -cy)
-  float d00 = 0, d02 = 0, d11 = 0, d12 = 0;
-  for (int i = 0; i < 3; i++) d00 += dT[i] * R[i], d02 += dT[i] * R[6 + i], d11 += dT[3 + i] * R[3 + i], d12 += dT[3 + i] * R[6 + i];
-  float d[3];  // dL/d(camera coordinates)
-  d[0] = sx * cam.fx * iz - (free_x ? d02 * cam.fx * iz * iz : 0.f);
-  d[1] = sy * cam.fy * iz - (free_y ? d12 * cam.fy * iz * iz : 0.f);
-  d[2] = -(sx * cam.fx * ux + sy * cam.fy * uy) * iz - (d00 * cam.fx + d11 * cam.fy) * iz * iz +
-         (free_x ? 2.f : 1.f) * d02 * cam.fx * cx * iz * iz + (free_y ? 2.f : 1.f) * d12 * cam.fy * cy * iz * iz;
-  float mean_out[3];
-  for (int a = 0; a < 3; a++) mean_out[a] = R[a] * d[0] + R[3 + a] * d[1] + R[6 + a] * d[2];
-  color_backward(p, id, active, center, sums, out.sh + id * p.coefficients * 3, mean_out);
-  for (int a = 0; a < 3; a++) out.means[3 * id + a] = mean_out[a];
+  // dL/dJ = dL/dT R^t; J = fx/z (1, 0, -cx), fy/z (0, 1, -cy), cx and cy fixed where clamped.
+  Floats d00 = splat(0.f), d02 = d00, d11 = d00, d12 = d00;
+  for (int i = 0; i < 3; i++) d00 = d00 + R[i] * dT[i], d02 = d02 + R[6 + i] * dT[i], d11 = d11 + R[3 + i] * dT[3 + i], d12 = d12 + R[6 + i] * dT[3 + i];
+  const Floats bend_x = cam.fx * (d02 * iz * iz), bend_y = cam.fy * (d12 * iz * iz);
+  const Floats dx = cam.fx * (sx * iz) - keep(free_x, bend_x), dy = cam.fy * (sy * iz) - keep(free_y, bend_y);
+  const Floats dz = -((cam.fx * (sx * ux) + cam.fy * (sy * uy)) * iz) - (cam.fx * d00 + cam.fy * d11) * iz * iz + bend_x * cx + keep(free_x, bend_x * cx) + bend_y * cy +
+                    keep(free_y, bend_y * cy);
+  for (int i = 0; i < 3; i++) out.mean[i] = R[i] * dx + R[3 + i] * dy + R[6 + i] * dz;
+  return out;
 }
 
-constexpr uint32_t kAhead = 12;  // splats whose sums are fetched while earlier ones are worked on
+// Through the colours: dL/d(sh), and what they add to dL/d(mean) by the viewing directions. No gradient
+// where a colour was cut at zero.
+static inline void color_gradients(const Visible &v, uint32_t first, int n, const size_t *ids, const Parameters &p, int32_t active, const float *center, const float *colors,
+                                   const SplatLanes &s, LaneGradients &g, float *sh_out) {
+  const Directions to = directions_to(s.mean, center);
+  Floats Y[16], shade[16], slope[3];
+  const int used = sh_basis(to.x, to.y, to.z, active, Y);
+  for (int k = 0; k < used; k++) shade[k] = splat(0.f);
+  for (int l = 0; l < n; l++) {
+    const float *row = p.sh + ids[l] * p.coefficients * 3, *color = colors + 3 * (size_t)v.ranks[first + l];
+    float *out = sh_out + ids[l] * p.coefficients * 3, along[3];
+    for (int c = 0; c < 3; c++) along[c] = color[c] > 0 ? lane(s.sums[c], l) : 0.f;
+    for (int k = 0; k < used; k++) {
+      const float y = lane(Y[k], l);
+      out[3 * k] = y * along[0], out[3 * k + 1] = y * along[1], out[3 * k + 2] = y * along[2];
+      ((float *)&shade[k])[l] = along[0] * row[3 * k] + along[1] * row[3 * k + 1] + along[2] * row[3 * k + 2];
+    }
+  }
+  add_basis_slopes(to, used, shade, slope);
+  const Floats radial = slope[0] * to.x + slope[1] * to.y + slope[2] * to.z;
+  g.mean[0] = g.mean[0] + (slope[0] - radial * to.x) * to.inverse_distance;
+  g.mean[1] = g.mean[1] + (slope[1] - radial * to.y) * to.inverse_distance;
+  g.mean[2] = g.mean[2] + (slope[2] - radial * to.z) * to.inverse_distance;
+}
+
+static inline SplatLanes load_splats(const Visible &v, uint32_t first, int n, const size_t *ids, const Parameters &p, const float (*sums)[16]) {
+  float raw[11][16] = {}, cov[3][16];
+  gather<3>(p.means, ids, n, raw), gather<3>(p.log_scales, ids, n, raw + 3), gather<4>(p.quats, ids, n, raw + 6), gather<1>(p.logits, ids, n, raw + 10);
+  for (int l = 0; l < 16; l++) {
+    const Extent &e = v.extents[first + (l < n ? l : 0)];
+    cov[0][l] = e.cov_xx, cov[1][l] = e.cov_xy, cov[2][l] = e.cov_yy;
+  }
+  SplatLanes s;
+  for (int i = 0; i < 3; i++) s.mean[i] = load(raw[i]), s.log_scale[i] = load(raw[3 + i]);
+  for (int i = 0; i < 4; i++) s.quat[i] = load(raw[6 + i]);
+  for (int i = 0; i < kSplatSums; i++) s.sums[i] = load(sums[i]);
+  s.logit = load(raw[10]), s.cov_xx = load(cov[0]), s.cov_xy = load(cov[1]), s.cov_yy = load(cov[2]);
+  return s;
+}
+
+constexpr uint32_t kAhead = 16;  // splats whose sums are fetched while earlier ones are worked on
+
+static inline void fetch_sums(const Visible &v, const Places &at, uint32_t i) {
+  if (i >= v.count) return;
+  const uint32_t rank = v.ranks[i];
+  for (uint32_t k = at.start[rank]; k < at.start[rank + 1]; k++) __builtin_prefetch(at.sums + (size_t)at.places[k] * kSplatSums);
+}
 
 static void splats_backward(const Visible &v, const Places &at, const Parameters &p, const Camera &cam, int32_t active, const float *center, const GradientArrays &out) {
-  for (uint32_t i = 0; i < v.count; i++) {
-    if (i + kAhead < v.count) {
-      const uint32_t rank = v.ranks[i + kAhead];
-      for (uint32_t k = at.start[rank]; k < at.start[rank + 1]; k++) __builtin_prefetch(at.sums + (size_t)at.places[k] * kSplatSums);
+  for (uint32_t first = 0; first < v.count; first += 16) {
+    const int n = v.count - first < 16 ? (int)(v.count - first) : 16;
+    float sums[kSplatSums][16] = {};
+    size_t ids[16];
+    for (int l = 0; l < n; l++) {
+      fetch_sums(v, at, first + (uint32_t)l + kAhead);
+      const uint32_t rank = v.ranks[first + l];
+      ids[l] = v.splats[first + l].id;
+      for (uint32_t k = at.start[rank]; k < at.start[rank + 1]; k++)
+        for (int c = 0; c < kSplatSums; c++) sums[c][l] += at.sums[(size_t)at.places[k] * kSplatSums + c];
     }
-    float total[kSplatSums] = {};
-    const uint32_t rank = v.ranks[i];
-    for (uint32_t k = at.start[rank]; k < at.start[rank + 1]; k++)
-      for (int c = 0; c < kSplatSums; c++) total[c] += at.sums[(size_t)at.places[k] * kSplatSums + c];
-    splat_backward(v.splats[i], v.extents[i], p, cam, active, center, total, out);
+    const SplatLanes s = load_splats(v, first, n, ids, p, sums);
+    LaneGradients g = splat_gradients(s, cam);
+    color_gradients(v, first, n, ids, p, active, center, at.colors, s, g, out.sh);
+    scatter<3>(g.mean, ids, n, out.means), scatter<3>(g.log_scale, ids, n, out.log_scales), scatter<4>(g.quat, ids, n, out.quats);
+    scatter<1>(&g.logit, ids, n, out.logits), scatter<1>(&g.screen, ids, n, out.screen), scatter<1>(&g.radius, ids, n, out.radii);
   }
 }

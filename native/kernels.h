@@ -105,7 +105,7 @@ struct Visible {  // a run of projected splats, in index order
 
 struct Places {  // of the splat of rank i: rows [start[i], start[i + 1]) of `places` are its rows of `sums`
   const uint32_t *start, *places;
-  const float *sums;
+  const float *sums, *colors;  // colors by rank
 };
 
 struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen

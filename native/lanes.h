@@ -48,6 +48,13 @@ LANE_OPERATOR(Floats, +) LANE_OPERATOR(Floats, -) LANE_OPERATOR(Floats, *) LANE_
 LANE_OPERATOR(Ints, +) LANE_OPERATOR(Ints, -) LANE_OPERATOR(Ints, &) LANE_OPERATOR(Ints, |)
 #undef LANE_OPERATOR
 
+template <class F> F constant(float x);
+template <> inline __attribute__((always_inline)) float constant<float>(float x) { return x; }
+template <> inline __attribute__((always_inline)) Floats constant<Floats>(float x) { return splat(x); }
+
+INLINE Floats operator*(float a, Floats b) { return splat(a) * b; }
+INLINE Floats operator-(Floats a) { return splat(0.f) - a; }
+
 INLINE Ints shift_left(Ints a, int s) { Ints r; EACH_PART r.part[i] = a.part[i] << s; return r; }
 INLINE Ints shift_right(Ints a, int s) { Ints r; EACH_PART r.part[i] = a.part[i] >> s; return r; }
 INLINE Ints bits_of(Floats a) { Ints r; EACH_PART r.part[i] = (IntPart)a.part[i]; return r; }

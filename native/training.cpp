@@ -58,7 +58,7 @@ GradientArrays TrainingPass::backward(const float *image, const float *image_gra
   });
   const double t1 = now();
   const GradientArrays out = cleared_gradients();
-  const Places places = {w.places_start.data(), w.places.data(), w.sums.data()};
+  const Places places = {w.places_start.data(), w.places.data(), w.sums.data(), w.colors.data()};
   parallel(threads_, [&](int t) { kernels_.splats_backward(visible_of(t), places, parameters_, camera_, active_, center_, out); });
   seconds.backward = t1 - t0, seconds.parameters = now() - t1;
   return out;
