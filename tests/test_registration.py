@@ -220,6 +220,22 @@ def test_what_does_not_belong_together_is_refused(gaussians, registration):
         registration.merged(other)
 
 
+def test_each_stage_that_takes_long_can_be_followed(gaussians):
+    views, features = capture(4)
+    told: dict[str, int] = {}
+
+    def follow(items, description):
+        for item in items:
+            told[description] = told.get(description, 0) + 1
+            yield item
+
+    followed = register(gaussians, views, features, topk=20, track=follow)
+    field = followed.to_field(track=follow)
+    assert told.keys() == {"registering views", "training the codebook", "coding Gaussians"}
+    assert told["registering views"] == 4
+    assert field.fingerprint == register(gaussians, views, features, topk=20).to_field().fingerprint
+
+
 def test_two_views_may_not_share_features(gaussians):
     view = named_view(0)
     nested = [View(f"{c}/000.png", view.K, view.cam_from_world, 64, 48) for c in ("left", "right")]

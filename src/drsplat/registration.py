@@ -6,7 +6,7 @@ where i is among the top k of p. Everything after that is algebra on W and the s
 """
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.sparse import csr_array, hstack
 
+from .codes import Track, untracked
 from .columns import ColumnMaker, Columns, stack_columns
 from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError
@@ -30,7 +31,6 @@ from .views import View
 if TYPE_CHECKING:
     from .codes import Codebook
 
-Track = Callable[[Sequence[View], str], Iterable[View]]
 UNKNOWN_ENCODER = "unknown"
 
 
@@ -80,12 +80,16 @@ class Registration:
         """Gaussians that at least one mask pixel sees among its top k."""
         return int((np.diff(self.weights.indptr) > 0).sum())
 
-    def to_field(self, codebook: "Codebook | None" = None, *, threads: int = 0) -> LanguageField:
+    def to_field(
+        self, codebook: "Codebook | None" = None, *, threads: int = 0, track: Track = untracked
+    ) -> LanguageField:
         """Mean embedding per Gaussian, normalised, product-quantised; unseen Gaussians are pruned.
 
-        codebook None trains one on this scene's features.
+        codebook None trains one on this scene's features. track: shows progress.
         """
-        return build_field(self.evidence, self.scene, self.encoder, codebook, threads=threads)
+        return build_field(
+            self.evidence, self.scene, self.encoder, codebook, threads=threads, track=track
+        )
 
     def with_embeddings(
         self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity
@@ -129,7 +133,7 @@ def register(
     first_hits: int | None = None,
     parts: Path | None = None,
     threads: int = 0,
-    track: Track | None = None,
+    track: Track = untracked,
 ) -> Registration:
     """Register the segments of every view onto the Gaussians.
 
@@ -138,7 +142,7 @@ def register(
     on them too. For maps made on what `load_image` returned, pass views with distortion None.
     parts: folder for each view's finished columns; a run that finds them there does not redo them, so
     a killed run loses at most one view. None uses a temporary folder.
-    track: wraps the views to show progress.
+    track: shows progress.
 
     Raises: InputError: no view has features, two embedding sizes, topk < 1.
     Source: Dr. Splat Sec. A "Training stage".
@@ -147,7 +151,8 @@ def register(
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
         maker = ColumnMaker(splat_arrays(gaussians), folder, topk, first_hits, threads)
-        columns = [maker.columns(v, features[key]) for v, key in track_pairs(chosen, track)]
+        followed = track(chosen, "registering views")
+        columns = [maker.columns(view, features[key]) for view, key in followed]
         _check_one_size(columns)
         weights = stack_columns(columns, len(gaussians))
     evidence = Evidence(
@@ -155,17 +160,6 @@ def register(
     )
     return Registration(
         evidence, gaussians.fingerprint, _encoder_of(features, evidence.embeddings.shape[1])
-    )
-
-
-def track_pairs(
-    chosen: Sequence[tuple[View, str]], track: Track | None
-) -> Iterable[tuple[View, str]]:
-    if track is None:
-        return chosen
-    keys = {id(view): key for view, key in chosen}
-    return (
-        (view, keys[id(view)]) for view in track([view for view, _ in chosen], "registering views")
     )
 
 

@@ -7,12 +7,14 @@ Source: Dr. Splat Sec. B; Jegou et al. 2011.
 
 from .codebook import Codebook, Codes, train_codebook
 from .files import codebook_from_tensors, encoder_from_json, load_codebook, save_codebook
+from .kmeans import Track, untracked
 from .official import OfficialRows, from_official_bytes, official_bytes, read_faiss_codebook
 
 __all__ = [
     "Codebook",
     "Codes",
     "OfficialRows",
+    "Track",
     "codebook_from_tensors",
     "encoder_from_json",
     "from_official_bytes",
@@ -21,4 +23,5 @@ __all__ = [
     "read_faiss_codebook",
     "save_codebook",
     "train_codebook",
+    "untracked",
 ]

@@ -14,7 +14,7 @@ from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..kernels import pq_encode, pq_scores
 from ..kernels.algebra import CENTROIDS
-from .kmeans import train_centroids
+from .kmeans import Track, train_centroids, untracked
 
 BLOCK = 8192  # rows worked on at once: bounds what is decoded
 TRAINING_POINTS = 64 * CENTROIDS
@@ -191,8 +191,9 @@ def train_codebook(
     encoder: EncoderIdentity,
     seed: int = 0,
     threads: int = 0,
+    track: Track = untracked,
 ) -> Codebook:
-    """Train a plain codebook; equal to the bit for any number of threads.
+    """Train a plain codebook; equal to the bit for any number of threads. track: shows progress.
 
     At most 16,384 of the points are used, drawn by `seed`: 64 per centroid. Where a sub-vector has
     up to 256 distinct values, they become its centroids, and are then coded without loss.
@@ -210,7 +211,7 @@ def train_codebook(
         drawn = np.random.default_rng(seed).choice(n, TRAINING_POINTS, replace=False)
         embeddings = embeddings[np.sort(drawn)]
     points = np.ascontiguousarray(embeddings)
-    return Codebook(train_centroids(points, num_subvectors, seed, threads), None, encoder)
+    return Codebook(train_centroids(points, num_subvectors, seed, threads, track), None, encoder)
 
 
 def _blocks(count: int) -> Iterator[slice]:

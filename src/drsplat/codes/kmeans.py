@@ -3,6 +3,9 @@
 The same points and seed give the same bits for any number of threads.
 """
 
+from collections.abc import Iterable, Sequence
+from typing import Protocol, TypeVar, runtime_checkable
+
 import numpy as np
 from jaxtyping import Float32, Int, UInt8, UInt64
 
@@ -10,10 +13,27 @@ from ..kernels import pq_encode
 from ..kernels.algebra import CENTROIDS
 
 ITERATIONS = 12
+T = TypeVar("T")
+
+
+@runtime_checkable
+class Track(Protocol):
+    """Hands on the items of a long job, in order, and shows how far it is: `progress.track` does."""
+
+    def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]: ...
+
+
+def untracked(items: Sequence[T], description: str, /) -> Iterable[T]:
+    """The items, shown to nobody."""
+    return items
 
 
 def train_centroids(
-    points: Float32[np.ndarray, "n D"], num_subvectors: int, seed: int, threads: int = 0
+    points: Float32[np.ndarray, "n D"],
+    num_subvectors: int,
+    seed: int,
+    threads: int = 0,
+    track: Track = untracked,
 ) -> Float32[np.ndarray, "L c d"]:
     """256 centroids per sub-vector. A sub-vector of at most 256 distinct values gets exactly those.
 
@@ -27,7 +47,7 @@ def train_centroids(
     centroids = np.stack([parts[index, m] for m, index in enumerate(starts)])
     columns = np.ascontiguousarray(parts.transpose(1, 2, 0), np.float64)
     previous = None
-    for _ in range(ITERATIONS):
+    for _ in track(range(ITERATIONS), "training the codebook"):
         codes = pq_encode(points, centroids, threads=threads)
         if previous is not None and np.array_equal(codes, previous):
             break

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..codes import Track
     from ..encoders import Encoder
     from ..field import LanguageField
     from ..views import View
@@ -129,7 +130,7 @@ def encoder_for(field: LanguageField, vocabulary: str | None) -> Encoder:
     )
 
 
-def tracker(arguments: argparse.Namespace) -> Callable[[Sequence[View], str], Iterator[View]]:
+def tracker(arguments: argparse.Namespace) -> Track:
     from ..progress import track
 
     return partial(track, quiet=arguments.json)

@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     watch.lap("register")
     field = build_field(
         registration.evidence, registration.scene, registration.encoder, codebook,
-        num_subvectors=arguments.subvectors, threads=arguments.threads,
+        num_subvectors=arguments.subvectors, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)

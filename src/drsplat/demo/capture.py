@@ -1,10 +1,11 @@
 """The room as files, such as a person with a phone, COLMAP and a 3DGS trainer would have them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
+from ..codes import Track, untracked
 from ..formats.langsplat import write_features
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
@@ -16,12 +17,11 @@ from .masks import MaskMaker
 from .room import Room
 
 BACKGROUND = (0.93, 0.94, 0.95)
-Track = Callable[[Sequence[View], str], Iterable[View]]
 
 
 def write_capture(
     folder: Path, room: Room, views: Sequence[View], masks: MaskMaker, *, overwrite: bool = False,
-    track: Track = lambda views, _: views, threads: int = 0,
+    track: Track = untracked, threads: int = 0,
 ) -> None:  # fmt: skip
     """scene.ply; images/; sparse/0/ (COLMAP text); language_features/ (LangSplat, one level)."""
     for name in ("images", "sparse/0", "language_features"):

@@ -1,13 +1,13 @@
 """From a room to answers, by way of files and through the public interface only."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from ..codes import Track, untracked
 from ..errors import InputError
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
@@ -26,7 +26,6 @@ from .room import Room, build_room
 
 FIELD = "room.field"
 MIN_GAUSSIANS = 40  # smaller things are specks where masks met
-Track = Callable[[Sequence[View], str], Iterable[View]]
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def tell(
     *,
     overwrite: bool = False,
     threads: int = 0,
-    track: Track | None = None,
+    track: Track = untracked,
 ) -> Story:
     """Make the room's files in `folder`, register them, ask the QUESTIONS.
 
@@ -94,13 +93,12 @@ def tell(
         raise InputError(
             f"{folder} exists already: choose another folder, or pass overwrite=True (--overwrite)"
         )
-    follow = track or (lambda views, _: views)
     clock = _Clock()
     views = walk(setup.num_views, *setup.size)
     room = build_room(setup.coarse, setup.seed).seen_from(views)
     clock.lap("build")
     masks = MaskMaker(room, WordEncoder(), setup.seed)
-    write_capture(folder, room, views, masks, overwrite=overwrite, track=follow, threads=threads)
+    write_capture(folder, room, views, masks, overwrite=overwrite, track=track, threads=threads)
     clock.lap("photograph")
 
     gaussians = read_gaussians(folder / "scene.ply")
@@ -110,7 +108,7 @@ def tell(
     )
     registration = register(gaussians, views, features, topk=40, threads=threads, track=track)
     clock.lap("register")
-    registration.to_field(threads=threads).save(folder / FIELD, overwrite=overwrite)
+    registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
     field = load_field(folder / FIELD)
     clock.lap("field")
     answers = [ask(field, gaussians, room, question) for question in QUESTIONS]

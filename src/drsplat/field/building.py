@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Bool
 
-from ..codes import Codebook, Codes, train_codebook
+from ..codes import Codebook, Codes, Track, train_codebook, untracked
 from ..codes.codebook import BLOCK, TRAINING_POINTS
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
@@ -22,12 +22,15 @@ def build_field(
     codebook: Codebook | None = None,
     num_subvectors: int | None = None,
     threads: int = 0,
+    *,
+    track: Track = untracked,
 ) -> LanguageField:
     """Mean embedding of each Gaussian, normalised and coded. Gaussians without any are left out.
 
     evidence: one row per Gaussian of the scene. scene: fingerprint of those Gaussians. codebook
     None trains one on features spread over the scene, with num_subvectors parts (None: 128, or the
-    largest power of two below it that divides D). The same to the bit for any number of threads.
+    largest power of two below it that divides D). track: shows progress. The same to the bit for any
+    number of threads.
 
     Raises: InputError: no Gaussian has evidence. MismatchError: the embeddings, the encoder and the
     codebook are not of one dimension.
@@ -45,8 +48,8 @@ def build_field(
     registered = evidence.rows(seen)
     if codebook is None:
         parts = num_subvectors or math.gcd(SUBVECTORS, encoder.dim)
-        codebook = _scene_codebook(registered, encoder, parts, threads)
-    codes, directed = _encode_rows(registered, codebook, threads)
+        codebook = _scene_codebook(registered, encoder, parts, threads, track)
+    codes, directed = _encode_rows(registered, codebook, threads, track)
     if not directed.all():  # embeddings that cancel out exactly
         rows = np.flatnonzero(directed)
         seen, codes, registered = seen[rows], codes.rows(rows), registered.rows(rows)
@@ -56,23 +59,24 @@ def build_field(
 
 
 def _scene_codebook(
-    registered: Evidence, encoder: EncoderIdentity, parts: int, threads: int
+    registered: Evidence, encoder: EncoderIdentity, parts: int, threads: int, track: Track
 ) -> Codebook:
     count = min(len(registered), TRAINING_POINTS)
     spread = np.linspace(0, len(registered) - 1, count).astype(np.int64)
     features = registered.rows(spread).features(0, count, threads=threads)
-    return train_codebook(features[features.any(axis=1)], parts, encoder=encoder, threads=threads)
+    directed = features[features.any(axis=1)]
+    return train_codebook(directed, parts, encoder=encoder, threads=threads, track=track)
 
 
 def _encode_rows(
-    evidence: Evidence, codebook: Codebook, threads: int
+    evidence: Evidence, codebook: Codebook, threads: int, track: Track
 ) -> tuple[Codes, Bool[np.ndarray, " r"]]:
     """Codes of all rows, and which of them have a direction."""
     rows = len(evidence)
     codes = np.empty((rows, codebook.num_subvectors), np.uint8)
     coarse_ids = None if codebook.coarse is None else np.empty(rows, np.uint16)
     directed = np.empty(rows, np.bool_)
-    for begin in range(0, rows, BLOCK):
+    for begin in track(range(0, rows, BLOCK), "coding Gaussians"):
         block = slice(begin, min(begin + BLOCK, rows))
         features = evidence.features(block.start, block.stop, threads=threads)
         directed[block] = features.any(axis=1)
