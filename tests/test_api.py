@@ -13,11 +13,12 @@ import drsplat
 PUBLIC = {
     "Codebook", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
     "Gaussians", "InputError", "Instance", "LanguageField", "MismatchError", "MissingExtraError",
-    "Registration", "View", "ViewFeatures", "WordEncoder", "__version__", "embed_query",
-    "load_codebook", "load_field", "load_image", "locate", "query", "read_faiss_codebook",
-    "read_features", "read_gaussians", "read_views", "read_vocabulary", "register", "render",
-    "save_codebook", "select", "splat_arrays", "supporting_masks", "topk_contributions",
-    "train_codebook", "view_weights", "write_cameras_json", "write_features", "write_gaussians",
+    "Registration", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
+    "WordEncoder", "__version__", "embed_query", "load_codebook", "load_field", "load_image",
+    "locate", "query", "read_faiss_codebook", "read_features", "read_gaussians",
+    "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "save_codebook",
+    "select", "splat_arrays", "supporting_masks", "topk_contributions", "train", "train_codebook",
+    "view_weights", "write_cameras_json", "write_features", "write_gaussians",
 }  # fmt: skip
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
@@ -25,7 +26,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 ORDER = (
     "errors", "gaussians", "views", "features", "encoders", "lens", "photos", "formats", "kernels",
     "codes", "evidence", "field", "columns", "registration", "rendering", "search", "tasks", "words",
-    "support", "pictures", "progress", "demo", "commands", "cli", "__main__",
+    "support", "pictures", "progress", "training", "demo", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .features import ViewFeatures
     from .field import LanguageField, load_field
     from .formats.cameras_json import write_cameras_json
-    from .formats.captures import read_views
+    from .formats.captures import SparsePoints, read_sparse_points, read_views
     from .formats.langsplat import read_features, write_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .search import embed_query, query
     from .support import supporting_masks
     from .tasks import Instance, locate, select
+    from .training import Training, TrainingSettings, train
     from .views import View
     from .words import WordEncoder
 
@@ -56,7 +57,7 @@ _HOMES = {
     "features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"),
     "formats.cameras_json": ("write_cameras_json",),
-    "formats.captures": ("read_views",),
+    "formats.captures": ("SparsePoints", "read_sparse_points", "read_views"),
     "formats.langsplat": ("read_features", "write_features"),
     "formats.scenes": ("read_gaussians", "write_gaussians"),
     "formats.vocabulary": ("read_vocabulary",),
@@ -68,6 +69,7 @@ _HOMES = {
     "search": ("embed_query", "query"),
     "support": ("supporting_masks",),
     "tasks": ("Instance", "locate", "select"),
+    "training": ("Training", "TrainingSettings", "train"),
     "views": ("View",),
     "words": ("WordEncoder",),
 }
@@ -87,6 +89,9 @@ __all__ = [
     "MismatchError",
     "MissingExtraError",
     "Registration",
+    "SparsePoints",
+    "Training",
+    "TrainingSettings",
     "View",
     "ViewFeatures",
     "WordEncoder",
@@ -100,6 +105,7 @@ __all__ = [
     "read_faiss_codebook",
     "read_features",
     "read_gaussians",
+    "read_sparse_points",
     "read_views",
     "read_vocabulary",
     "register",
@@ -109,6 +115,7 @@ __all__ = [
     "splat_arrays",
     "supporting_masks",
     "topk_contributions",
+    "train",
     "train_codebook",
     "view_weights",
     "write_cameras_json",

@@ -48,6 +48,15 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
     return pixels if view.distortion is None else _undistort_bilinear(view, pixels)
 
 
+def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
+    """False where the pinhole of a view looks past its photo, and `load_image` is black for want of it."""
+    covered = np.ones((view.height, view.width), bool)
+    if view.distortion is not None:
+        for rows, source in _source_blocks(view):
+            covered[rows] = _inside(source, view.width, view.height)
+    return covered
+
+
 def undistort_ids(view: View, segment_ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
     """A label map made on the photo as stored, brought to the pinhole by nearest pixel.
 

@@ -4,10 +4,15 @@ import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 T = TypeVar("T")
 PATIENCE_S = 2.0
+LINE_EVERY_S = 60.0
 
 
 def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Iterator[T]:
@@ -48,6 +53,76 @@ def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Itera
             yield item
     finally:
         progress.stop()
+
+
+class Meter:
+    """Progress of one long job, with what it has to say: a bar on a terminal, else a line a minute.
+
+    All on stderr; nothing where `quiet`, and nothing in the first two seconds.
+    """
+
+    def __init__(self, description: str, total: int, *, quiet: bool = False) -> None:
+        self._description, self._total, self._quiet = description, total, quiet
+        self._begin = self._told = time.monotonic()
+        self._first: int | None = None
+        self._bar: Progress | None = None
+
+    def __enter__(self) -> "Meter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, done: int, text: str) -> None:
+        """done: of `total`, also what was done in an earlier sitting."""
+        if self._first is None:
+            self._first, self._begin = done - 1, time.monotonic()
+        elapsed = time.monotonic() - self._begin
+        if self._quiet or elapsed < PATIENCE_S:
+            return
+        rate = f"{(done - self._first) / elapsed:.1f}"
+        if sys.stderr.isatty():
+            self._show(done, text, rate)
+        elif time.monotonic() - self._told > LINE_EVERY_S:
+            self._told = time.monotonic()
+            left = elapsed / (done - self._first) * (self._total - done)
+            line = f"{self._description} {done}/{self._total}  {text}  {rate}/s, {left / 60:.0f} min left"
+            print(line, file=sys.stderr, flush=True)
+
+    def _show(self, done: int, text: str, rate: str) -> None:
+        if self._bar is None:
+            self._bar = _job_bar()
+            self._bar.add_task(self._description, total=self._total, rate=rate, text=text)
+            self._bar.start()
+        self._bar.update(self._bar.task_ids[0], completed=done, rate=rate, text=text)
+
+
+def _job_bar() -> "Progress":
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[text]}"),
+        TextColumn("{task.fields[rate]}/s"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
 
 
 def peak_memory_bytes() -> int:

@@ -6,15 +6,25 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Float64, UInt8
+
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..views import View
 from .cameras_json import read_cameras_json
-from .colmap import find_model, read_colmap
+from .colmap import find_model, has_points, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
 from .photo_files import find_photo, image_folder, listed, on_photo
 from .transforms import read_applied_transform, read_transforms
+
+
+class SparsePoints(NamedTuple):
+    """World positions and RGB of the points that the cameras were posed by."""
+
+    positions: Float64[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"]
 
 
 class _Source(NamedTuple):
@@ -56,6 +66,28 @@ def read_views(
     if frame is not None:
         views = [frame.view(view) for view in views]
     return [_limited(view, max_side) for view in _sorted(views, source.path)]
+
+
+def read_sparse_points(
+    capture: str | Path, *, dataparser_transforms: str | Path | None = None
+) -> SparsePoints | None:
+    """The points of a capture in the frame of its views, or None where it has none.
+
+    Arguments as for `read_views`; only COLMAP models have points.
+
+    Raises: InputError: there is no such capture. FormatError: a damaged file, points that are not
+    finite.
+    """
+    with warnings.catch_warnings():  # read_views has them
+        warnings.simplefilter("ignore", DrSplatWarning)
+        source = _find_source(Path(capture))
+    if source.kind != "colmap" or not has_points(source.path):
+        return None
+    positions, colors = read_points(source.path)
+    if len(positions) == 0:
+        return None
+    frame = _scene_frame(source, Path(capture), dataparser_transforms)
+    return SparsePoints(positions if frame is None else frame.points(positions), colors)
 
 
 def _find_source(capture: Path) -> _Source:

@@ -50,7 +50,7 @@ def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[
     Raises: InputError: the capture has no points3D file. FormatError: it is damaged, or a point is
     not finite.
     """
-    folder = next((f for f in map(Path(capture).joinpath, MODEL_FOLDERS) if _has_points(f)), None)
+    folder = next((f for f in map(Path(capture).joinpath, MODEL_FOLDERS) if has_points(f)), None)
     if folder is None:
         raise InputError(
             f"{capture}: expected points3D.bin or points3D.txt in one of {', '.join(MODEL_FOLDERS)}"
@@ -118,5 +118,6 @@ def _has(folder: Path, suffix: str, *stems: str) -> bool:
     return all((folder / f"{stem}{suffix}").is_file() for stem in stems)
 
 
-def _has_points(folder: Path) -> bool:
+def has_points(folder: Path) -> bool:
+    """Whether a model folder has a points3D file."""
     return any(_has(folder, suffix, "points3D") for suffix in _PARSERS)

@@ -27,6 +27,11 @@ class SceneFrame:
             self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale
         )
 
+    def points(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """World positions in the scene."""
+        moved: np.ndarray = points @ self.transform[:3, :3].T + self.transform[:3, 3]
+        return self.scale * moved
+
     def view(self, view: View) -> View:
         """The same camera in the scene: scaled world, scaled distances, every pixel as before."""
         rotation = view.cam_from_world[:3, :3] @ self.transform[:3, :3].T

@@ -1,5 +1,6 @@
 """Files that appear whole or not at all."""
 
+import errno
 import os
 import secrets
 from collections.abc import Iterator
@@ -9,13 +10,15 @@ from typing import BinaryIO
 
 from ..errors import InputError
 
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[BinaryIO]:
     """A new file beside `path` that takes its name when the block ends well, or else vanishes.
 
     Raises: InputError: `path` exists and `overwrite` is false, is a folder, or has no folder to be
-    in.
+    in; the disk is full.
     """
     path = Path(path)
     if path.is_dir():
@@ -31,5 +34,12 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
         with open(temporary, "xb") as file:
             yield file
         os.replace(temporary, path)
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        raise InputError(
+            f"{path}: there is no room left to write it ({os.strerror(error.errno)}), so it was "
+            "left as it was: free some space and try again"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)

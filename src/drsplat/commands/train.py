@@ -1,0 +1,230 @@
+"""drsplat train: posed photos -> a scene of Gaussians."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import add_overwrite, views_of
+
+if TYPE_CHECKING:
+    from ..formats.captures import SparsePoints
+    from ..training import TrainingSettings
+    from ..views import View
+
+SUMMARY = "train a scene of Gaussians on posed photos (3D Gaussian Splatting), on a CPU or on CUDA"
+EXAMPLES = """\
+  drsplat train capture --output-dir model
+  drsplat train capture --output-dir model --iterations 7000 --resolution 2
+  drsplat train capture --output-dir model --strategy mcmc --max-gaussians 300000 --json
+
+A run that was stopped goes on where it was when the same command is given again, without --overwrite."""
+DIVISORS = (1, 2, 4, 8)
+MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "capture",
+        help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json",
+    )
+    parser.add_argument(
+        "--output-dir",
+        "--output",
+        "-o",
+        required=True,
+        metavar="DIR",
+        help="folder for the model, in the layout of 3DGS",
+    )
+    add_overwrite(parser)
+    parser.add_argument(
+        "--iterations", type=_count, default=30_000, metavar="N",
+        help="of the schedule of 3DGS, which is not shortened with it; 7000 is the everyday setting "
+        "(default: 30000)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--resolution", "-r", type=_count, metavar="R",
+        help=f"1, 2, 4 or 8 divide the photos' sides; another number is their longer side in pixels "
+        f"(default: as they are, but at most {MAX_SIDE})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), default="auto",
+        help="auto is CUDA where gsplat and a GPU are at hand (default: auto)",
+    )  # fmt: skip
+    _add_method(parser)
+    _add_course(parser)
+    group = parser.add_argument_group("capture")
+    group.add_argument(
+        "--images", metavar="DIR",
+        help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)",
+    )  # fmt: skip
+    group.add_argument(
+        "--dataparser-transforms", metavar="FILE",
+        help="nerfstudio's dataparser_transforms.json, to train in its frame (default: the one in CAPTURE)",
+    )  # fmt: skip
+    parser.set_defaults(max_side=None)
+
+
+def _add_method(parser: argparse.ArgumentParser) -> None:
+    method = parser.add_argument_group("method")
+    method.add_argument(
+        "--strategy", choices=("default", "mcmc"), default="default",
+        help="how Gaussians are added and removed: adaptive density control, or relocation within a "
+        "budget (default: default)",
+    )  # fmt: skip
+    method.add_argument(
+        "--max-gaussians", type=_count, metavar="N",
+        help="never more than this; needed for mcmc (default: no limit)",
+    )  # fmt: skip
+    method.add_argument(
+        "--background", choices=("black", "white", "random"), default="black",
+        help="behind the Gaussians; random is a new colour each iteration (default: black)",
+    )  # fmt: skip
+    method.add_argument(
+        "--sh-degree", type=int, choices=range(4), default=3, help="of the colours (default: 3)"
+    )
+    method.add_argument("--seed", type=_whole, default=0, metavar="N", help="(default: 0)")
+    method.add_argument(
+        "--test-every", type=_whole, default=8, metavar="N",
+        help="hold every Nth photo out for testing; 0: none (default: 8)",
+    )  # fmt: skip
+
+
+def _add_course(parser: argparse.ArgumentParser) -> None:
+    course = parser.add_argument_group("course of the run")
+    course.add_argument(
+        "--eval-every", type=_whole, default=0, metavar="N",
+        help="also measure the held-out photos every N iterations (default: at the end only)",
+    )  # fmt: skip
+    course.add_argument(
+        "--save-at", type=_count, nargs="*", default=[7000], metavar="N",
+        help="also write the scene after these iterations (default: 7000)",
+    )  # fmt: skip
+    course.add_argument(
+        "--checkpoint-every", type=_count, default=1000, metavar="N",
+        help="iterations between checkpoints, at most two minutes (default: 1000)",
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from .. import read_sparse_points, train
+    from ..progress import Meter, peak_memory_bytes
+    from ..training.devices import chosen_device
+
+    device, settings = chosen_device(arguments.device), _settings(arguments)
+    views = [_resized(view, arguments.resolution) for view in _with_photo(arguments)]
+    points = read_sparse_points(
+        arguments.capture, dataparser_transforms=arguments.dataparser_transforms
+    )
+    _tell_of_random_start(points, settings)
+    with Meter("training", settings.iterations, quiet=arguments.json) as meter:
+        training = train(
+            views, settings, arguments.output_dir, points=points, device=device,
+            overwrite=arguments.overwrite, save_at=tuple(arguments.save_at),
+            checkpoint_every=arguments.checkpoint_every, threads=arguments.threads,
+            report=lambda status: meter.update(
+                status.iteration,
+                f"loss {status.loss:.4f}  PSNR {status.psnr:.2f}  {status.num_gaussians:,} Gaussians",
+            ),
+        )  # fmt: skip
+    _write_cfg_args(arguments, settings)
+    return {
+        "model": arguments.output_dir,
+        "device": device,
+        "strategy": settings.strategy,
+        "num_views": len(views),
+        "width": views[0].width,
+        "height": views[0].height,
+        **training.measures(),
+        "history": training.history,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import said, show_facts, size_said
+
+    seconds, count = answer["seconds"], max(answer["iterations"], 1)
+    stages = answer["stage_seconds"].items()
+    psnr, ssim = answer["psnr_test"], answer["ssim_test"]
+    tested = "nothing was held out" if psnr is None else (
+        f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f} on {answer['num_test_views']} photos"
+    )  # fmt: skip
+    show_facts(
+        f"trained: {answer['model']}",
+        {
+            "held out": tested,
+            "Gaussians": said(answer["num_gaussians"]),
+            "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}",
+            "time": f"{seconds:.1f} s on {answer['device']}, {1000 * seconds / count:.1f} ms an iteration",
+            "stages, ms": ", ".join(f"{name} {1000 * spent / count:.1f}" for name, spent in stages),
+            "peak memory": size_said(answer["peak_memory_bytes"]),
+        },
+    )
+
+
+def _settings(arguments: argparse.Namespace) -> TrainingSettings:
+    from .. import TrainingSettings
+
+    return TrainingSettings(
+        iterations=arguments.iterations,
+        seed=arguments.seed,
+        background=arguments.background,
+        strategy=arguments.strategy,
+        max_gaussians=arguments.max_gaussians,
+        sh_degree=arguments.sh_degree,
+        test_every=arguments.test_every,
+        evaluate_every=arguments.eval_every,
+    )
+
+
+def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
+    """Views without a photo were warned of by the reader; when all are, `train` says so."""
+    views = views_of(arguments, arguments.capture)
+    return [view for view in views if view.image_path is not None] or views
+
+
+def _resized(view: View, resolution: int | None) -> View:
+    longest = max(view.width, view.height)
+    if resolution in DIVISORS:
+        scale = 1 / resolution
+    else:
+        scale = min(1.0, (resolution or MAX_SIDE) / longest)
+    if scale == 1:
+        return view
+    return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
+
+
+def _tell_of_random_start(points: SparsePoints | None, settings: TrainingSettings) -> None:
+    from ..errors import DrSplatWarning
+
+    if points is None:
+        text = (
+            f"the capture has no sparse points: training starts from {settings.random_points:,} random ones, which "
+            "takes longer and ends worse than from those of COLMAP"
+        )
+        warnings.warn(text, DrSplatWarning, stacklevel=2)
+
+
+def _write_cfg_args(arguments: argparse.Namespace, settings: TrainingSettings) -> None:
+    from ..training.model_folder import ModelFolder
+
+    capture = Path(arguments.capture)
+    folder = capture if capture.is_dir() else capture.parent
+    images = arguments.images or "images"
+    ModelFolder(arguments.output_dir).write_cfg_args(folder, images, settings)
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number, got '{text}'")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if _whole(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive whole number, got '{text}'")
+    return int(text)

@@ -1,0 +1,75 @@
+"""The state of an unfinished run in one file, and going on from it.
+
+A run that was killed and goes on ends with the same bits as one that was not.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FormatError, MismatchError
+from ..formats.captures import SparsePoints
+from ..formats.tensors import check_tensors, map_tensors, write_tensors
+from ..views import View
+from .run import Run
+
+VERSION = "1"
+_ROWS = {
+    "means": "n axis", "log_scales": "n axis", "quats": "n four", "logits": "n",
+    "sh": "n coefficient axis",
+}  # fmt: skip
+EXPECTED = {
+    f"{group}.{name}": ("float32", dimensions)
+    for group in ("parameters", "first", "second")
+    for name, dimensions in _ROWS.items()
+} | {"order.pending": ("int64", "pending")}
+OF_DENSITY = {f"density.{name}": ("float32", "n") for name in ("pull", "times_seen", "radii")}
+TEXTS = ("iteration", "rng", "seconds", "stage_seconds", "history", "settings", "capture")
+
+
+def capture_fingerprint(views: Sequence[View], points: SparsePoints | None) -> str:
+    """Of names, poses, cameras and points: what a run was started on, but for the photos' pixels."""
+    digest = hashlib.blake2b(digest_size=16)
+    for view in views:
+        digest.update(f"{view.name}\0{view.width}x{view.height} {view.distortion}\0".encode())
+        digest.update(view.K.tobytes() + view.cam_from_world.tobytes())
+    if points is not None:
+        digest.update(np.ascontiguousarray(points.positions).tobytes())
+        digest.update(np.ascontiguousarray(points.colors).tobytes())
+    return digest.hexdigest()
+
+
+def save_checkpoint(path: Path, run: Run, capture: str) -> None:
+    """Write the run's state in place of the one before, whole or not at all.
+
+    Raises: InputError: the disk is full.
+    """
+    arrays, texts = run.state()
+    texts |= {"version": VERSION, "settings": run.settings.fingerprint, "capture": capture}
+    write_tensors(path, arrays, texts, overwrite=True)
+
+
+def load_checkpoint(path: Path, run: Run, capture: str) -> None:
+    """Bring a fresh run of the same settings on the same capture to where the checkpoint was taken.
+
+    Raises: FormatError: a damaged file. MismatchError: it is of other settings or another capture.
+    """
+    arrays, texts = map_tensors(path)
+    if texts.get("version") != VERSION or not all(name in texts for name in TEXTS):
+        raise FormatError(
+            f"{path}: expected a checkpoint of version {VERSION}: remove it to start anew"
+        )
+    for name, given in (("settings", run.settings.fingerprint), ("capture", capture)):
+        if texts[name] != given:
+            raise MismatchError(
+                f"{path} is of an unfinished run with other {name}: go on with the same ones, name "
+                "another output folder, or start anew with overwrite=True (--overwrite)"
+            )
+    is_default = run.settings.strategy == "default"
+    check_tensors(arrays, EXPECTED | (OF_DENSITY if is_default else {}), str(path))
+    try:
+        run.restore(arrays, texts)
+    except (ValueError, TypeError, KeyError) as error:
+        raise FormatError(f"{path}: damaged: {error}: remove it to start anew") from error

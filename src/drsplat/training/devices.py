@@ -1,0 +1,85 @@
+"""`train` on the device that is asked for: natively on the CPU, or on CUDA through gsplat."""
+
+from collections.abc import Callable, Collection, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import InputError, MissingExtraError
+from ..formats.captures import SparsePoints
+from ..views import View
+from . import loop
+from .loop import CHECKPOINT_EVERY, Status, Training
+from .settings import TrainingSettings
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+def train(
+    views: Sequence[View],
+    settings: TrainingSettings | None = None,
+    output_dir: str | Path | None = None,
+    *,
+    points: SparsePoints | None = None,
+    device: str = "auto",
+    overwrite: bool = False,
+    save_at: Collection[int] = (7000,),
+    checkpoint_every: int = CHECKPOINT_EVERY,
+    threads: int = 0,
+    report: Callable[[Status], None] | None = None,
+) -> Training:
+    """Optimise a scene of Gaussians until it looks like the photos.
+
+    views: posed photos, at the size to train at (`read_views(max_side=...)`, `View.resized`).
+    output_dir: written as `training.model_folder` says. An unfinished run of the same settings and
+    views that is in it goes on by itself, on the CPU to the bit as if it had never stopped; None
+    keeps everything in memory.
+    points: where to start (`read_sparse_points`); None is random points about the cameras.
+    device: "auto" is CUDA where gsplat and a GPU are at hand, else the CPU.
+    save_at: iterations after which the scene is written as well. checkpoint_every: iterations, and at
+    the latest every two minutes. report: called after every iteration.
+
+    On the CPU the result is the same to the bit for any number of threads.
+
+    Raises: InputError: views without photos, fewer than two to train on, all cameras in one place,
+    points that are not finite or too few, a folder that holds something else, a full disk.
+    MismatchError: the folder holds an unfinished run of other settings or views. FormatError: a
+    damaged photo. MissingExtraError: device "cuda" without gsplat or a GPU. DrSplatError: the
+    optimisation diverged.
+    Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
+    """
+    backend = loop.train if chosen_device(device) == "cpu" else _cuda().train
+    training: Training = backend(
+        views, settings, output_dir, points=points, overwrite=overwrite, save_at=save_at,
+        checkpoint_every=checkpoint_every, threads=threads, report=report,
+    )  # fmt: skip
+    return training
+
+
+def chosen_device(device: str) -> Literal["cpu", "cuda"]:
+    """What "auto" stands for here.
+
+    Raises: InputError: no such device. MissingExtraError: "cuda" cannot be used; says why.
+    """
+    if device not in DEVICES:
+        raise InputError(f"device: expected one of {DEVICES}, got {device!r}")
+    if device == "cpu":
+        return "cpu"
+    reason = _why_no_cuda()
+    if reason is None:
+        return "cuda"
+    if device == "cuda":
+        raise MissingExtraError(reason)
+    return "cpu"
+
+
+def _why_no_cuda() -> str | None:
+    try:
+        reason: str | None = _cuda().unavailable()
+    except ModuleNotFoundError:
+        return "this build has no CUDA backend: train with device 'cpu'"
+    return reason
+
+
+def _cuda() -> Any:
+    return import_module(".cuda", __package__)

@@ -1,0 +1,95 @@
+"""Held-out photos against renderings from their places: numbers and pictures."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..kernels.training import SceneParameters, forward
+from ..pictures import as_pixels, write_picture
+from ..views import View
+from .metrics import psnr, ssim
+from .settings import TrainingSettings
+from .training_photos import Photo, TrainingPhotos
+
+ERROR_GAIN = 4.0
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """psnr in dB; both over the pixels that the photo covers."""
+
+    name: str
+    psnr: float
+    ssim: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Means over the held-out views, and each of them."""
+
+    psnr: float
+    ssim: float
+    views: tuple[ViewScore, ...]
+
+    def plain(self) -> dict[str, object]:
+        """For JSON."""
+        return asdict(self)
+
+
+def evaluate(
+    parameters: SceneParameters,
+    views: Sequence[View],
+    photos: TrainingPhotos,
+    settings: TrainingSettings,
+    *,
+    pictures: Path | None = None,
+    threads: int = 0,
+) -> Evaluation | None:
+    """Render each view, clipped to [0, 1], and compare; None when nothing is held out.
+
+    pictures: folder for a PNG per view: photo, rendering, and their difference times 4.
+    """
+    if not views:
+        return None
+    scores = []
+    for index, view in enumerate(views):
+        image = rendered(parameters, view, settings, threads)
+        photo = photos[index]
+        scores.append(_score(view.name, image, photo))
+        if pictures is not None:
+            _write(pictures / Path(view.name).with_suffix(".png"), side_by_side(image, photo))
+    return Evaluation(
+        float(np.mean([score.psnr for score in scores])),
+        float(np.mean([score.ssim for score in scores])),
+        tuple(scores),
+    )
+
+
+def rendered(
+    parameters: SceneParameters, view: View, settings: TrainingSettings, threads: int = 0
+) -> Float32[np.ndarray, "h w 3"]:
+    """The picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
+    backdrop = np.array(settings.backdrop, np.float32)
+    drawn = forward(parameters, view, settings.sh_degree, backdrop, threads=threads)
+    clipped: np.ndarray = np.clip(drawn.image, 0, 1)
+    return clipped
+
+
+def _score(name: str, image: Float32[np.ndarray, "h w 3"], photo: Photo) -> ViewScore:
+    colors = photo.colors()
+    return ViewScore(name, psnr(image, colors, photo.outside), ssim(image, colors, photo.outside))
+
+
+def side_by_side(image: Float32[np.ndarray, "h w 3"], photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
+    """Photo, rendering, and four times their difference."""
+    error = np.abs(image - photo.colors()) * np.float32(ERROR_GAIN)
+    error.reshape(-1, 3)[photo.outside] = 0
+    return np.concatenate([photo.pixels, as_pixels(image), as_pixels(error)], axis=1)
+
+
+def _write(path: Path, picture: UInt8[np.ndarray, "h w 3"]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_picture(path, picture, overwrite=True)

@@ -1,0 +1,144 @@
+"""A budget of Gaussians that wander, die and come back where they are needed.
+
+Source: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024): Eq. 8 (noise),
+Eq. 9 (opacity and covariance of Gaussians that share a place), Sec. 3 (relocation, growth by 5 %,
+regularisers).
+"""
+
+from collections.abc import Mapping
+from math import comb, sqrt
+
+import numpy as np
+from jaxtyping import Float32, Float64, Integer
+
+from ..formats.activation import sigmoid
+from ..kernels.training import Gradients
+from .optimizer import Optimizer
+from .rotations import spread
+from .schedules import refines
+from .settings import TrainingSettings
+
+MOST_SHARING = 51  # the series of Eq. 9 loses its digits beyond, as in the published constant
+OPACITY_BELOW_ONE = 1 - 1e-6
+
+
+class MonteCarlo:
+    """Relocates the dead, grows to the budget, and shakes what is faint."""
+
+    def __init__(self, settings: TrainingSettings, extent: float, count: int) -> None:
+        self.settings, self.extent = settings, extent
+
+    def observe(self, gradients: Gradients, iteration: int) -> None:
+        """Chance decides here, not the gradients."""
+
+    def penalize(self, optimizer: Optimizer, gradients: Gradients) -> None:
+        """Add to the gradients those of lambda_o mean(o) + lambda_Sigma mean(scales)."""
+        parameters, count = optimizer.parameters, len(optimizer)
+        opacities = sigmoid(parameters.logits)
+        weight = np.float32(self.settings.opacity_penalty / count)
+        gradients.logits[:] += weight * opacities * (1 - opacities)
+        weight = np.float32(self.settings.scale_penalty / (3 * count))
+        gradients.log_scales[:] += weight * np.exp(parameters.log_scales)
+
+    def after_step(
+        self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float
+    ) -> None:
+        """rate: of the positions in this iteration, in scene units."""
+        if refines(self.settings, iteration):
+            relocate(optimizer, rng, self.settings.min_opacity)
+            limit = self.settings.max_gaussians or 0
+            grow(optimizer, rng, self.settings.growth, limit, self.settings.min_opacity)
+        self._shake(optimizer, rng, rate)
+
+    def _shake(self, optimizer: Optimizer, rng: np.random.Generator, rate: float) -> None:
+        """Noise in the shape of each Gaussian; none for those that are well visible (Eq. 8)."""
+        s, parameters = self.settings, optimizer.parameters
+        distance = s.noise_opacity - sigmoid(parameters.logits)
+        strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
+        noise = rng.standard_normal(parameters.means.shape, np.float32)
+        noise *= (strength * np.float32(s.noise_rate * rate))[:, None]
+        parameters.means[:] += spread(parameters.quats, np.exp(parameters.log_scales), noise)
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Nothing but the generator's state, which is the loop's, has to be remembered."""
+
+
+def relocate(optimizer: Optimizer, rng: np.random.Generator, min_opacity: float) -> None:
+    """Move each dead Gaussian onto a living one, drawn by opacity; all on a place share it."""
+    opacities = sigmoid(optimizer.parameters.logits)
+    dead, alive = (
+        np.flatnonzero(mask) for mask in (opacities <= min_opacity, opacities > min_opacity)
+    )
+    if len(dead) == 0 or len(alive) == 0:
+        return
+    chosen = alive[drawn(opacities[alive], len(dead), rng)]
+    _share(optimizer, chosen, min_opacity)
+    optimizer.overwrite(dead, optimizer.rows(chosen))
+
+
+def grow(
+    optimizer: Optimizer, rng: np.random.Generator, growth: float, limit: int, min_opacity: float
+) -> None:
+    """Add a share of new Gaussians, up to the limit, on places drawn by opacity."""
+    count = min(limit, int((1 + growth) * len(optimizer))) - len(optimizer)
+    if count <= 0:
+        return
+    chosen = drawn(sigmoid(optimizer.parameters.logits), count, rng)
+    _share(optimizer, chosen, min_opacity)
+    optimizer.append(optimizer.rows(chosen))
+
+
+def _share(optimizer: Optimizer, chosen: Integer[np.ndarray, " m"], min_opacity: float) -> None:
+    """Give the Gaussians at `chosen` what each of several on their place must have."""
+    places, guests = np.unique(chosen, return_counts=True)
+    parameters = optimizer.parameters
+    opacities = sigmoid(parameters.logits[places]).astype(np.float64)
+    shared, shrink = shared_place(opacities, guests + 1)
+    shared = np.clip(shared, min_opacity, OPACITY_BELOW_ONE)
+    parameters.logits[places] = np.log(shared) - np.log1p(-shared)
+    parameters.log_scales[places] += np.log(shrink)[:, None].astype(np.float32)
+    optimizer.forget(places)
+
+
+def shared_place(
+    opacities: Float64[np.ndarray, " n"], sharing: Integer[np.ndarray, " n"]
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Opacity of each of N Gaussians on one place, and the factor on their scales (Eq. 9).
+
+    N of them in front of each other block as much light at the centre as the one did; the factor
+    keeps the integral of the opacity along a line through it.
+    """
+    sharing = np.minimum(sharing, MOST_SHARING)
+    opacities = np.minimum(opacities, OPACITY_BELOW_ONE)
+    each = -np.expm1(np.log1p(-opacities) / sharing)
+    shrink = np.ones_like(opacities)
+    for n in np.unique(sharing):
+        rows = sharing == n
+        shrink[rows] = opacities[rows] / _line_integral(each[rows], int(n))
+    return each, shrink
+
+
+def _line_integral(opacity: Float64[np.ndarray, " n"], sharing: int) -> Float64[np.ndarray, " n"]:
+    """Of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
+
+    Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is
+    C(N, k+1).
+    """
+    terms = [
+        comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)
+    ]
+    total: np.ndarray = np.sum(terms, axis=0)
+    return total
+
+
+def drawn(
+    weights: Float32[np.ndarray, " n"], count: int, rng: np.random.Generator
+) -> Integer[np.ndarray, " count"]:
+    """Indices drawn with replacement, in proportion to the weights."""
+    steps = np.cumsum(weights, dtype=np.float64)
+    at = np.searchsorted(steps, rng.random(count) * steps[-1], side="right")
+    inside: np.ndarray = np.minimum(at, len(weights) - 1)
+    return inside

@@ -1,0 +1,127 @@
+"""The folder of a trained scene, laid out as tools for 3DGS expect it.
+
+    point_cloud/iteration_N/point_cloud.ply   the Gaussians
+    cameras.json                              the poses
+    cfg_args                                  what 3DGS tools read to find the photos
+    input.ply                                 the points that it started from
+    settings.json                             every hyper-parameter
+    test/NAME.png                             held-out photo, rendering, 4 x difference
+    results.json                              the measures; written last
+    checkpoint.safetensors                    while it is unfinished
+
+Each file appears whole or not at all.
+"""
+
+import json
+import re
+import shutil
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..formats.cameras_json import write_cameras_json
+from ..formats.captures import SparsePoints
+from ..formats.ply import write_vertices
+from ..formats.replacing import replacing
+from ..formats.scenes import write_gaussians
+from ..gaussians import Gaussians
+from ..views import View
+from .settings import TrainingSettings
+
+_LEFT_BEHIND = re.compile(r"\.[0-9a-f]{16}\.tmp")  # by a run that was killed while it wrote
+
+
+class ModelFolder:
+    """One folder; nothing is written before `prepare`."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.checkpoint = self.path / "checkpoint.safetensors"
+        self.results = self.path / "results.json"
+        self.test_pictures = self.path / "test"
+
+    def scene(self, iteration: int) -> Path:
+        return self.path / "point_cloud" / f"iteration_{iteration}" / "point_cloud.ply"
+
+    def prepare(self, overwrite: bool) -> bool:
+        """Make the folder, or take over one; True when an unfinished run is in it to go on with.
+
+        Raises: InputError: it holds anything else and not `overwrite`, or cannot be made.
+        """
+        if overwrite:
+            self._clear()
+        if self.path.exists() and not self.path.is_dir():
+            raise InputError(f"{self.path} is a file: give the name of a folder")
+        unfinished = self.checkpoint.is_file()
+        if self.path.is_dir() and not (overwrite or unfinished or self._is_fresh()):
+            raise InputError(
+                f"{self.path} is not empty and holds no unfinished run: pass overwrite=True "
+                "(--overwrite) to replace the model in it, or name another output folder"
+            )
+        self.path.mkdir(parents=True, exist_ok=True)
+        for name in filter(_LEFT_BEHIND.fullmatch, [file.name for file in self.path.iterdir()]):
+            (self.path / name).unlink(missing_ok=True)
+        return unfinished
+
+    def _is_fresh(self) -> bool:
+        """Nothing in it but what a run writes before its first checkpoint."""
+        early = {"cameras.json", "cfg_args", "settings.json", "input.ply"}
+        return all(
+            file.name in early or _LEFT_BEHIND.fullmatch(file.name) for file in self.path.iterdir()
+        )
+
+    def _clear(self) -> None:
+        """Remove what another run may have left and this one might not replace."""
+        for file in (self.results, self.checkpoint):
+            file.unlink(missing_ok=True)
+        for file in self.path.glob("point_cloud/iteration_*/point_cloud.ply"):
+            file.unlink()
+            if not any(file.parent.iterdir()):
+                file.parent.rmdir()
+        shutil.rmtree(self.test_pictures, ignore_errors=True)
+
+    def write_start(
+        self, views: Sequence[View], points: SparsePoints, settings: TrainingSettings
+    ) -> None:
+        """cameras.json, input.ply and settings.json."""
+        # trained on photos whose lens was undone, so the cameras have none
+        undistorted = [replace(view, distortion=None) for view in views]
+        write_cameras_json(self.path / "cameras.json", undistorted, overwrite=True)
+        write_vertices(self.path / "input.ply", _point_columns(points), overwrite=True)
+        self.write_json("settings.json", asdict(settings))
+
+    def write_cfg_args(self, source: Path, images: str, settings: TrainingSettings) -> None:
+        """The arguments of 3DGS that other tools read back, as it writes them."""
+        arguments = Namespace(
+            data_device="cpu",
+            eval=settings.test_every > 0,
+            images=images,
+            model_path=str(self.path.absolute()),
+            resolution=-1,
+            sh_degree=settings.sh_degree,
+            source_path=str(source.absolute()),
+            white_background=settings.background == "white",
+        )
+        with replacing(self.path / "cfg_args", overwrite=True) as file:
+            file.write(repr(arguments).encode())
+
+    def write_scene(self, iteration: int, gaussians: Gaussians) -> Path:
+        path = self.scene(iteration)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_gaussians(path, gaussians, overwrite=True)
+        return path
+
+    def write_json(self, name: str, document: object) -> None:
+        with replacing(self.path / name, overwrite=True) as file:
+            file.write(json.dumps(document, indent=1).encode())
+
+
+def _point_columns(points: SparsePoints) -> dict[str, np.ndarray]:
+    zeros = np.zeros(len(points.positions), np.float32)
+    columns = dict(zip("xyz", points.positions.astype(np.float32).T, strict=True))
+    columns |= dict.fromkeys(("nx", "ny", "nz"), zeros)
+    return columns | dict(zip(("red", "green", "blue"), points.colors.T, strict=True))

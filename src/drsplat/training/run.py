@@ -1,0 +1,151 @@
+"""One optimisation between two iterations: everything that decides the next one, and the step."""
+
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..errors import DrSplatError
+from ..kernels.training import Gradients, Loss, TrainingView, forward, photometric_loss
+from ..views import View
+from .density import AdaptiveDensity
+from .mcmc import MonteCarlo
+from .optimizer import Optimizer, Rates
+from .schedules import active_sh_degree, means_rate
+from .settings import TrainingSettings
+from .training_photos import Photo, TrainingPhotos, ViewOrder
+
+FINITE_EVERY = 100
+STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
+
+
+class Outcome(NamedTuple):
+    """Of one iteration."""
+
+    loss: Loss
+    image: Float32[np.ndarray, "h w 3"]
+    target: Float32[np.ndarray, "h w 3"]
+
+
+class Run:
+    """State of an optimisation; two runs of equal state take the same steps to the bit."""
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        settings: TrainingSettings,
+        extent: float,
+        optimizer: Optimizer,
+        rng: np.random.Generator,
+    ) -> None:
+        self.views, self.settings, self.extent = views, settings, extent
+        self.optimizer, self.rng = optimizer, rng
+        self.photos = TrainingPhotos(views, settings.photo_memory_bytes)
+        self.order = ViewOrder(len(views))
+        kind = MonteCarlo if settings.strategy == "mcmc" else AdaptiveDensity
+        self.density: MonteCarlo | AdaptiveDensity = kind(settings, extent, len(optimizer))
+        self.iteration = 0
+        self.seconds = 0.0
+        self.history: list[dict[str, object]] = []
+        self.stage_seconds = dict.fromkeys(STAGES, 0.0)
+        self._since = time.perf_counter()
+
+    def step(self, threads: int = 0) -> Outcome:
+        """The next iteration.
+
+        Raises: DrSplatError: the loss is no longer a number.
+        """
+        self._since = time.perf_counter()
+        self.iteration += 1
+        index = self.order.next(self.rng)
+        photo = self.photos[index]
+        target = photo.colors()
+        self._lap("photo")
+        drawn = self._drawn(self.views[index], threads)
+        loss = self._loss(drawn, target, photo, threads)
+        gradients = drawn.backward(loss.gradient)
+        self._lap("backward")
+        self._learn(gradients, threads)
+        return Outcome(loss, drawn.image, target)
+
+    def _drawn(self, view: View, threads: int) -> TrainingView:
+        degree = active_sh_degree(self.settings, self.iteration)
+        drawn = forward(
+            self.optimizer.parameters, view, degree, self._background(), threads=threads
+        )
+        self._lap("forward")
+        return drawn
+
+    def _background(self) -> Float32[np.ndarray, "3"]:
+        if self.settings.background == "random":
+            return self.rng.random(3, np.float32)
+        return np.array(self.settings.backdrop, np.float32)
+
+    def _loss(
+        self, drawn: TrainingView, target: Float32[np.ndarray, "h w 3"], photo: Photo, threads: int
+    ) -> Loss:
+        """Where the photo says nothing, the rendering is its own target and learns nothing."""
+        if len(photo.outside):
+            target.reshape(-1, 3)[photo.outside] = drawn.image.reshape(-1, 3)[photo.outside]
+        loss = photometric_loss(drawn.image, target, self.settings.dssim_weight, threads=threads)
+        if not math.isfinite(loss.value):
+            raise self._diverged()
+        if len(photo.outside):
+            loss.gradient.reshape(-1, 3)[photo.outside] = 0
+        self._lap("loss")
+        return loss
+
+    def _learn(self, gradients: Gradients, threads: int) -> None:
+        rates = self._rates()
+        self.density.observe(gradients, self.iteration)
+        self.density.penalize(self.optimizer, gradients)
+        self._lap("density")
+        self.optimizer.step(gradients, rates, self.iteration, threads)
+        self._lap("optimizer")
+        with np.errstate(over="ignore", invalid="ignore"):  # looked for below
+            self.density.after_step(self.optimizer, self.iteration, self.rng, rates.means)
+        if self.iteration % FINITE_EVERY == 0 and not self.optimizer.is_finite():
+            raise self._diverged()
+        self._lap("density")
+
+    def _diverged(self) -> DrSplatError:
+        return DrSplatError(
+            f"iteration {self.iteration}: the optimisation has left the finite numbers. Check that "
+            "photos and poses belong together; smaller rates help where the scene's unit is extreme"
+        )
+
+    def _rates(self) -> Rates:
+        s = self.settings
+        means = means_rate(s, self.iteration) * self.extent
+        return Rates(means, s.scales_rate, s.quats_rate, s.logits_rate, s.sh_rate, s.sh_rest_rate)
+
+    def _lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.stage_seconds[stage] += now - self._since
+        self._since = now
+
+    def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """Arrays and texts from which `restore` goes on."""
+        arrays = self.optimizer.state() | self.density.state() | self.order.state()
+        texts = {
+            "iteration": str(self.iteration),
+            "rng": json.dumps(self.rng.bit_generator.state),
+            "seconds": repr(self.seconds),
+            "stage_seconds": json.dumps(self.stage_seconds),
+            "history": json.dumps(self.history),
+        }
+        return arrays, texts
+
+    def restore(self, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> None:
+        """Become the run that `state` was taken of."""
+        self.optimizer = Optimizer.from_state(arrays)
+        self.density.restore(arrays)
+        self.order.restore(arrays)
+        self.rng.bit_generator.state = json.loads(texts["rng"])
+        self.iteration, self.seconds = int(texts["iteration"]), float(texts["seconds"])
+        self.stage_seconds = json.loads(texts["stage_seconds"])
+        self.history = json.loads(texts["history"])

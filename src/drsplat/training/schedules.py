@@ -1,0 +1,41 @@
+"""What changes with the iteration, counted from 1."""
+
+import math
+
+from .settings import TrainingSettings
+
+
+def means_rate(settings: TrainingSettings, iteration: int) -> float:
+    """Rate of the positions, in extents: exponential from the first rate to the last, then constant.
+
+    Source: 3DGS Sec. 7.1 ("standard exponential decay scheduling, similar to Plenoxels").
+    """
+    share = min(iteration / settings.means_rate_steps, 1.0)
+    if settings.means_rate == 0 or settings.means_rate_end == 0:
+        return settings.means_rate * (1 - share)
+    first, last = math.log(settings.means_rate), math.log(settings.means_rate_end)
+    return math.exp((1 - share) * first + share * last)
+
+
+def active_sh_degree(settings: TrainingSettings, iteration: int) -> int:
+    """One more every `sh_degree_every` iterations (3DGS Sec. 7.1)."""
+    return min(settings.sh_degree, iteration // settings.sh_degree_every)
+
+
+def refines(settings: TrainingSettings, iteration: int) -> bool:
+    """Whether Gaussians are added and removed after this iteration; not after the last one."""
+    last = min(settings.last_refinement, settings.iterations)
+    inside = settings.refine_from < iteration < last
+    return inside and iteration % settings.refine_every == 0
+
+
+def resets_opacity(settings: TrainingSettings, iteration: int) -> bool:
+    """Of adaptive density control only; a white background has one more, when refinement starts.
+
+    Source: 3DGS Sec. 5.2; its published defaults for the white one.
+    """
+    last = min(settings.last_refinement - 1, settings.iterations - settings.reset_recovery)
+    if iteration > last:
+        return False
+    first = settings.background == "white" and iteration == settings.refine_from
+    return first or iteration % settings.reset_every == 0

@@ -1,0 +1,144 @@
+"""Every number that the optimisation of a scene depends on, with where it comes from.
+
+Sources, in the comments by their letters:
+  A  Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), Sec. 5-7
+     and supplement
+  B  the published defaults of its optimiser (where the paper is silent), taken as facts
+  C  Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024), Sec. 3-4
+  D  ours
+"""
+
+import json
+from dataclasses import asdict, dataclass, fields
+
+from ..errors import InputError
+
+STRATEGIES = ("default", "mcmc")
+BACKGROUNDS = ("black", "white", "random")
+NOT_OF_THE_RESULT = ("evaluate_every", "photo_memory_bytes")  # change no bit of it
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Hyper-parameters; the defaults are those of the original method.
+
+    Iteration numbers are absolute, as in the original: a run of 7,000 is the first 7,000 of the
+    same schedule, densifies to its end and leaves the positions' rate where it is by then; only an
+    opacity reset that the run is too short to recover from is left out.
+    Lengths marked "extents" are in units of `scene_extent`.
+
+    Raises: InputError: a value out of its range.
+    """
+
+    iterations: int = 30_000  # A: 30K; 7K is its short setting
+    seed: int = 0
+    background: str = "black"  # B; "random" is a new colour each iteration
+    strategy: str = "default"  # A: adaptive density control; C: mcmc
+    max_gaussians: int | None = None  # C: needed for mcmc; D: limits `default` too
+    sh_degree: int = 3  # A: 4 bands
+    sh_degree_every: int = 1000  # A: one more band every 1000 iterations
+    dssim_weight: float = 0.2  # A: lambda
+    test_every: int = 8  # A: every 8th photo is held out; 0: none
+    evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
+    photo_memory_bytes: int = 2 << 30  # D: decoded photos that are kept; others are read again
+
+    # rates of Adam (beta 0.9, 0.999; epsilon 1e-15: B)
+    means_rate: float = 1.6e-4  # B: extents; decays exponentially (A) to
+    means_rate_end: float = 1.6e-6  # B: extents, at
+    means_rate_steps: int = 30_000  # B
+    sh_rate: float = 2.5e-3  # B: the constant term
+    sh_rest_rate: float = 2.5e-3 / 20  # B: all others
+    logits_rate: float = 0.05  # B, 2023; later releases have 0.025
+    scales_rate: float = 5e-3  # B: of the logarithm
+    quats_rate: float = 1e-3  # B
+
+    # where Gaussians start
+    start_opacity: float | None = None  # B: 0.1; C: 0.5 with mcmc
+    start_scale: float | None = None  # A: 1 distance to the neighbours; C: 0.1 with mcmc
+    random_points: int = 100_000  # B: where the capture has no points
+
+    # how their number changes; to 15,000 and with resets by default, to 25,000 with mcmc
+    refine_from: int = 500  # A, C
+    refine_until: int | None = None  # B: 15,000; C: 25,000 with mcmc
+    refine_every: int = 100  # A, C
+    min_opacity: float = 0.005  # B, C: fainter ones are pruned (default) or moved (mcmc)
+
+    # adaptive density control (default)
+    gradient_threshold: float = 2e-4  # A: tau_pos, of the centre in normalised device coordinates
+    dense_scale: float = 0.01  # B: extents; larger Gaussians are split, smaller cloned
+    split_shrink: float = 1.6  # A: phi
+    reset_every: int = 3000  # A: opacity reset, every N = 3000
+    reset_opacity: float = 0.01  # B
+    reset_recovery: int = 500  # D: no reset within so many iterations of the end of a run
+    max_scale: float = 0.1  # B: extents; larger ones are pruned after the first reset
+    max_screen_px: float | None = None  # B says 20, but compares after clearing the radii: never
+
+    # Markov chain Monte Carlo (mcmc)
+    growth: float = 0.05  # C: more Gaussians per refinement
+    noise_rate: float = 5e5  # C: lambda_noise
+    noise_steepness: float = 100.0  # C: k
+    noise_opacity: float = 0.005  # C: 1 - t, where the noise's sigmoid is a half
+    opacity_penalty: float = 0.01  # C: lambda_o
+    scale_penalty: float = 0.01  # C: lambda_Sigma
+
+    def __post_init__(self) -> None:
+        self._check_choices()
+        self._check_counts()
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float) and not 0 <= value < float("inf"):
+                raise InputError(f"{field.name}: expected a finite number >= 0, got {value}")
+        if not (0 <= self.dssim_weight <= 1 and 0 < self.first_opacity < 1):
+            raise InputError(
+                f"dssim_weight must be in [0, 1] and start_opacity in (0, 1); got "
+                f"{self.dssim_weight} and {self.first_opacity}"
+            )
+
+    def _check_choices(self) -> None:
+        for name, value, allowed in (
+            ("background", self.background, BACKGROUNDS),
+            ("strategy", self.strategy, STRATEGIES),
+            ("sh_degree", self.sh_degree, (0, 1, 2, 3)),
+        ):
+            if value not in allowed:
+                raise InputError(f"{name}: expected one of {allowed}, got {value!r}")
+        if self.strategy == "mcmc" and self.max_gaussians is None:
+            raise InputError(
+                "strategy 'mcmc' fills a budget: say how many with max_gaussians, e.g. 500,000"
+            )
+
+    def _check_counts(self) -> None:
+        least = {"seed": 0, "sh_degree": 0, "test_every": 0, "evaluate_every": 0, "refine_from": 0}
+        least |= {"refine_until": 0, "photo_memory_bytes": 0, "reset_recovery": 0}
+        for field in fields(self):
+            value, low = getattr(self, field.name), least.get(field.name, 1)
+            if isinstance(value, int) and value < low:
+                raise InputError(f"{field.name}: expected at least {low}, got {value}")
+        if self.test_every == 1:
+            raise InputError("test_every: 1 would hold every photo out; 0 holds none out")
+
+    @property
+    def first_opacity(self) -> float:
+        default = 0.5 if self.strategy == "mcmc" else 0.1
+        return default if self.start_opacity is None else self.start_opacity
+
+    @property
+    def first_scale(self) -> float:
+        default = 0.1 if self.strategy == "mcmc" else 1.0
+        return default if self.start_scale is None else self.start_scale
+
+    @property
+    def last_refinement(self) -> int:
+        default = 25_000 if self.strategy == "mcmc" else 15_000
+        return default if self.refine_until is None else self.refine_until
+
+    @property
+    def backdrop(self) -> tuple[float, float, float]:
+        """What held-out photos are rendered on."""
+        return (1.0, 1.0, 1.0) if self.background == "white" else (0.0, 0.0, 0.0)
+
+    @property
+    def fingerprint(self) -> str:
+        """JSON of what decides the result of an iteration: a run may go on only with the same."""
+        named = {k: v for k, v in asdict(self).items() if k not in NOT_OF_THE_RESULT}
+        return json.dumps(named, sort_keys=True)

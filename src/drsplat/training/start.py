@@ -1,0 +1,161 @@
+"""Where an optimisation starts: views that can be trained on, their extent, the first Gaussians."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+from scipy.spatial import cKDTree
+
+from ..errors import InputError
+from ..formats.activation import SH_C0
+from ..formats.captures import SparsePoints
+from ..gaussians import SH_COEFFICIENTS
+from ..kernels.training import SceneParameters
+from ..views import View
+from .settings import TrainingSettings
+
+NEIGHBOURS = 3
+LEAST_DISTANCE2 = 1e-7  # scene units squared; of points that are in one place
+LEAST_VIEWS = 2
+
+
+class Split(NamedTuple):
+    """train: optimised on. test: held out, every n-th by name, as 3DGS and LLFF do."""
+
+    train: list[View]
+    test: list[View]
+
+
+def split_views(views: Sequence[View], test_every: int) -> Split:
+    """Check the views and hold every `test_every`-th out, from the first on; 0 holds none out.
+
+    Raises: InputError: views without photos, a name that occurs twice, fewer than two views to
+    train on, or all of them in one place.
+    """
+    ordered = sorted(views, key=lambda view: view.name)
+    _require_photos(ordered)
+    held_out = [test_every > 0 and index % test_every == 0 for index in range(len(ordered))]
+    split = Split(
+        [view for view, out in zip(ordered, held_out, strict=True) if not out],
+        [view for view, out in zip(ordered, held_out, strict=True) if out],
+    )
+    if len(split.train) < LEAST_VIEWS:
+        raise InputError(
+            f"a scene is trained on at least {LEAST_VIEWS} photos from different places: of "
+            f"{len(ordered)} there are {len(split.train)} left after every {test_every}th is held "
+            "out for testing: add photos, or hold none out with test_every=0"
+            if test_every and len(ordered) >= LEAST_VIEWS
+            else f"a scene is trained on at least {LEAST_VIEWS} photos from different places, got "
+            f"{len(ordered)}: add photos"
+        )
+    scene_extent(split.train)
+    return split
+
+
+def _require_photos(views: Sequence[View]) -> None:
+    without = [view.name for view in views if view.image_path is None]
+    if without:
+        raise InputError(
+            f"{len(without)} of {len(views)} views have no photo, the first is '{without[0]}': "
+            "pass the folder of the photos to read_views (images=FOLDER, --images FOLDER), or "
+            "leave these views out"
+        )
+    names = [view.name for view in views]
+    if len(set(names)) < len(names):
+        raise InputError("two views have one name: names are how photos are told apart")
+
+
+def scene_extent(views: Sequence[View]) -> float:
+    """1.1 x the distance of the farthest camera from the mean of all, in scene units.
+
+    Raises: InputError: all cameras are in one place, so that nothing tells how far things are.
+    Source: the published defaults of 3DGS ("cameras_extent").
+    """
+    centers = np.array([view.center for view in views])
+    mean = centers.mean(axis=0)
+    farthest = float(np.linalg.norm(centers - mean, axis=1).max())
+    if not farthest > 1e-6 * (1 + float(np.linalg.norm(mean))):
+        raise InputError(
+            f"all {len(views)} cameras are in one place, {np.array2string(mean, precision=3)}: "
+            "depth cannot be learnt from there. Take photos from different places, and check that "
+            "the poses were read from the right file"
+        )
+    return 1.1 * farthest
+
+
+def start_points(
+    points: SparsePoints | None,
+    views: Sequence[View],
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+) -> SparsePoints:
+    """The given points, thinned to the budget, or else random ones about the cameras.
+
+    Raises: InputError: points that are not finite, or too few of them.
+    """
+    if points is None or len(points.positions) == 0:
+        return _random_points(views, settings, rng)
+    _check_points(points)
+    limit = settings.max_gaussians
+    if limit is None or len(points.positions) <= limit:
+        return points
+    kept = np.sort(rng.choice(len(points.positions), max(limit, 1), replace=False))
+    return SparsePoints(points.positions[kept], points.colors[kept])
+
+
+def _check_points(points: SparsePoints) -> None:
+    count = len(points.positions)
+    if points.positions.shape != (count, 3) or points.colors.shape != (count, 3):
+        raise InputError(
+            f"points: expected positions and colors (n, 3), got {points.positions.shape} and "
+            f"{points.colors.shape}"
+        )
+    finite: Bool[np.ndarray, " n"] = np.isfinite(points.positions).all(axis=1)
+    if not finite.all():
+        raise InputError(
+            f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
+            f"{int(np.argmin(finite))}: remove them, or pass points=None to start from random ones"
+        )
+    if count <= NEIGHBOURS:
+        raise InputError(
+            f"{count} points are too few: sizes come from the {NEIGHBOURS} nearest neighbours. Pass "
+            "points=None to start from random ones, or pose the photos again"
+        )
+
+
+def _random_points(
+    views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator
+) -> SparsePoints:
+    """Grey points, uniform in the cube about the mean of the cameras that holds them all."""
+    centers = np.array([view.center for view in views])
+    count = settings.random_points
+    if settings.max_gaussians is not None:
+        count = min(count, settings.max_gaussians)
+    half = scene_extent(views)
+    positions = centers.mean(axis=0) + rng.uniform(-half, half, (max(count, NEIGHBOURS + 1), 3))
+    return SparsePoints(positions, np.full(positions.shape, 128, np.uint8))
+
+
+def first_gaussians(points: SparsePoints, settings: TrainingSettings) -> SceneParameters:
+    """A round Gaussian per point, as large as its neighbours are far.
+
+    Size: root of the mean squared distance to the 3 nearest. Higher SH are zero.
+    Source: 3DGS Sec. 5.1 and its published defaults.
+    """
+    count = len(points.positions)
+    tree = cKDTree(points.positions)
+    distances = tree.query(points.positions, k=min(NEIGHBOURS + 1, count), workers=1)[0]
+    mean2 = np.maximum((distances[:, 1:] ** 2).mean(axis=1), LEAST_DISTANCE2)
+    log_scales = np.log(settings.first_scale * np.sqrt(mean2))
+    sh = np.zeros((count, SH_COEFFICIENTS[settings.sh_degree], 3), np.float32)
+    sh[:, 0] = (points.colors / 255 - 0.5) / SH_C0
+    opacity = settings.first_opacity
+    return SceneParameters(
+        np.ascontiguousarray(points.positions, np.float32),
+        np.repeat(log_scales[:, None], 3, axis=1).astype(np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        np.full(count, math.log(opacity / (1 - opacity)), np.float32),
+        sh,
+    )

@@ -1,0 +1,78 @@
+"""The photos of a run: decoded, undistorted and resized once, kept as bytes; and their order."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Integer, UInt8
+
+from ..photos import load_image, photo_coverage
+from ..views import View
+
+
+class Photo(NamedTuple):
+    """outside: flat indices of the pixels that no photo covers once its lens is undone."""
+
+    pixels: UInt8[np.ndarray, "h w 3"]
+    outside: Integer[np.ndarray, " m"]
+
+    def colors(self) -> Float32[np.ndarray, "h w 3"]:
+        """In [0, 1]."""
+        return self.pixels * np.float32(1 / 255)
+
+
+class TrainingPhotos:
+    """Photos by index. The first that fit into `memory_bytes` are kept, the others read again.
+
+    With a random order nothing better can be kept than any fixed share of the photos.
+    """
+
+    def __init__(self, views: Sequence[View], memory_bytes: int) -> None:
+        self._views, self._room = views, memory_bytes
+        self._kept: dict[int, Photo] = {}
+        self._outside: dict[tuple[object, ...], np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __getitem__(self, index: int) -> Photo:
+        if index in self._kept:
+            return self._kept[index]
+        view = self._views[index]
+        photo = Photo(load_image(view), self._outside_of(view))
+        if photo.pixels.nbytes <= self._room:
+            self._kept[index] = photo
+            self._room -= photo.pixels.nbytes
+        return photo
+
+    def _outside_of(self, view: View) -> Integer[np.ndarray, " m"]:
+        """Shared by the views of one camera."""
+        camera = (view.width, view.height, view.distortion, view.K.tobytes())
+        if camera not in self._outside:
+            covered = photo_coverage(view)
+            outside = np.flatnonzero(~covered).astype(np.int32)
+            if outside.nbytes > self._room:
+                return outside
+            self._outside[camera] = outside
+            self._room -= outside.nbytes
+        return self._outside[camera]
+
+
+class ViewOrder:
+    """Every view once in random order, then again in another, and so on."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.pending = np.empty(0, np.int64)
+
+    def next(self, rng: np.random.Generator) -> int:
+        if len(self.pending) == 0:
+            self.pending = rng.permutation(self.count)
+        following, self.pending = int(self.pending[0]), self.pending[1:]
+        return following
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {"order.pending": self.pending}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        self.pending = np.array(state["order.pending"], np.int64)

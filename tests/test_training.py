@@ -1,0 +1,431 @@
+"""Training as a whole: it finds a known scene again, goes on after a kill to the same bits, writes what
+3DGS tools expect, and refuses what cannot work."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import drsplat as ds
+from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
+from drsplat.cli import main
+from drsplat.demo.capture import write_model
+from drsplat.formats.captures import read_sparse_points
+from drsplat.formats.replacing import replacing
+from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.training.devices import chosen_device
+
+BUSY = ds.TrainingSettings(
+    iterations=120, refine_from=20, refine_every=20, reset_every=60, reset_recovery=20,
+    sh_degree=2, sh_degree_every=30, background="random",
+)  # fmt: skip
+"""Everything that happens in 30,000 iterations happens in 120."""
+CHAIN = replace(BUSY, strategy="mcmc", max_gaussians=400)
+both = pytest.mark.parametrize("settings", [BUSY, CHAIN], ids=["default", "mcmc"])
+
+
+@pytest.fixture(scope="module")
+def scene() -> ds.Gaussians:
+    return known_scene()
+
+
+@pytest.fixture(scope="module")
+def views(scene, tmp_path_factory) -> list[ds.View]:
+    return photographed(tmp_path_factory.mktemp("photos"), scene, ring(32))
+
+
+@pytest.fixture(scope="module")
+def points(scene) -> ds.SparsePoints:
+    return perturbed_points(scene)
+
+
+@pytest.fixture(scope="module")
+def capture(scene, views, points, tmp_path_factory) -> Path:
+    """A COLMAP text model of every fourth view, with points."""
+    folder = tmp_path_factory.mktemp("capture")
+    (folder / "images").mkdir()
+    (folder / "sparse/0").mkdir(parents=True)
+    some = views[::4]
+    for view in some:
+        (folder / "images" / view.name).write_bytes(view.image_path.read_bytes())
+    write_model(folder / "sparse/0", some)
+    lines = [
+        f"{i} {x} {y} {z} {r} {g} {b} 0.5\n"
+        for i, ((x, y, z), (r, g, b)) in enumerate(zip(*points, strict=True))
+    ]
+    (folder / "sparse/0/points3D.txt").write_text("".join(lines))
+    return folder
+
+
+# --- it learns ---
+
+
+@pytest.mark.slow
+def test_a_known_scene_is_found_again_from_perturbed_points(views, points):
+    """benchmarks/check_refit.py goes on to 3,000 iterations and 33 dB; the start is at 17 dB."""
+    settings = ds.TrainingSettings(iterations=400, sh_degree=1)
+    start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
+    training = ds.train(views, settings, points=points, device="cpu")
+    assert start.evaluation.psnr < 20
+    assert training.evaluation.psnr > 26
+    assert training.evaluation.ssim > start.evaluation.ssim + 0.2
+    assert [view.name for view in training.evaluation.views] == [
+        f"photo_{index:02}.png" for index in (0, 8, 16, 24)
+    ]
+
+
+def test_the_chain_learns_within_its_budget(views, points):
+    settings = replace(CHAIN, iterations=300, max_gaussians=350, background="black")
+    training = ds.train(views, settings, points=points, device="cpu")
+    assert training.evaluation.psnr > 20
+    assert len(training.gaussians) == 350
+
+
+def test_without_points_it_starts_at_random_and_still_learns(views):
+    settings = ds.TrainingSettings(iterations=150, random_points=2000, sh_degree=0)
+    before = ds.train(views, replace(settings, iterations=1), device="cpu").evaluation.psnr
+    assert ds.train(views, settings, device="cpu").evaluation.psnr > before + 3
+
+
+def test_pixels_past_the_photo_teach_nothing(views, points):
+    """With a lens undone the photos have black corners; the scene must not."""
+    bent = [replace(view, distortion=(0.25, 0.0, 0.0, 0.0)) for view in views[:12]]
+    colors = np.full(points.colors.shape, 255, np.uint8)
+    bright = ds.SparsePoints(points.positions * 3, colors)
+    settings = ds.TrainingSettings(iterations=1, test_every=0, sh_degree=0)
+    from drsplat.photos import photo_coverage
+
+    outside = ~photo_coverage(bent[0])
+    assert outside.any()
+    seen = []
+
+    def spying(image, target, *rest, **options):
+        seen.append((image.copy(), target.copy()))
+        return original(image, target, *rest, **options)
+
+    from drsplat.training import run
+
+    original = run.photometric_loss
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "photometric_loss", spying)
+        ds.train(bent, settings, points=bright, device="cpu")
+    image, target = seen[0]
+    assert image[outside].max() > 0.1
+    assert np.array_equal(image[outside], target[outside])
+    assert not np.array_equal(image[~outside], target[~outside])
+
+
+# --- the same bits ---
+
+
+def ply_of(folder: Path, iterations: int = 120) -> bytes:
+    return (folder / f"point_cloud/iteration_{iterations}/point_cloud.ply").read_bytes()
+
+
+@both
+def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_path):
+    settings = replace(settings, iterations=60)
+    for threads in (1, 2):
+        ds.train(
+            views[::2], settings, tmp_path / str(threads), points=points, threads=threads,
+            device="cpu",
+        )  # fmt: skip
+    assert ply_of(tmp_path / "1", 60) == ply_of(tmp_path / "2", 60)
+
+
+def test_another_seed_gives_other_bits(views, points, tmp_path):
+    for seed in (0, 1):
+        settings = replace(BUSY, iterations=3, seed=seed)
+        ds.train(views[::4], settings, tmp_path / str(seed), points=points, device="cpu")
+    assert ply_of(tmp_path / "0", 3) != ply_of(tmp_path / "1", 3)
+
+
+KILLED = """
+import os, pickle, signal, sys
+import numpy as np
+import drsplat as ds
+import test_training as t
+from captures_to_train import known_scene, perturbed_points, ring
+from dataclasses import replace
+from pathlib import Path
+photos, folder, strategy = sys.argv[1:]
+views = [replace(v, image_path=Path(photos) / v.name) for v in ring(32)][::2]
+def report(status):
+    if status.iteration == 97:
+        os.kill(os.getpid(), signal.SIGKILL)
+settings = t.CHAIN if strategy == "mcmc" else t.BUSY
+ds.train(views, settings, folder, points=perturbed_points(known_scene()), report=report,
+         checkpoint_every=35, device="cpu")
+"""
+
+
+@both
+def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path):
+    ds.train(views[::2], settings, tmp_path / "whole", points=points, device="cpu")
+    arguments = (str(views[0].image_path.parent), str(tmp_path / "killed"), settings.strategy)
+    code = KILLED.replace("pickle, ", "")
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    killed = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "killed/point_cloud").exists()
+    _, texts = map_tensors(tmp_path / "killed/checkpoint.safetensors")
+    assert texts["iteration"] == "70"
+    leftover = tmp_path / "killed/.0123456789abcdef.tmp"
+    leftover.write_bytes(b"half")
+    seen: list[int] = []
+    ds.train(
+        views[::2], settings, tmp_path / "killed", points=points, device="cpu",
+        report=lambda status: seen.append(status.iteration),
+    )  # fmt: skip
+    assert seen == list(range(71, 121))
+    assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
+    assert not (tmp_path / "killed/checkpoint.safetensors").exists()
+    assert not leftover.exists()
+
+
+# --- the folder ---
+
+
+def unfinished(folder: Path, views: list[ds.View], points: ds.SparsePoints) -> Path:
+    """A folder whose run was stopped after iteration 30; the path of its checkpoint."""
+
+    def stop(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+        if status.iteration == 33:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ds.train(views, BUSY, folder, points=points, report=stop, checkpoint_every=10, device="cpu")
+    return folder / "checkpoint.safetensors"
+
+
+def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views, points)
+    before = checkpoint.read_bytes()
+    with pytest.raises(ds.MismatchError, match=r"other settings.*--overwrite"):
+        ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
+    with pytest.raises(ds.MismatchError, match="other capture"):
+        ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")
+    assert checkpoint.read_bytes() == before
+    fresh = replace(BUSY, seed=1, iterations=5)
+    ds.train(views, fresh, tmp_path / "model", points=points, overwrite=True, device="cpu")
+    assert ply_of(tmp_path / "model", 5)
+
+
+def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> None:
+    if how == "rows":
+        arrays["first.means"] = arrays["first.means"][1:]
+    elif how == "missing":
+        del arrays["order.pending"]
+    elif how == "type":
+        arrays["parameters.sh"] = arrays["parameters.sh"].astype(np.float64)
+    elif how == "version":
+        texts["version"] = "2"
+    else:
+        texts[how] = "nonsense"
+
+
+@pytest.mark.parametrize("how", ["rows", "missing", "type", "version", "rng", "iteration", "cut"])
+def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views, points)
+    if how == "cut":
+        checkpoint.write_bytes(checkpoint.read_bytes()[:-8])
+    else:
+        mapped, texts = map_tensors(checkpoint)
+        arrays = {name: np.array(array) for name, array in mapped.items()}
+        damaged(texts, arrays, how)
+        write_tensors(checkpoint, arrays, texts, overwrite=True)
+    with pytest.raises(ds.FormatError, match=r"checkpoint\.safetensors"):
+        ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
+
+
+def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
+    (tmp_path / "holiday.txt").write_text("mine")
+    with pytest.raises(ds.InputError, match="not empty"):
+        ds.train(views, BUSY, tmp_path, points=points, device="cpu")
+    quick = replace(BUSY, iterations=1)
+    old = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
+    old.parent.mkdir(parents=True)
+    old.write_bytes(b"of another run")
+    ds.train(views, quick, tmp_path, points=points, overwrite=True, device="cpu")
+    assert (tmp_path / "holiday.txt").read_text() == "mine"
+    assert not old.exists()  # it would be taken for the latest
+    with pytest.raises(ds.InputError, match="not empty"):
+        ds.train(views, quick, tmp_path, points=points, device="cpu")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ds.InputError, match="is a file"):
+        ds.train(views, quick, tmp_path / "file", points=points, device="cpu")
+
+
+FULL = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+from drsplat.cli import main
+sys.exit(main(["train", *sys.argv[1:]]))
+"""
+
+
+def test_a_full_disk_is_a_clear_error_and_leaves_nothing_half_written(capture, tmp_path):
+    """Files may grow to 40 kB here, which the first checkpoint does not fit into."""
+    folder = tmp_path / "model"
+    command = [sys.executable, "-c", FULL, str(capture), "-o", str(folder), "--iterations", "3"]
+    command += ["--checkpoint-every", "2", "--device", "cpu"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 1
+    assert "no room left" in ran.stderr
+    assert "free some space" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    written = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    assert written == {"cameras.json", "input.ply", "settings.json"}
+
+
+def test_other_failures_to_write_stay_what_they_are(tmp_path):
+    with pytest.raises(PermissionError), replacing(tmp_path / "file"):
+        raise PermissionError("not yours")
+
+
+# --- the verb ---
+
+
+def run_verb(capsys, *arguments: str) -> dict[str, object]:
+    assert main(["train", *arguments, "--device", "cpu", "--json"]) == 0
+    answer: dict[str, object] = json.loads(capsys.readouterr().out)
+    return answer
+
+
+def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
+    folder = tmp_path / "model"
+    answer = run_verb(
+        capsys, str(capture), "-o", str(folder), "--iterations", "30", "--save-at", "10",
+        "--eval-every", "10", "--sh-degree", "1",
+    )  # fmt: skip
+    assert answer.keys() >= {"psnr_test", "ssim_test", "num_gaussians", "iterations", "seconds"}
+    assert (answer["iterations"], answer["num_gaussians"], answer["num_views"]) == (30, 300, 8)
+    files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    assert files == {
+        "point_cloud/iteration_10/point_cloud.ply", "point_cloud/iteration_30/point_cloud.ply",
+        "cameras.json", "cfg_args", "input.ply", "results.json", "settings.json",
+        "test/photo_00.png",
+    }  # fmt: skip
+    assert len(ds.read_gaussians(folder)) == 300
+    assert ds.read_gaussians(folder).sh_degree == 1
+    with pytest.warns(ds.DrSplatWarning, match="no photo"):
+        cameras = ds.read_views(folder / "cameras.json")
+    assert [view.name for view in cameras] == [view.name for view in ds.read_views(capture)]
+    results = json.loads((folder / "results.json").read_text())
+    assert results["psnr_test"] == answer["psnr_test"]
+    assert [entry["iteration"] for entry in results["history"]] == [10, 20]
+    assert json.loads((folder / "settings.json").read_text())["iterations"] == 30
+    arguments = (folder / "cfg_args").read_text()
+    assert arguments.startswith("Namespace(")
+    assert f"source_path='{capture}'" in arguments
+    picture = np.asarray(Image.open(folder / "test/photo_00.png"))
+    assert picture.shape == (HEIGHT, 3 * WIDTH, 3)
+    photo = np.asarray(Image.open(capture / "images/photo_00.png"))
+    assert np.array_equal(picture[:, :WIDTH], photo)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "size"),
+    [
+        ((), (96, 72)),
+        (("2",), (48, 36)),
+        (("4",), (24, 18)),
+        (("40",), (40, 30)),
+        (("500",), (96, 72)),
+    ],
+)
+def test_resolution_divides_or_is_the_longer_side(resolution, size, capture, tmp_path, capsys):
+    options = ("--resolution", *resolution) if resolution else ()
+    answer = run_verb(
+        capsys, str(capture), "-o", str(tmp_path / "m"), "--iterations", "1", *options
+    )
+    assert (answer["width"], answer["height"]) == size
+
+
+def test_the_verb_tells_people(capture, tmp_path, capsys):
+    assert main(["train", str(capture), "-o", str(tmp_path / "m"), "--iterations", "2", "--device", "cpu"]) == 0  # fmt: skip
+    out = capsys.readouterr().out
+    for said in ("trained:", "PSNR", "SSIM", "Gaussians", "ms an iteration"):
+        assert said in out
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert main(["train", *arguments]) == 1
+    return capsys.readouterr().err
+
+
+def test_the_verb_refuses_views_without_photos(capture, tmp_path, capsys):
+    said = refused(capsys, str(capture / "sparse/0/cameras.txt"), "-o", str(tmp_path / "m"), "--images", str(tmp_path))  # fmt: skip
+    assert "no photo" in said
+    assert "--images" in said
+    assert not (tmp_path / "m").exists()
+
+
+def test_the_verb_refuses_points_that_are_not_finite(capture, tmp_path, capsys):
+    for name in ("cameras.txt", "images.txt"):
+        (tmp_path / name).write_bytes((capture / "sparse/0" / name).read_bytes())
+    (tmp_path / "points3D.txt").write_text("1 0 0 nan 1 2 3 0\n")
+    said = refused(capsys, str(tmp_path), "--images", str(capture / "images"), "-o", str(tmp_path / "m"))  # fmt: skip
+    assert "not finite" in said
+    assert not (tmp_path / "m").exists()
+
+
+def test_the_verb_says_when_it_starts_at_random(capture, tmp_path, capsys):
+    for name in ("cameras.txt", "images.txt"):
+        (tmp_path / name).write_bytes((capture / "sparse/0" / name).read_bytes())
+    options = ("--images", str(capture / "images"), "-o", str(tmp_path / "m"), "--device", "cpu")
+    budget = ("--max-gaussians", "500", "--iterations", "1")
+    assert main(["train", str(tmp_path), *options, *budget]) == 0
+    assert "no sparse points" in capsys.readouterr().err
+    assert len(ds.read_gaussians(tmp_path / "m")) == 500
+
+
+def test_points_move_with_their_views(capture, tmp_path):
+    """In nerfstudio's frame a point is seen in the same pixel."""
+    file = tmp_path / "dataparser_transforms.json"
+    turned = [[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
+    file.write_text(json.dumps({"transform": turned, "scale": 0.5}))
+    plain, moved = (
+        read_sparse_points(capture),
+        read_sparse_points(capture, dataparser_transforms=file),
+    )
+    view, there = ds.read_views(capture)[0], ds.read_views(capture, dataparser_transforms=file)[0]
+
+    def pixels(view: ds.View, positions: np.ndarray) -> np.ndarray:
+        seen = positions @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
+        return (seen / seen[:, 2:]) @ view.K.T
+
+    assert pixels(there, moved.positions) == pytest.approx(pixels(view, plain.positions), abs=1e-6)
+    assert np.abs(moved.positions - plain.positions).max() > 1
+
+
+def test_devices(monkeypatch):
+    from drsplat.training import devices
+
+    class Cuda:
+        unavailable: Callable[[], str | None]
+
+    monkeypatch.setattr(devices, "_cuda", lambda: Cuda)
+    Cuda.unavailable = staticmethod(lambda: "pip install 'drsplat[cuda]'")
+    assert chosen_device("cpu") == chosen_device("auto") == "cpu"
+    with pytest.raises(ds.MissingExtraError, match="pip install"):
+        chosen_device("cuda")
+    with pytest.raises(ds.InputError, match="device"):
+        chosen_device("tpu")
+    Cuda.unavailable = staticmethod(lambda: None)
+    assert chosen_device("cuda") == chosen_device("auto") == "cuda"
+
+
+def test_an_optimisation_that_diverges_is_an_error(views, points):
+    settings = replace(BUSY, means_rate=1e38, means_rate_end=1e38)
+    with pytest.raises(ds.DrSplatError, match=r"iteration \d+: .* has left the finite numbers"):
+        ds.train(views, settings, points=points, device="cpu")

@@ -1,0 +1,518 @@
+"""The parts of training that need no rendering: settings, schedules, first Gaussians, rows and moments,
+density control by hand-computed cases, relocation by its closed form, photos and their order."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy import integrate
+
+from drsplat import InputError, SparsePoints, TrainingSettings, View
+from drsplat.formats.activation import sigmoid
+from drsplat.kernels.training import Gradients, SceneParameters
+from drsplat.training.density import AdaptiveDensity, reset_opacity, split
+from drsplat.training.mcmc import MonteCarlo, drawn, grow, relocate, shared_place
+from drsplat.training.metrics import psnr, ssim
+from drsplat.training.optimizer import Optimizer, Rates
+from drsplat.training.rotations import rotated, rotation_matrices, spread
+from drsplat.training.schedules import active_sh_degree, means_rate, refines, resets_opacity
+from drsplat.training.start import first_gaussians, scene_extent, split_views, start_points
+from drsplat.training.training_photos import TrainingPhotos, ViewOrder
+from scenes import look_at_view
+
+DEFAULT = TrainingSettings()
+RATES = Rates(1e-2, 1e-2, 1e-2, 1e-2, 1e-1, 1e-3)
+
+
+def parameters(count: int, seed: int = 0, sh: int = 4) -> SceneParameters:
+    rng = np.random.default_rng(seed)
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, sh, 3))
+    return SceneParameters(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
+
+
+def gradients(of: SceneParameters, seed: int = 1) -> Gradients:
+    rng = np.random.default_rng(seed)
+    slopes = [rng.normal(size=array.shape).astype(np.float32) for array in of]
+    return Gradients(*slopes, *np.zeros((2, len(of.means)), np.float32))
+
+
+def marked_optimizer(count: int) -> Optimizer:
+    """Row i has means i and moments 10 + i, 20 + i everywhere, so that rows can be followed."""
+    optimizer = Optimizer(parameters(count))
+    for arrays, base in ((optimizer.first, 10), (optimizer.second, 20)):
+        for array in arrays:
+            array[:] = (base + np.arange(count)).reshape(-1, *[1] * (array.ndim - 1))
+    optimizer.parameters.means[:] = np.arange(count)[:, None]
+    return optimizer
+
+
+def observed(
+    s: TrainingSettings, count: int, pull: list[float], *, seen: int = 1, extent: float = 1.0
+) -> AdaptiveDensity:
+    density = AdaptiveDensity(s, extent, count)
+    empty = gradients(parameters(count))
+    pulls = np.array(pull, np.float32)
+    for _ in range(seen):
+        density.observe(empty._replace(screen=pulls, radii=np.full(count, 5, np.float32)), 1)
+    return density
+
+
+# --- settings and schedules ---
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"iterations": 0}, "iterations"),
+        ({"seed": -1}, "seed"),
+        ({"strategy": "magic"}, "strategy"),
+        ({"background": "pink"}, "background"),
+        ({"sh_degree": 4}, "sh_degree"),
+        ({"strategy": "mcmc"}, "max_gaussians"),
+        ({"max_gaussians": 0}, "max_gaussians"),
+        ({"test_every": 1}, "test_every"),
+        ({"means_rate": float("nan")}, "means_rate"),
+        ({"scales_rate": -1.0}, "scales_rate"),
+        ({"dssim_weight": 1.5}, "dssim_weight"),
+        ({"start_opacity": 1.0}, "start_opacity"),
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong, said):
+    with pytest.raises(InputError, match=said):
+        TrainingSettings(**wrong)
+
+
+def test_the_position_rate_decays_exponentially():
+    assert means_rate(DEFAULT, 0) == pytest.approx(1.6e-4)
+    assert means_rate(DEFAULT, 15_000) == pytest.approx(1.6e-5)
+    assert means_rate(DEFAULT, 30_000) == pytest.approx(1.6e-6)
+    assert means_rate(DEFAULT, 90_000) == pytest.approx(1.6e-6)
+    assert means_rate(replace(DEFAULT, means_rate=0.0), 500) == 0
+
+
+def test_a_shorter_run_is_the_beginning_of_the_longer_one():
+    short = replace(DEFAULT, iterations=7000)
+    for iteration in range(1, 6501):
+        for schedule in (means_rate, active_sh_degree, refines, resets_opacity):
+            assert schedule(short, iteration) == schedule(DEFAULT, iteration)
+
+
+def test_a_reset_comes_only_where_there_is_time_to_recover():
+    for iterations, last in ((3000, []), (3499, []), (3500, [3000]), (6400, [3000])):
+        s = replace(DEFAULT, iterations=iterations)
+        assert [i for i in range(1, iterations + 1) if resets_opacity(s, i)] == last
+
+
+def test_the_fingerprint_is_of_what_changes_the_result():
+    same = replace(DEFAULT, evaluate_every=5, photo_memory_bytes=0)
+    assert same.fingerprint == DEFAULT.fingerprint != replace(DEFAULT, seed=1).fingerprint
+
+
+def test_harmonics_come_every_thousand_iterations():
+    degrees = [active_sh_degree(DEFAULT, i) for i in (1, 999, 1000, 1999, 2000, 3000, 30_000)]
+    assert degrees == [0, 0, 1, 1, 2, 3, 3]
+    assert active_sh_degree(replace(DEFAULT, sh_degree=1), 9000) == 1
+
+
+def test_refinement_is_between_500_and_15000_every_100():
+    due = [i for i in range(1, 30_001) if refines(DEFAULT, i)]
+    assert (due[0], due[-1], len(due)) == (600, 14_900, 144)
+    monte_carlo = replace(DEFAULT, strategy="mcmc", max_gaussians=9)
+    assert [i for i in range(1, 30_001) if refines(monte_carlo, i)][-1] == 24_900
+
+
+def test_opacity_is_reset_every_3000():
+    assert [i for i in range(1, 30_001) if resets_opacity(DEFAULT, i)] == [3000, 6000, 9000, 12_000]
+    white = replace(DEFAULT, background="white")
+    assert [i for i in range(1, 5000) if resets_opacity(white, i)] == [500, 3000]
+
+
+# --- where it starts ---
+
+
+def circle(
+    count: int = 8, radius: float = 3.0, path: Path | None = Path("photo.png")
+) -> list[View]:
+    turns = 2 * np.pi * np.arange(count) / count
+    views = [look_at_view((radius * np.cos(t), radius * np.sin(t), 0.0)) for t in turns]
+    return [replace(v, name=f"{i:02}.png", image_path=path) for i, v in enumerate(views)]
+
+
+def points(positions: np.ndarray) -> SparsePoints:
+    return SparsePoints(positions, np.full(positions.shape, 200, np.uint8))
+
+
+def test_every_eighth_view_by_name_is_held_out():
+    split = split_views(circle(17)[::-1], 8)
+    assert [view.name for view in split.test] == ["00.png", "08.png", "16.png"]
+    assert len(split.train) == 14
+    assert split_views(circle(5), 0).test == []
+
+
+def test_extent_is_a_tenth_more_than_the_farthest_camera():
+    assert scene_extent(circle(8, 3.0)) == pytest.approx(3.3, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("views", "test_every", "said"),
+    [
+        ([], 8, "got 0"),
+        (circle(1), 8, "got 1"),
+        (circle(2), 8, "test_every=0"),
+        (circle(8, path=None), 8, "8 of 8 views have no photo.*--images"),
+        (circle(8, radius=1e-9), 8, "in one place"),
+        ([*circle(4), *circle(4)], 8, "one name"),
+    ],
+)
+def test_views_that_cannot_be_trained_on_are_refused(views, test_every, said):
+    with pytest.raises(InputError, match=said):
+        split_views(views, test_every)
+
+
+@pytest.mark.parametrize(
+    ("positions", "said"),
+    [
+        (np.full((9, 3), np.nan), "9 of 9 points are not finite, the first at index 0"),
+        (np.diag([1.0, 1, np.inf]), "the first at index 2"),
+        (np.eye(3), "3 points are too few"),
+        (np.eye(4), "expected positions"),
+    ],
+)
+def test_points_that_cannot_be_started_from_are_refused(positions, said):
+    with pytest.raises(InputError, match=said):
+        start_points(points(positions), circle(), DEFAULT, np.random.default_rng(0))
+
+
+def test_without_points_the_start_is_random_about_the_cameras():
+    few = replace(DEFAULT, random_points=500)
+    views = circle(8, 3.0)
+    for none in (None, points(np.empty((0, 3)))):
+        made = start_points(none, views, few, np.random.default_rng(0))
+        assert made.positions.shape == (500, 3)
+        assert 3.0 < np.abs(made.positions).max() <= 3.3
+    again = start_points(None, views, few, np.random.default_rng(0))
+    assert np.array_equal(again.positions, made.positions)
+
+
+def test_a_budget_thins_the_points():
+    many = points(np.random.default_rng(0).normal(size=(50, 3)))
+    kept = start_points(
+        many, circle(), replace(DEFAULT, max_gaussians=20), np.random.default_rng(0)
+    )
+    rows = {tuple(row) for row in many.positions}
+    assert len(kept.positions) == 20
+    assert all(tuple(row) in rows for row in kept.positions)
+
+
+def test_first_gaussians_are_as_large_as_their_neighbours_are_far():
+    corners = points(np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]]))
+    first = first_gaussians(corners, DEFAULT)
+    assert np.exp(first.log_scales[0]) == pytest.approx([math.sqrt((1 + 4 + 9) / 3)] * 3)
+    assert sigmoid(first.logits) == pytest.approx([0.1] * 4)
+    assert first.sh.shape == (4, 16, 3)
+    assert 0.5 + 0.28209479177387814 * first.sh[:, 0] == pytest.approx(np.full((4, 3), 200 / 255))
+    assert not first.sh[:, 1:].any()
+    small = first_gaussians(corners, replace(DEFAULT, strategy="mcmc", max_gaussians=9))
+    assert small.log_scales - first.log_scales == pytest.approx(np.full((4, 3), math.log(0.1)))
+    assert sigmoid(small.logits) == pytest.approx([0.5] * 4)
+
+
+def test_points_in_one_place_have_a_size():
+    first = first_gaussians(points(np.zeros((5, 3))), DEFAULT)
+    assert np.exp(first.log_scales) == pytest.approx(np.full((5, 3), math.sqrt(1e-7)))
+
+
+# --- rows and moments ---
+
+
+def test_the_first_step_of_adam_is_the_rate_against_the_slope():
+    optimizer = Optimizer(parameters(6))
+    before, slope = optimizer.rows(np.arange(6)), gradients(optimizer.parameters)
+    optimizer.step(slope, RATES, 1)
+    for name in ("means", "log_scales", "quats", "logits"):
+        moved = getattr(optimizer.parameters, name) - getattr(before, name)
+        assert moved == pytest.approx(-1e-2 * np.sign(getattr(slope, name)), abs=1e-5)
+    moved = optimizer.parameters.sh - before.sh
+    assert moved[:, 0] == pytest.approx(-1e-1 * np.sign(slope.sh[:, 0]), abs=1e-5)
+    assert moved[:, 1:] == pytest.approx(-1e-3 * np.sign(slope.sh[:, 1:]), abs=1e-5)
+    assert optimizer.first.sh == pytest.approx(0.1 * slope.sh, rel=1e-4)
+    assert optimizer.second.sh == pytest.approx(0.001 * slope.sh**2, rel=1e-4)
+
+
+def test_moments_follow_their_rows():
+    optimizer = marked_optimizer(5)
+    optimizer.keep(np.array([4, 1, 3]))
+    optimizer.append(parameters(2, seed=9))
+    assert optimizer.parameters.means[:3, 0].tolist() == [4, 1, 3]
+    for arrays, base in ((optimizer.first, 10), (optimizer.second, 20)):
+        for array in arrays:
+            rows = array.reshape(5, -1)[:, 0].tolist()
+            assert rows == [base + 4, base + 1, base + 3, 0, 0]
+            assert array.flags.c_contiguous
+
+
+def test_an_optimizer_comes_back_from_its_state():
+    optimizer = marked_optimizer(4)
+    again = Optimizer.from_state(optimizer.state())
+    for name, array in optimizer.state().items():
+        assert np.array_equal(again.state()[name], array)
+
+
+def test_scales_beyond_float32_are_kept_in_range():
+    made = parameters(3)
+    made.log_scales[:] = [[-500, 0, 500]] * 3
+    scales = Optimizer(made).gaussians().scales
+    assert np.isfinite(scales).all()
+    assert (scales > 0).all()
+
+
+# --- adaptive density control ---
+
+
+def test_small_ones_are_cloned_large_ones_split_faint_ones_pruned():
+    """Extent 1: 'large' is above 0.01. Rows: small pulled, large pulled, small still, faint still."""
+    optimizer = marked_optimizer(4)
+    optimizer.parameters.log_scales[:] = np.log([[0.005], [0.05], [0.005], [0.005]])
+    optimizer.parameters.logits[:] = [2, 2, 2, -6]  # sigmoid(-6) = 0.0025
+    density = observed(DEFAULT, 4, [3e-4, 3e-4, 1e-4, 1e-4])
+    density.after_step(optimizer, 600, np.random.default_rng(0), 0.0)
+    means, scales = optimizer.parameters.means, np.exp(optimizer.parameters.log_scales)
+    assert means[:3, 0].tolist() == [0, 2, 0]  # the small, the still, the clone of the small
+    assert scales[:3] == pytest.approx(np.full((3, 3), 0.005))
+    assert scales[3:] == pytest.approx(np.full((2, 3), 0.05 / 1.6))  # the children of the large
+    assert np.abs(means[3:] - 1).max() < 6 * 0.05
+    assert (means[3] != means[4]).all()
+    assert optimizer.first.means[:, 0].tolist() == [10, 12, 0, 0, 0]
+    assert len(density.pull) == 5
+    assert not density.pull.any()
+
+
+def test_the_threshold_is_on_the_mean_over_the_views_that_saw_it():
+    optimizer = marked_optimizer(2)
+    optimizer.parameters.log_scales[:] = math.log(0.005)
+    optimizer.parameters.logits[:] = 2
+    density = observed(DEFAULT, 2, [3e-4, 1.9e-4], seen=4)
+    unseen = gradients(optimizer.parameters)
+    density.observe(unseen, 5)  # radii 0: does not count
+    density.after_step(optimizer, 600, np.random.default_rng(0), 0.0)
+    assert optimizer.parameters.means[:, 0].tolist() == [0, 1, 0]
+
+
+def test_nothing_is_refined_off_schedule():
+    optimizer, density = marked_optimizer(2), observed(DEFAULT, 2, [1.0, 1.0])
+    for iteration in (100, 500, 601, 15_000, 15_100):
+        density.after_step(optimizer, iteration, np.random.default_rng(0), 0.0)
+    assert len(optimizer) == 2
+
+
+def test_huge_ones_are_pruned_after_the_first_reset():
+    for iteration, left in ((600, 2), (3100, 1)):
+        optimizer = marked_optimizer(2)
+        optimizer.parameters.log_scales[:] = np.log([[0.05], [0.2]])  # extent 1: at most 0.1
+        optimizer.parameters.logits[:] = 2
+        observed(DEFAULT, 2, [0, 0]).after_step(optimizer, iteration, np.random.default_rng(0), 0.0)
+        assert len(optimizer) == left
+
+
+def test_large_on_screen_is_pruned_only_where_asked():
+    for limit, left in ((None, 2), (20.0, 2), (4.0, 1)):
+        optimizer = marked_optimizer(2)
+        optimizer.parameters.log_scales[:] = math.log(0.005)
+        optimizer.parameters.logits[:] = 2
+        density = observed(replace(DEFAULT, max_screen_px=limit), 2, [0, 0])
+        density.radii[1] = 2
+        density.after_step(optimizer, 3100, np.random.default_rng(0), 0.0)
+        assert len(optimizer) == left
+
+
+def test_somebody_is_left():
+    optimizer = marked_optimizer(3)
+    optimizer.parameters.logits[:] = [-9, -8, -9]
+    observed(DEFAULT, 3, [0, 0, 0]).after_step(optimizer, 600, np.random.default_rng(0), 0.0)
+    assert optimizer.parameters.means[:, 0].tolist() == [1]
+
+
+def test_a_budget_takes_those_that_are_pulled_most():
+    optimizer = marked_optimizer(4)
+    optimizer.parameters.log_scales[:] = math.log(0.005)
+    optimizer.parameters.logits[:] = 2
+    density = observed(replace(DEFAULT, max_gaussians=6), 4, [3e-4, 9e-4, 5e-4, 8e-4])
+    density.after_step(optimizer, 600, np.random.default_rng(0), 0.0)
+    assert optimizer.parameters.means[:, 0].tolist() == [0, 1, 2, 3, 1, 3]
+
+
+def test_a_reset_leaves_no_opacity_above_a_hundredth_and_no_moments():
+    optimizer = marked_optimizer(3)
+    optimizer.parameters.logits[:] = [5, 0, -7]
+    reset_opacity(optimizer, 0.01)
+    assert sigmoid(optimizer.parameters.logits) == pytest.approx([0.01, 0.01, 0.000911], rel=1e-3)
+    assert not optimizer.first.logits.any()
+    assert not optimizer.second.logits.any()
+    assert optimizer.first.means[:, 0].tolist() == [10, 11, 12]
+
+
+def test_children_are_drawn_from_their_parent():
+    """The covariance of many children is the parent's."""
+    one = parameters(1, seed=3)
+    many = SceneParameters(*(np.repeat(array, 20_000, axis=0) for array in one))
+    children = split(many, np.random.default_rng(0))
+    offsets = (children.means - one.means).astype(np.float64)
+    axes = rotation_matrices(one.quats)[0] * np.exp(one.log_scales[0])
+    expected = axes @ axes.T
+    assert np.abs(np.cov(offsets.T) - expected).max() < 0.03 * np.abs(expected).max()
+    assert np.exp(children.log_scales[0]) == pytest.approx(np.exp(one.log_scales[0]) / 1.6)
+
+
+def test_rotations_are_those_of_the_quaternions():
+    quarter = np.float32([[2, 0, 0, 2]])  # about z, not normalised
+    assert rotated(quarter, np.float32([[1, 0, 0]]))[0] == pytest.approx([0, 1, 0], abs=1e-6)
+    stretched = spread(quarter, np.float32([[3, 1, 1]]), np.float32([[1, 1, 1]]))
+    assert stretched[0] == pytest.approx([1, 9, 1], rel=1e-5)
+
+
+# --- Markov chain Monte Carlo ---
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(opacity=st.floats(0.01, 0.99), sharing=st.integers(2, 20))
+def test_sharing_a_place_keeps_the_picture(opacity, sharing):
+    """N in front of each other block as much at the centre, and as much along a line, as the one did."""
+    each, shrink = shared_place(np.array([opacity]), np.array([sharing]))
+    assert 1 - (1 - each[0]) ** sharing == pytest.approx(opacity, rel=1e-9)
+
+    def blocked(x: float) -> float:
+        return 1 - (1 - each[0] * math.exp(-0.5 * (x / shrink[0]) ** 2)) ** sharing
+
+    along = integrate.quad(blocked, -30, 30, points=(-1, 0, 1), limit=200)[0]
+    assert along == pytest.approx(opacity * math.sqrt(2 * math.pi), rel=1e-5)
+
+
+def test_the_dead_move_onto_the_living():
+    optimizer = marked_optimizer(3)
+    optimizer.parameters.logits[:] = [-8, 1, -9]
+    scales = optimizer.parameters.log_scales[1].copy()
+    relocate(optimizer, np.random.default_rng(0), 0.005)
+    assert optimizer.parameters.means[:, 0].tolist() == [1, 1, 1]
+    opacities = sigmoid(optimizer.parameters.logits)
+    assert opacities == pytest.approx([opacities[0]] * 3)
+    assert 1 - (1 - opacities[0]) ** 3 == pytest.approx(1 / (1 + math.exp(-1)), rel=1e-5)
+    assert (optimizer.parameters.log_scales < scales).all()
+    assert not any(array.any() for array in (*optimizer.first, *optimizer.second))
+
+
+def test_growth_is_a_twentieth_up_to_the_budget():
+    optimizer = Optimizer(parameters(100))
+    rng = np.random.default_rng(0)
+    grow(optimizer, rng, 0.05, 1000, 0.005)
+    assert len(optimizer) == 105
+    grow(optimizer, rng, 0.05, 107, 0.005)
+    assert len(optimizer) == 107
+    grow(optimizer, rng, 0.05, 107, 0.005)
+    assert len(optimizer) == 107
+
+
+def test_drawing_is_in_proportion():
+    weights = np.float32([1, 0, 3])
+    counts = np.bincount(drawn(weights, 40_000, np.random.default_rng(0)), minlength=3)
+    assert counts[1] == 0
+    assert counts[2] / counts[0] == pytest.approx(3, rel=0.05)
+
+
+def monte_carlo() -> MonteCarlo:
+    return MonteCarlo(TrainingSettings(strategy="mcmc", max_gaussians=1000), 1.0, 0)
+
+
+def test_noise_moves_the_faint_along_their_axes_and_leaves_the_visible():
+    made = parameters(2000)
+    made.quats[:] = [1, 0, 0, 0]
+    made.log_scales[:] = np.log([0.2, 0.02, 0.02])
+    made.logits[:1000], made.logits[1000:] = 3, -9
+    optimizer, before = Optimizer(made), made.means.copy()
+    monte_carlo().after_step(optimizer, 601, np.random.default_rng(0), 1e-6)
+    moved = optimizer.parameters.means - before
+    assert np.abs(moved[:1000]).max() == 0
+    strength = 1 / (1 + math.exp(-100 * (0.005 - 1 / (1 + math.exp(9)))))
+    expected = strength * 5e5 * 1e-6 * np.array([0.2, 0.02, 0.02]) ** 2
+    assert moved[1000:].std(axis=0) == pytest.approx(expected, rel=0.1)
+
+
+def test_penalties_are_the_slopes_of_mean_opacity_and_mean_scale():
+    optimizer = Optimizer(parameters(5))
+    slopes = gradients(optimizer.parameters)
+    before = slopes.logits.copy(), slopes.log_scales.copy()
+    monte_carlo().penalize(optimizer, slopes)
+
+    def penalty(logits: np.ndarray, log_scales: np.ndarray) -> float:
+        return 0.01 * (1 / (1 + np.exp(-logits))).mean() + 0.01 * np.exp(log_scales).mean()
+
+    logits, log_scales = (
+        optimizer.parameters.logits.astype(np.float64),
+        optimizer.parameters.log_scales.astype(np.float64),
+    )
+    step = np.zeros(5)
+    step[2] = 1e-5
+    slope = (penalty(logits + step, log_scales) - penalty(logits - step, log_scales)) / 2e-5
+    assert slopes.logits[2] - before[0][2] == pytest.approx(slope, rel=1e-3)
+    step = np.zeros((5, 3))
+    step[3, 1] = 1e-5
+    slope = (penalty(logits, log_scales + step) - penalty(logits, log_scales - step)) / 2e-5
+    assert slopes.log_scales[3, 1] - before[1][3, 1] == pytest.approx(slope, rel=1e-3)
+
+
+# --- photos and measures ---
+
+
+def test_photos_beyond_the_budget_are_read_again(tmp_path, monkeypatch):
+    path = tmp_path / "photo.png"
+    Image.fromarray(np.full((112, 160, 3), 51, np.uint8)).save(path)
+    views, reads = circle(4, path=path), []
+    from drsplat.training import training_photos
+
+    def counting(view: View) -> np.ndarray:
+        reads.append(view.name)
+        return np.asarray(Image.open(path))
+
+    monkeypatch.setattr(training_photos, "load_image", counting)
+    photos = TrainingPhotos(views, 2 * 112 * 160 * 3)
+    for index in (0, 1, 2, 3, 0, 1, 2, 3):
+        assert photos[index].colors() == pytest.approx(np.full((112, 160, 3), 0.2, np.float32))
+    assert reads == ["00.png", "01.png", "02.png", "03.png", "02.png", "03.png"]
+
+
+def test_pixels_that_no_photo_covers_are_marked(tmp_path):
+    path = tmp_path / "photo.png"
+    Image.fromarray(np.full((112, 160, 3), 200, np.uint8)).save(path)
+    bent = replace(circle(1, path=path)[0], distortion=(0.1, 0.0, 0.0, 0.0))
+    photo = TrainingPhotos([bent], 1 << 20)[0]
+    dark = np.flatnonzero((photo.pixels == 0).all(axis=2))
+    assert 0 < len(dark) < 112 * 160 / 4
+    assert np.array_equal(photo.outside, dark)
+
+
+def test_every_view_comes_once_in_each_round_and_in_another_order():
+    order, rng = ViewOrder(10), np.random.default_rng(0)
+    rounds = [[order.next(rng) for _ in range(10)] for _ in range(3)]
+    assert all(sorted(one) == list(range(10)) for one in rounds)
+    assert len({tuple(one) for one in rounds}) == 3
+
+
+def test_psnr_and_ssim_by_hand():
+    photo = np.random.default_rng(0).uniform(0, 1, (40, 50, 3)).astype(np.float32)
+    assert psnr(photo, photo) == math.inf
+    assert psnr(photo + np.float32(0.1), photo) == pytest.approx(20, abs=1e-4)
+    assert ssim(photo, photo) == pytest.approx(1)
+    flat = np.full((40, 50, 3), 0.5, np.float32)
+    half_off = flat.copy()
+    half_off[:, :25] = 0.6
+    inside = np.arange(40 * 50).reshape(40, 50)
+    assert psnr(half_off, flat, inside[:, :25].ravel()) == math.inf
+    assert psnr(half_off, flat, inside[:, 25:].ravel()) == pytest.approx(20, abs=1e-4)
+    c1 = 1e-4
+    expected = (2 * 0.5 * 0.6 + c1) / (0.25 + 0.36 + c1)  # no variance: luminance alone
+    middle = np.delete(inside.ravel(), inside[5:-5, 5:15].ravel())
+    assert ssim(half_off, flat, middle) == pytest.approx(expected, rel=1e-4)
