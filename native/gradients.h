@@ -201,8 +201,9 @@ static void tile_backward(const Tile &tile, const float *colors, const float *im
       s.transmittance = after, s.behind = behind;
       if (!any(live)) alive &= ~(1u << b);
       const Floats gx = G * dx, gy = G * dy;
-      const Floats parts[kSplatSums] = {w * s.red, w * s.green, w * s.blue, G, gx, gy, gx * dx, gx * dy, gy * dy};
-      for (int c = 0; c < kSplatSums; c++) total[c] = total[c] + parts[c];
+      add_to(total[0], w * s.red), add_to(total[1], w * s.green), add_to(total[2], w * s.blue);
+      add_to(total[3], G), add_to(total[4], gx), add_to(total[5], gy);
+      add_to(total[6], gx * dx), add_to(total[7], gx * dy), add_to(total[8], gy * dy);
     }
     for (int c = 0; c < kSplatSums; c++) sums[i * kSplatSums + c] = sum(total[c]);
   }

@@ -48,6 +48,10 @@ LANE_OPERATOR(Floats, +) LANE_OPERATOR(Floats, -) LANE_OPERATOR(Floats, *) LANE_
 LANE_OPERATOR(Ints, +) LANE_OPERATOR(Ints, -) LANE_OPERATOR(Ints, &) LANE_OPERATOR(Ints, |)
 #undef LANE_OPERATOR
 
+// For sums in memory: GCC 12 copies a whole struct in pieces of 16 bytes, and a wider load of what was just
+// stored in pieces waits for the store buffer to drain.
+INLINE void add_to(Floats &total, Floats a) { EACH_PART total.part[i] += a.part[i]; }
+
 template <class F> F constant(float x);
 template <> inline __attribute__((always_inline)) float constant<float>(float x) { return x; }
 template <> inline __attribute__((always_inline)) Floats constant<Floats>(float x) { return splat(x); }
