@@ -6,6 +6,7 @@ half aims at what readers trust (counts, sizes, numbers in text, floats, compres
 
 import gc
 import gzip
+import os
 import resource
 import struct
 import zlib
@@ -214,3 +215,8 @@ def bounded_allocations(allowance: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def quota(count: int) -> int:
+    """How many mutants a reader gets: `count`, or DRSPLAT_MUTANTS for a long run by hand."""
+    return int(os.environ.get("DRSPLAT_MUTANTS", count))

@@ -15,9 +15,9 @@ from drsplat.field import build_field, load_field
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
 from fields import SCENE, random_evidence, unit_rows
-from mutations import bounded_allocations, mutants
+from mutations import bounded_allocations, mutants, quota
 
-MUTANTS = 5_000  # of each family
+MUTANTS = quota(5_000)  # of each family
 ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
 TINY = EncoderIdentity("tiny", 4)
 
@@ -90,9 +90,9 @@ def use_field(path: Path) -> None:
     ("name", "count"),
     [
         ("field.json", MUTANTS),
-        ("codes.safetensors", 1000),
-        ("evidence.safetensors", 1000),
-        ("negatives.safetensors", 300),
+        ("codes.safetensors", quota(1000)),
+        ("evidence.safetensors", quota(1000)),
+        ("negatives.safetensors", quota(300)),
     ],
 )
 def test_damaged_fields(name: str, count: int, tmp_path: Path, bounded_memory: None) -> None:

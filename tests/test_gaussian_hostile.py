@@ -16,10 +16,10 @@ import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.gaussians import Gaussians
-from mutations import bounded_allocations, mutants
+from mutations import bounded_allocations, mutants, quota
 from scene_files import random_gaussians
 
-MUTANTS = 5_200  # of each family
+MUTANTS = quota(5_200)  # of each family
 ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
 
 

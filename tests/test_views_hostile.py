@@ -24,7 +24,7 @@ from drsplat.formats.photo_files import safe_name
 from drsplat.formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from drsplat.photos import load_image, photo_size
 from drsplat.views import View
-from mutations import bounded_allocations, mutants
+from mutations import bounded_allocations, mutants, quota
 from written_captures import (
     IMAGES,
     cameras_json_document,
@@ -35,7 +35,7 @@ from written_captures import (
     write_photos,
 )
 
-MUTANTS = 5_200  # of each family
+MUTANTS = quota(5_200)  # of each family
 ALLOWANCE = 64 << 20  # bytes of address space that files of some kilobytes may take
 
 
@@ -117,8 +117,8 @@ def test_colmap_models(memory_path, bounded_memory, write):
     cameras, images, points = (
         next(memory_path.glob(f"{stem}.*")) for stem in ("cameras", "images", "points3D")
     )
-    survive([cameras, images], lambda: check_views(read_views(memory_path)), MUTANTS - 1500)
-    survive([points], lambda: check_points(memory_path), 1500)
+    survive([cameras, images], lambda: check_views(read_views(memory_path)), quota(MUTANTS - 1500))
+    survive([points], lambda: check_points(memory_path), quota(1500))
 
 
 def test_transforms_json(memory_path, bounded_memory):
@@ -139,7 +139,7 @@ def test_dataparser_transforms(memory_path, bounded_memory):
     write_photos(memory_path, IMAGES[:1])
     document = {"transform": np.eye(4)[:3].tolist(), "scale": 0.5}
     path = write_json(memory_path / "dataparser_transforms.json", document)
-    survive([path], lambda: check_views(read_views(memory_path)), 1000)
+    survive([path], lambda: check_views(read_views(memory_path)), quota(1000))
 
 
 def test_cameras_json(memory_path, bounded_memory):
@@ -192,7 +192,7 @@ def test_photos(tmp_path, suffix):
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of Pillow, on damaged metadata
-        survive([path], read, 1000)
+        survive([path], read, quota(1000))
 
 
 # Aimed
