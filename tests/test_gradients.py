@@ -272,6 +272,16 @@ def test_a_gradient_is_linear_in_that_of_the_image():
         assert_array_equal(getattr(nothing, kind), 0)
 
 
+def test_gradients_outlive_their_pass():
+    """Memory that later passes take again must not be theirs."""
+    first = native_pass("outside").backward(image_gradient_of("outside"))
+    kept = [column.copy() for column in first]
+    for factor in np.float32([2, 3]):
+        native_pass("outside").backward(factor * image_gradient_of("outside"))
+    for column, copy in zip(first, kept, strict=True):
+        assert_array_equal(column, copy)
+
+
 def test_the_length_of_a_quaternion_is_free():
     found = native_pass("outside").backward(image_gradient_of("outside"))
     along = np.einsum("nk,nk->n", found.quats.astype(np.float64), scene_of("outside").quats)
