@@ -1,0 +1,177 @@
+"""The optimisation of `run`, on a device: gsplat renders, torch differentiates and takes the steps."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import DrSplatError
+from ..kernels.reference_projection import BLUR, NEAR
+from ..kernels.training import photometric_loss as photometric_loss_on_host
+from ..views import View
+from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
+from .optimizer import Optimizer
+from .run import Outcome, Run
+from .schedules import active_sh_degree
+from .settings import TrainingSettings
+from .torch_loss import photometric_loss
+from .torch_parameters import DeviceParameters
+from .training_photos import Photo
+
+
+class Engine(NamedTuple):
+    """What renders and refines, and where. rasterization: called as that of gsplat 1.5."""
+
+    rasterization: Callable[..., Any]
+    strategies: Strategies
+    device: str
+
+
+class Drawn(NamedTuple):
+    """Of one iteration: (h, w, 3) on the device, without derivatives."""
+
+    image: Tensor
+    target: Tensor
+    loss: float
+
+
+class DeviceRun(Run):
+    """A run whose parameters live on a device; `optimizer` is their copy on the host.
+
+    Schedules, order of views, photos and checkpoints are those of the CPU. It is not the same to the
+    bit each time: sums on a GPU have no order.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        settings: TrainingSettings,
+        extent: float,
+        optimizer: Optimizer,
+        rng: np.random.Generator,
+        *,
+        engine: Engine,
+    ) -> None:
+        self._copy: Optimizer | None = optimizer
+        super().__init__(views, settings, extent, optimizer, rng)
+        self.engine = engine
+        self._upload()
+
+    @property
+    def optimizer(self) -> Optimizer:
+        """A copy on the host, made when it is asked for."""
+        if self._copy is None:
+            self._copy = self.scene.download()
+        return self._copy
+
+    @optimizer.setter
+    def optimizer(self, optimizer: Optimizer) -> None:
+        self._copy = optimizer
+
+    def _upload(self) -> None:
+        self.scene = DeviceParameters(self.optimizer, self.iteration, self.engine.device)
+        control = MonteCarloControl if self.settings.strategy == "mcmc" else DefaultControl
+        self.control: MonteCarloControl | DefaultControl = control(
+            self.settings, self.extent, self.scene, self.engine.strategies
+        )
+
+    def step(self, threads: int = 0) -> Outcome:
+        """As `advance`, with the pictures brought to the host."""
+        drawn = self.advance()
+        image, target = drawn.image.cpu().numpy(), drawn.target.cpu().numpy()
+        weight = self.settings.dssim_weight
+        return Outcome(photometric_loss_on_host(image, target, weight), image, target)
+
+    def advance(self) -> Drawn:
+        """The next iteration.
+
+        Raises: DrSplatError: the loss is no longer a number.
+        """
+        self._since = time.perf_counter()
+        self.iteration += 1
+        self._copy = None
+        # a stream of its own for each iteration: a run that goes on needs no state of it
+        torch.manual_seed((self.settings.seed << 32 | self.iteration) % 2**63)
+        index = self.order.next(self.rng)
+        target, outside = self._photo(self.photos[index])
+        self._lap("photo")
+        image, seen = self._rendered(self.views[index])
+        self._lap("forward")
+        drawn = self._compared(image, target, outside, seen)
+        self._lap("backward")
+        self._learnt(seen)
+        return drawn
+
+    def _photo(self, photo: Photo) -> tuple[Tensor, Tensor]:
+        """Colours (h, w, 3), and where there is none (h, w, 1)."""
+        pixels = torch.tensor(photo.pixels, device=self.engine.device)
+        outside = torch.zeros(pixels.shape[:2], dtype=torch.bool, device=pixels.device)
+        if len(photo.outside):
+            outside.view(-1)[torch.tensor(photo.outside, device=pixels.device).long()] = True
+        return pixels * (1 / 255), outside[..., None]
+
+    def _rendered(self, view: View) -> tuple[Tensor, dict[str, Any]]:
+        tensors = self.scene.tensors
+        images, _, seen = self.engine.rasterization(
+            means=tensors["means"],
+            quats=tensors["quats"],
+            scales=torch.exp(tensors["scales"]),
+            opacities=torch.sigmoid(tensors["opacities"]),
+            colors=self.scene.sh,
+            sh_degree=active_sh_degree(self.settings, self.iteration),
+            backgrounds=self._sent(self._background()),
+            viewmats=self._sent(view.cam_from_world),
+            Ks=self._sent(view.K),
+            width=view.width,
+            height=view.height,
+            near_plane=NEAR,
+            eps2d=BLUR,
+            packed=False,
+        )
+        return images[0], seen
+
+    def _sent(self, array: np.ndarray) -> Tensor:
+        """One camera's."""
+        return torch.tensor(array[None], dtype=torch.float32, device=self.engine.device)
+
+    def _compared(
+        self, image: Tensor, target: Tensor, outside: Tensor, seen: dict[str, Any]
+    ) -> Drawn:
+        """Loss and gradients. Where the photo says nothing, the rendering is its own target."""
+        fixed = image.detach()
+        target = torch.where(outside, fixed, target)
+        shown = torch.where(outside, fixed, image)
+        loss = photometric_loss(shown, target, self.settings.dssim_weight)
+        value = float(loss.detach())
+        self._lap("loss")
+        if not math.isfinite(value):
+            raise DrSplatError(
+                f"the loss is {value} in iteration {self.iteration}: the optimisation has left the "
+                "finite numbers. Check that photos and poses belong together; smaller rates help "
+                "where the scene's unit is extreme"
+            )
+        self.control.before_backward(seen, self.iteration)
+        (loss + self.control.penalty()).backward()  # type: ignore[no-untyped-call]
+        return Drawn(fixed, target, value)
+
+    def _learnt(self, seen: dict[str, Any]) -> None:
+        rates = self._rates()
+        self.scene.step(rates)
+        self._lap("optimizer")
+        self.control.after_step(seen, self.iteration, rates.means)
+        self._lap("density")
+
+    def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """Arrays and texts as of a run on the CPU."""
+        self.control.tell(self.density)
+        return super().state()
+
+    def restore(self, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> None:
+        """Become the run that `state` was taken of."""
+        super().restore(arrays, texts)
+        self._upload()
+        self.control.learn(self.density)
