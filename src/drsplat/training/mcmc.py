@@ -19,6 +19,7 @@ from .schedules import refines
 from .settings import TrainingSettings
 
 MOST_SHARING = 51  # the series of Eq. 9 loses its digits beyond, as in the published constant
+LEAST_STRENGTH = 1e-6  # of opacity 0.14; with less the noise is lost in the positions' last digits
 OPACITY_BELOW_ONE = 1 - 1e-6
 
 
@@ -52,12 +53,13 @@ class MonteCarlo:
 
     def _shake(self, optimizer: Optimizer, rng: np.random.Generator, rate: float) -> None:
         """Noise in the shape of each Gaussian; none for those that are well visible (Eq. 8)."""
-        s, parameters = self.settings, optimizer.parameters
-        distance = s.noise_opacity - sigmoid(parameters.logits)
+        s, p = self.settings, optimizer.parameters
+        distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
-        noise = rng.standard_normal(parameters.means.shape, np.float32)
-        noise *= (strength * np.float32(s.noise_rate * rate))[:, None]
-        parameters.means[:] += spread(parameters.quats, np.exp(parameters.log_scales), noise)
+        rows = np.flatnonzero(strength > LEAST_STRENGTH)
+        noise = rng.standard_normal((len(rows), 3), np.float32)
+        noise *= (strength[rows] * np.float32(s.noise_rate * rate))[:, None]
+        p.means[rows] += spread(p.quats[rows], np.exp(p.log_scales[rows]), noise)
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
