@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy import integrate
 
-from drsplat import InputError, SparsePoints, TrainingSettings, View
+from drsplat import InputError, SparsePoints, TrainingSettings, View, progress
 from drsplat.formats.activation import sigmoid
 from drsplat.kernels.training import Gradients, SceneParameters
 from drsplat.training.density import AdaptiveDensity, reset_opacity, split
@@ -516,3 +516,31 @@ def test_psnr_and_ssim_by_hand():
     expected = (2 * 0.5 * 0.6 + c1) / (0.25 + 0.36 + c1)  # no variance: luminance alone
     middle = np.delete(inside.ravel(), inside[5:-5, 5:15].ravel())
     assert ssim(half_off, flat, middle) == pytest.approx(expected, rel=1e-4)
+
+
+# --- what people see on the way ---
+
+
+def told(capsys, monkeypatch, *, terminal: bool, quiet: bool = False, patience: float = 0.0) -> str:
+    monkeypatch.setattr(progress, "PATIENCE_S", patience)
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: terminal, raising=False)
+    with progress.Meter("training", 300, quiet=quiet) as meter:
+        for done in (101, 102, 103):
+            meter.update(done, "loss 0.1")
+    return str(capsys.readouterr().err)
+
+
+def test_a_log_gets_lines(capsys, monkeypatch):
+    lines = told(capsys, monkeypatch, terminal=False).splitlines()
+    assert lines[-1].startswith("training 103/300  loss 0.1")
+    assert lines[-1].endswith("min left")
+
+
+def test_a_terminal_gets_a_bar(capsys, monkeypatch):
+    assert "loss 0.1" in told(capsys, monkeypatch, terminal=True)
+
+
+def test_nobody_is_told_where_it_is_quiet_or_soon_over(capsys, monkeypatch):
+    assert told(capsys, monkeypatch, terminal=False, quiet=True) == ""
+    assert told(capsys, monkeypatch, terminal=False, patience=60.0) == ""
