@@ -27,7 +27,7 @@ def unavailable() -> str | None:
     if not torch.cuda.is_available():
         return (
             f"device 'cuda': torch {torch.__version__} sees no CUDA GPU. On a machine that has one, "
-            f"check nvidia-smi and that torch is a CUDA build ({INSTALL} brings one); {ELSE_CPU[3:]}"
+            f"check nvidia-smi and that torch is a CUDA build ({INSTALL} brings one); here {ELSE_CPU[3:]}"
         )
     if find_spec("gsplat.csrc") is None and not _has_cuda_compiler():
         return (

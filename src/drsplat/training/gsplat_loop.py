@@ -95,7 +95,7 @@ def _full_precision() -> Iterator[None]:
 def _memory_explained(run: DeviceRun) -> Iterator[None]:
     try:
         yield
-    except torch.OutOfMemoryError as error:
+    except torch.cuda.OutOfMemoryError as error:
         raise DrSplatError(
             f"the GPU's memory is full at {len(run.scene):,} Gaussians, in iteration {run.iteration}: "
             "limit them with max_gaussians (--max-gaussians), or train on smaller photos "
