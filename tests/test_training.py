@@ -222,6 +222,14 @@ def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, 
 def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> None:
     if how == "rows":
         arrays["first.means"] = arrays["first.means"][1:]
+    elif how == "axis":
+        for group in ("parameters", "first", "second"):
+            for name in ("means", "log_scales", "sh"):
+                arrays[f"{group}.{name}"] = arrays[f"{group}.{name}"][..., :2]
+    elif how == "view":
+        arrays["order.pending"] = arrays["order.pending"] + 1000
+    elif how == "beyond":
+        texts["iteration"] = "121"
     elif how == "missing":
         del arrays["order.pending"]
     elif how == "type":
@@ -232,7 +240,10 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
         texts[how] = "nonsense"
 
 
-@pytest.mark.parametrize("how", ["rows", "missing", "type", "version", "rng", "iteration", "cut"])
+@pytest.mark.parametrize(
+    "how",
+    ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"],
+)
 def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
     checkpoint = unfinished(tmp_path / "model", views, points)
     if how == "cut":

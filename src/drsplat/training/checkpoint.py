@@ -4,7 +4,7 @@ A run that was killed and goes on ends with the same bits as one that was not.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +70,19 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
     is_default = run.settings.strategy == "default"
     check_tensors(arrays, EXPECTED | (OF_DENSITY if is_default else {}), str(path))
     try:
+        _check_values(arrays, texts, run)
         run.restore(arrays, texts)
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError(f"{path}: damaged: {error}: remove it to start anew") from error
+
+
+def _check_values(arrays: Mapping[str, np.ndarray], texts: Mapping[str, str], run: Run) -> None:
+    """Raises: ValueError: sizes or indices that a run of these settings cannot have."""
+    for name, array in run.optimizer.state().items():
+        if arrays[name].shape[1:] != array.shape[1:]:
+            raise ValueError(f"{name} has rows {arrays[name].shape[1:]}, not {array.shape[1:]}")
+    pending = arrays["order.pending"]
+    if len(pending) and not (pending.min() >= 0 and pending.max() < len(run.views)):
+        raise ValueError(f"a view beyond the {len(run.views)} there are")
+    if not 0 < int(texts["iteration"]) <= run.settings.iterations:
+        raise ValueError(f"iteration {texts['iteration']}")

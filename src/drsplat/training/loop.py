@@ -76,21 +76,9 @@ def train(
     threads: int = 0,
     report: Callable[[Status], None] | None = None,
 ) -> Training:
-    """Optimise a scene of Gaussians until it looks like the photos, on the CPU.
+    """`devices.train` on the CPU, natively; the same bits for any number of threads.
 
-    views: posed photos, at the size to train at (`read_views(max_side=...)`, `View.resized`).
-    output_dir: see `training.model_folder`. An unfinished run of the same settings and views that is in
-    it goes on by itself, to the bit as if it had never stopped; None keeps everything in memory.
-    points: where to start; None is random points about the cameras.
-    save_at: iterations after which the scene is written as well. checkpoint_every: iterations, and at
-    the latest every two minutes. report: called after every iteration.
-
-    The result is the same to the bit for any number of threads.
-
-    Raises: InputError: views without photos, fewer than two to train on, all cameras in one place,
-    points that are not finite or too few, a folder that holds something else, a full disk.
-    MismatchError: the folder holds an unfinished run of other settings or views. FormatError: a
-    damaged photo. DrSplatError: the optimisation diverged.
+    Raises: as `devices.train`.
     Source: 3DGS; 3DGS as MCMC.
     """
     settings = settings or TrainingSettings()
