@@ -500,6 +500,21 @@ def test_the_first_refinement_is_that_of_the_cpu(gsplat_engine, views, points):
 
 
 @needs_gsplat
+def test_each_view_is_observed_once(gsplat, views, points):
+    most_seen = []
+
+    class Watched(gsplat.DefaultStrategy):
+        def _grow_gs(self, params, optimizers, state, step):
+            most_seen.append(float(state["count"].max()))
+            return 0, 0
+
+    run = device_run(views, points, BUSY, engine_of(Watched))
+    for _ in range(10):
+        run.advance()
+    assert most_seen == [5, 5]
+
+
+@needs_gsplat
 def test_the_budget_is_never_exceeded(gsplat_engine, views, points):
     run = device_run(views, points, replace(BUSY, max_gaussians=101), gsplat_engine)
     counts = [run.advance() and len(run.scene) for _ in range(BUSY.iterations)]
