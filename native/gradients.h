@@ -188,7 +188,8 @@ static void tile_backward(const Tile &tile, const float *colors, const float *im
     for (; touched; touched &= touched - 1) {
       const int b = __builtin_ctz(touched);
       BlockState &s = blocks[b];
-      const Floats dx = walk.lane_x + splat(walk.left + (float)(b % 2 * kBlockWidth) - g.x), dy = walk.lane_y + splat(walk.top + (float)(b / 2 * kBlockHeight) - g.y);
+      const Floats px = walk.lane_x + splat(walk.left + (float)(b % 2 * kBlockWidth)), py = walk.lane_y + splat(walk.top + (float)(b / 2 * kBlockHeight));
+      const Floats dx = px - splat(g.x), dy = py - splat(g.y);  // rounded as in walk_block: the same cuts
       const Floats p = (splat(g.xx) * dx + splat(g.xy) * dy) * dx + (splat(g.yy) * dy * dy + splat(g.log2_opacity));
       const Floats alpha = keep(p >= splat(kLog2MinAlpha), minimum(exp2_of(p), splat(0.99f)));
       const Floats weight = s.transmittance * alpha, after = s.transmittance - weight;
