@@ -15,9 +15,11 @@ void add_weight(ViewTriples &out, size_t first, uint32_t id, SegmentWeight entry
     out.weights[at - 1] += entry.weight;
     return;
   }
-  out.gaussian_ids.push_back(id);
-  out.segment_ids.insert(out.segment_ids.begin() + at, entry.segment);
-  out.weights.insert(out.weights.begin() + at, entry.weight);
+  out.gaussian_ids.push_back(id), out.segment_ids.push_back(entry.segment), out.weights.push_back(entry.weight);
+  for (size_t i = out.weights.size() - 1; i > at; i--) {
+    std::swap(out.segment_ids[i], out.segment_ids[i - 1]);
+    std::swap(out.weights[i], out.weights[i - 1]);
+  }
 }
 
 // Sorts the triples of Gaussians [ids.begin, ids.end) by Gaussian (in tile order, so that sums do not
