@@ -10,6 +10,7 @@ import argparse
 import ctypes
 import subprocess
 import tempfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,71 @@ def compare_tables(ours, theirs) -> str:
     return f"{len(a) + len(b) - 2 * len(shared)} of {len(a)} keys differ, relative sum error {error:.1e}"
 
 
+class Contest:
+    """One view, everybody who computes its weights, and how long each stage took them."""
+
+    def __init__(self, gaussians: int, segments: int, topk: int) -> None:
+        self.view, self.topk = room_views(8)[1], topk
+        self.splats, self.camera = splat_arrays(room(gaussians)), _camera(self.view)
+        self.segment_ids = segment_map(self.view.width, self.view.height, segments, seed=1)
+        splats = self.splats
+        self.rows = tuple(
+            np.ascontiguousarray(a)
+            for a in (splats.means.T, splats.covariances.T, splats.opacities)
+        )
+        self.stages: dict[str, list] = {}
+
+    def ours(self, isa: str, threads: int) -> Callable[[], tuple]:
+        def run() -> tuple:
+            *triples, stages = _native.view_weights(
+                *self.splats, self.camera, self.segment_ids, self.topk, 0, threads, isa
+            )
+            self.stages.setdefault(f"drsplat {isa} {threads}T", []).append(stages)
+            return tuple(triples)
+
+        return run
+
+    def theirs(self, rival: Rival, level: str, threads: int) -> Callable[[], None]:
+        def run() -> None:
+            stages, _ = rival.run(self.rows, self.camera, self.segment_ids, self.topk, threads)
+            self.stages.setdefault(f"rival {level} {threads}T", []).append(stages)
+
+        return run
+
+    def contributors(self) -> float:
+        """Mean per pixel, at a quarter of the resolution."""
+        small = self.view.resized(self.view.width // 4, self.view.height // 4)
+        return float((topk_contributions(self.splats, small, 200).weights > 0).sum(-1).mean())
+
+    def print_table(self, seconds: dict[str, np.ndarray]) -> None:
+        print(f"\n{'ms per view':<18}" + "".join(f"{s:>11}" for s in STAGES), end="")
+        print(f"{'total min':>12}{'median':>9}")
+        for name, total in seconds.items():
+            parts = "".join(f"{p:11.1f}" for p in np.min(self.stages[name], 0) * 1e3)
+            print(f"{name:<18}{parts}{total.min() * 1e3:12.1f}{np.median(total) * 1e3:9.1f}")
+
+    def print_bound(self, rival: Rival, isa: str) -> None:
+        counts = rival.run(self.rows, self.camera, self.segment_ids, self.topk, 1, stats=True)[1]
+        blocks, peak = int(counts[3]), rival.lib.peak_gflops(50_000_000)
+        bound = blocks * 16 * 26 / (peak * 1e9)
+        share = bound / np.min(self.stages[f"drsplat {isa} 1T"], 0)[3]
+        print(
+            f"bound: {blocks / 1e6:.2f} M block evaluations x 16 lanes x 26 flop at the measured "
+            f"{peak:.0f} GFLOP/s = {bound * 1e3:.1f} ms, {share:.0%} of our compositing (which also "
+            "selects the top k)"
+        )
+
+
+def print_verdict(seconds: dict[str, np.ndarray], levels: Iterable[str]) -> None:
+    for level in levels:
+        for threads in (1, 2):
+            a, b = seconds[f"drsplat {level} {threads}T"], seconds[f"rival {level} {threads}T"]
+            print(
+                f"against the rival, {level}, {threads}T: {a.min() / b.min():.2f} of its time "
+                f"(minima), {np.median(a / b):.2f} (median of paired rounds)"
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -102,81 +168,28 @@ def main() -> None:
     args = parser.parse_args()
 
     print(describe())
-    gaussians, view = room(args.gaussians), room_views(8)[1]
-    splats, camera = splat_arrays(gaussians), _camera(view)
-    segment_ids = segment_map(view.width, view.height, args.segments, seed=1)
-    hits = (topk_contributions(splats, view.resized(250, 182), 200).weights > 0).sum(-1)
+    contest, isas = Contest(args.gaussians, args.segments, args.topk), available_isas()
     print(
-        f"room of {args.gaussians:,} Gaussians, {view.width}x{view.height}, {args.segments} segments, "
-        f"k = {args.topk}, {hits.mean():.0f} contributors per pixel"
+        f"room of {args.gaussians:,} Gaussians, {contest.view.width}x{contest.view.height}, "
+        f"{args.segments} segments, k = {args.topk}, {contest.contributors():.0f} contributors per pixel"
     )
-
-    stages: dict[str, list] = {}
-
-    def ours(isa, threads):
-        def run():
-            result = _native.view_weights(*splats, camera, segment_ids, args.topk, 0, threads, isa)
-            stages.setdefault(f"drsplat {isa} {threads}T", []).append(result[3])
-            return result
-
-        return run
-
-    rivals = {f"drsplat {isa} {t}T": ours(isa, t) for isa in available_isas() for t in (1, 2)}
+    runs = {f"drsplat {isa} {t}T": contest.ours(isa, t) for isa in isas for t in (1, 2)}
     with tempfile.TemporaryDirectory() as folder:
-        built = {}
-        if args.rival:
-            aos = (
-                np.ascontiguousarray(splats.means.T),
-                np.ascontiguousarray(splats.covariances.T),
-                splats.opacities,
-            )
-            for level in (isa for isa in available_isas() if isa in ("v3", "v4")):
-                built[level] = Rival(args.rival, level, Path(folder))
-                for threads in (1, 2):
-                    name = f"rival {level} {threads}T"
-
-                    def run(level=level, threads=threads, name=name):
-                        stages.setdefault(name, []).append(
-                            built[level].run(aos, camera, segment_ids, args.topk, threads)[0]
-                        )
-
-                    rivals[name] = run
-        seconds = interleaved(rivals, args.rounds)
-        print(
-            f"\n{'ms per view':<18}"
-            + "".join(f"{s:>11}" for s in STAGES)
-            + f"{'total min':>12}{'median':>9}"
-        )
-        for name, total in seconds.items():
-            parts = np.min(stages[name], 0) * 1e3
-            print(
-                f"{name:<18}"
-                + "".join(f"{p:11.1f}" for p in parts)
-                + f"{total.min() * 1e3:12.1f}{np.median(total) * 1e3:9.1f}"
-            )
-        best = available_isas()[0]
-        single, double = seconds[f"drsplat {best} 1T"], seconds[f"drsplat {best} 2T"]
-        print(
-            f"\ntwo threads: {single.min() / double.min():.2f}x (minima), {np.median(single) / np.median(double):.2f}x (medians)"
-        )
-        for level, rival in built.items():
-            for threads in (1, 2):
-                a, b = seconds[f"drsplat {level} {threads}T"], seconds[f"rival {level} {threads}T"]
-                print(
-                    f"against the rival, {level}, {threads}T: {a.min() / b.min():.2f} of its time (minima), "
-                    f"{np.median(a / b):.2f} (median of paired rounds)"
-                )
-            rival.run(aos, camera, segment_ids, args.topk, 1)
-            print(f"tables, {level}: " + compare_tables(ours(level, 1)()[:3], rival.table()))
-        if best in built:
-            blocks = int(built[best].run(aos, camera, segment_ids, args.topk, 1, stats=True)[1][3])
-            peak = built[best].lib.peak_gflops(50_000_000)
-            composite = np.min(stages[f"drsplat {best} 1T"], 0)[3]
-            bound = blocks * 16 * 26 / (peak * 1e9)
-            print(
-                f"bound: {blocks / 1e6:.2f} M block evaluations x 16 lanes x 26 flop at the measured {peak:.0f} GFLOP/s = "
-                f"{bound * 1e3:.1f} ms, {bound / composite:.0%} of our compositing (which also selects the top k)"
-            )
+        levels = [isa for isa in isas if isa in ("v3", "v4")] if args.rival else []
+        rivals = {level: Rival(args.rival, level, Path(folder)) for level in levels}
+        for level, rival in rivals.items():
+            runs |= {f"rival {level} {t}T": contest.theirs(rival, level, t) for t in (1, 2)}
+        seconds = interleaved(runs, args.rounds)
+        contest.print_table(seconds)
+        one, two = seconds[f"drsplat {isas[0]} 1T"], seconds[f"drsplat {isas[0]} 2T"]
+        print(f"\ntwo threads: {one.min() / two.min():.2f}x (minima), ", end="")
+        print(f"{np.median(one) / np.median(two):.2f}x (medians)")
+        print_verdict(seconds, rivals)
+        for level, rival in rivals.items():
+            contest.theirs(rival, level, 1)()
+            print(f"tables, {level}: {compare_tables(contest.ours(level, 1)(), rival.table())}")
+        if isas[0] in rivals:
+            contest.print_bound(rivals[isas[0]], isas[0])
 
 
 if __name__ == "__main__":
