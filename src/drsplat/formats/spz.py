@@ -148,7 +148,9 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
             f"contents at byte {contents}"
         )
     planes = []
-    table = struct.iter_unpack("<QQ", buffer[contents:offset])
+    # Of bytes: CPython 3.11 crashes when an unfinished iter_unpack of a memoryview is collected in a
+    # cycle, as the traceback of an error makes one.
+    table = struct.iter_unpack("<QQ", bytes(buffer[contents:offset]))
     for size in sizes:
         compressed, promised = next(table) if size else (0, 0)
         if promised != size or offset + compressed > len(buffer):
