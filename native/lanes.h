@@ -1,8 +1,8 @@
 // Sixteen float or int lanes on any instruction set, as native-width vectors of the compiler.
 //
-// Included by kernels.cpp inside a namespace per instruction set. Everything is static inline: no
-// symbol of this file is shared between the copies, and always inlined: passing these structs through
-// the stack costs more than most functions do.
+// Included by kernels.cpp inside a namespace per instruction set, so no symbol of this file is shared
+// between the copies. Everything is always inlined: passing these structs through the stack costs more
+// than most functions do.
 #pragma once
 
 #define INLINE static inline __attribute__((always_inline))
