@@ -24,9 +24,10 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "gaussians", "views", "features", "encoders", "lens", "photos", "formats", "kernels",
-    "codes", "evidence", "field", "columns", "registration", "rendering", "search", "tasks", "words",
-    "support", "pictures", "progress", "training", "demo", "commands", "cli", "__main__",
+    "errors", "gaussians", "views", "features", "segments", "crops", "encoders", "lens", "photos",
+    "formats", "kernels", "codes", "evidence", "field", "columns", "registration", "rendering", "search",
+    "tasks", "words", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
+    "demo", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent
 

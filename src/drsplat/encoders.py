@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 
 @dataclass(frozen=True)
@@ -32,3 +32,17 @@ class Encoder(Protocol):
     identity: EncoderIdentity
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]: ...
+
+
+@runtime_checkable
+class ImageEncoder(Protocol):
+    """Images to unit vectors in the space of the scene's embeddings.
+
+    Scaling and normalisation are the encoder's own: they belong to its weights.
+    """
+
+    identity: EncoderIdentity
+
+    def encode_images(
+        self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]
+    ) -> Float32[np.ndarray, "n d"]: ...

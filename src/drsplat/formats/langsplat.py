@@ -10,11 +10,9 @@ from jaxtyping import Float32, Int32, Int64
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from ..features import ViewFeatures
+from ..segments import LEVELS
 from .npy import map_npy, write_npy
 from .photo_files import listed, safe_name
-
-LEVELS = ("default", "small", "medium", "large")
-"""The order of the four maps in `_s.npy`."""
 
 _MAPS, _EMBEDDINGS = "_s.npy", "_f.npy"
 
