@@ -36,7 +36,8 @@ PARTS = {  # of the native pass, in the stages of the table
     "forward": ("forward",),
     "backward": ("backward", "parameters"),
 }
-RATES = {"means": 1.6e-4, "log_scales": 5e-3, "quats": 1e-3, "logits": 5e-2, "sh": 2.5e-3}
+RATES = {"means": 1.6e-4, "log_scales": 5e-3, "quats": 1e-3, "logits": 5e-2, "sh": 1.25e-4}
+CONSTANT_RATE = 2.5e-3  # of the colours' constant term
 BACKGROUND = np.zeros(3, np.float32)
 
 
@@ -68,7 +69,8 @@ class Training:
         for name, *arrays in zip(
             self.scene._fields, self.scene, gradients, *self.moments, strict=False
         ):
-            adam_step(*arrays, RATES[name], self.count, threads=threads)
+            constant = CONSTANT_RATE if name == "sh" else None
+            adam_step(*arrays, RATES[name], self.count, constant_rate=constant, threads=threads)
         clock.append(time.perf_counter())
         stages = stage_seconds(seen.seconds, np.diff(clock))
         self.seconds.setdefault(threads, []).append([*stages, time.process_time() - busy])

@@ -100,13 +100,14 @@ nb::tuple loss_of(Pixels image, Pixels target, float ssim_weight, int threads, c
   return nb::make_tuple(value.l1, value.ssim, gradient.numpy({h, w, 3}));
 }
 
-void adam_of(Target parameter, Array<float, 1> gradient, Target first, Target second, float rate, int64_t step, float beta1, float beta2, float epsilon, int threads,
-             const std::string &isa) {
+void adam_of(Target parameter, Array<float, 1> gradient, Target first, Target second, float rate, int64_t step, float beta1, float beta2, float epsilon, float head_rate, uint32_t row,
+             int threads, const std::string &isa) {
   const size_t n = gradient.shape(0);
   require(parameter.size() == n && first.size() == n && second.size() == n && step >= 1, "four arrays of one size, step 1 or more");
+  require(!row || (row >= kAdamHead && n % row == 0), "whole rows, at least as long as their head");
   const Kernels &kernels = kernels_named(isa);
   const double bias1 = 1 - std::pow((double)beta1, (double)step), bias2 = 1 - std::pow((double)beta2, (double)step);
-  const AdamStep s = {(float)(rate / bias1), beta1, beta2, (float)(1 / std::sqrt(bias2)), epsilon};
+  const AdamStep s = {(float)(rate / bias1), beta1, beta2, (float)(1 / std::sqrt(bias2)), epsilon, (float)(head_rate / bias1), row};
   nb::gil_scoped_release release;
   adam_step(kernels, parameter.data(), gradient.data(), first.data(), second.data(), n, s, thread_count(threads));
 }
@@ -118,5 +119,5 @@ void bind_training(nb::module_ &m) {
       "backward", [](nb::object self, Pixels image, Pixels gradient) { return nb::cast<Pass &>(self).backward(self, image, gradient); }, "image"_a, "gradient"_a).def_prop_ro("seconds", &Pass::seconds);
   m.def("training_pass", &start_pass, "means"_a, "log_scales"_a, "quats"_a, "logits"_a, "sh"_a, "camera"_a, "width"_a, "height"_a, "active"_a, "background"_a, "threads"_a, "isa"_a);
   m.def("photometric_loss", &loss_of, "image"_a, "target"_a, "ssim_weight"_a, "threads"_a, "isa"_a);
-  m.def("adam_step", &adam_of, "parameter"_a, "gradient"_a, "first"_a, "second"_a, "rate"_a, "step"_a, "beta1"_a, "beta2"_a, "epsilon"_a, "threads"_a, "isa"_a);
+  m.def("adam_step", &adam_of, "parameter"_a, "gradient"_a, "first"_a, "second"_a, "rate"_a, "step"_a, "beta1"_a, "beta2"_a, "epsilon"_a, "head_rate"_a, "row"_a, "threads"_a, "isa"_a);
 }

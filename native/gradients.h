@@ -4,50 +4,55 @@
 
 // --- parameters -> what projection needs ---------------------------------------------------------
 
-struct Rotation { float r[9]; };
-
-static inline Rotation rotation_of(const float *q) {  // unit wxyz
-  const float w = q[0], x = q[1], y = q[2], z = q[3];
-  return {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-           2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
-}
-
-static inline float unit_quaternion(const float *raw, float *unit) {  // returns 1 / norm
-  const float norm2 = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] + raw[3] * raw[3];
-  const float inverse = 1.f / __builtin_sqrtf(norm2 > 1e-30f ? norm2 : 1e-30f);
+// Unit quaternions wxyz, with 1 / norm of the raw ones.
+INLINE Floats unit_quaternions(const Floats *raw, Floats *unit) {
+  const Floats norm2 = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] + raw[3] * raw[3];
+  const Floats inverse = splat(1.f) / square_root(maximum(norm2, splat(1e-30f)));
   for (int i = 0; i < 4; i++) unit[i] = raw[i] * inverse;
   return inverse;
+}
+
+INLINE void rotations_of(const Floats *q, Floats *R) {  // q unit; R row by row
+  const Floats w = q[0], x = q[1], y = q[2], z = q[3], one = splat(1.f);
+  R[0] = one - 2.f * (y * y + z * z), R[1] = 2.f * (x * y - w * z), R[2] = 2.f * (x * z + w * y);
+  R[3] = 2.f * (x * y + w * z), R[4] = one - 2.f * (x * x + z * z), R[5] = 2.f * (y * z - w * x);
+  R[6] = 2.f * (x * z - w * y), R[7] = 2.f * (y * z + w * x), R[8] = one - 2.f * (x * x + y * y);
 }
 
 // exp of 16 numbers; beyond +-80 it stays finite.
 INLINE Floats exp_of(Floats x) { return exp2_of(clamp(x * splat(kLog2E), -115.f, 115.f)); }
 
-static inline void activate_some(const Parameters &p, uint32_t at, uint32_t n, float *means, float *covariances, float *opacities) {
-  float logs[3][16] = {}, logits[16] = {}, scales[3][16], sigmoids[16];
-  for (uint32_t i = 0; i < n; i++) {
-    logits[i] = p.logits[at + i];
-    for (int a = 0; a < 3; a++) logs[a][i] = p.log_scales[3 * (size_t)(at + i) + a];
-  }
-  for (int a = 0; a < 3; a++) store(scales[a], exp_of(load(logs[a])));
-  store(sigmoids, splat(1.f) / (splat(1.f) + exp_of(splat(0.f) - load(logits))));
-  const size_t N = p.count;
-  for (uint32_t i = 0; i < n; i++) {
-    const size_t row = at + i;
-    float q[4], m[9];
-    unit_quaternion(p.quats + 4 * row, q);
-    const Rotation R = rotation_of(q);
-    for (int r = 0; r < 3; r++)
-      for (int c = 0; c < 3; c++) m[3 * r + c] = R.r[3 * r + c] * scales[c][i];
-    const auto dot = [&m](int a, int b) { return m[3 * a] * m[3 * b] + m[3 * a + 1] * m[3 * b + 1] + m[3 * a + 2] * m[3 * b + 2]; };
-    const float cov[6] = {dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)};
-    for (int a = 0; a < 6; a++) covariances[a * N + row] = cov[a];
-    for (int a = 0; a < 3; a++) means[a * N + row] = p.means[3 * row + a];
-    opacities[row] = sigmoids[i];
-  }
-}
+INLINE Floats sigmoid_of(Floats x) { return splat(1.f) / (splat(1.f) + exp_of(-x)); }
 
+// means (3, N), covariances (6, N), opacities (N), as Scene has them.
 static void activate(const Parameters &p, uint32_t begin, uint32_t end, float *means, float *covariances, float *opacities) {
-  for (uint32_t at = begin; at < end; at += 16) activate_some(p, at, end - at < 16 ? end - at : 16, means, covariances, opacities);
+  const size_t N = p.count;
+  for (uint32_t at = begin; at < end; at += 16) {
+    const int n = end - at < 16 ? (int)(end - at) : 16;
+    float raw[11][16];
+    for (int l = 0; l < 16; l++) {
+      const size_t row = at + (uint32_t)(l < n ? l : 0);
+      for (int a = 0; a < 3; a++) raw[a][l] = p.means[3 * row + a], raw[3 + a][l] = p.log_scales[3 * row + a];
+      for (int a = 0; a < 4; a++) raw[6 + a][l] = p.quats[4 * row + a];
+      raw[10][l] = p.logits[row];
+    }
+    const Floats quats[4] = {load(raw[6]), load(raw[7]), load(raw[8]), load(raw[9])};
+    Floats q[4], R[9], out[10];
+    unit_quaternions(quats, q), rotations_of(q, R);
+    for (int a = 0; a < 3; a++) {
+      const Floats scale = exp_of(load(raw[3 + a]));
+      for (int r = 0; r < 3; r++) R[3 * r + a] = R[3 * r + a] * scale;
+      out[a] = load(raw[a]);
+    }
+    for (int r = 0, i = 3; r < 3; r++)
+      for (int c = r; c < 3; c++, i++) out[i] = R[3 * r] * R[3 * c] + R[3 * r + 1] * R[3 * c + 1] + R[3 * r + 2] * R[3 * c + 2];
+    out[9] = sigmoid_of(load(raw[10]));
+    for (int i = 0; i < 10; i++) {
+      float *to = i < 3 ? means + i * N : i < 9 ? covariances + (i - 3) * N : opacities;
+      if (n == 16) store(to + at, out[i]);
+      else for (int l = 0; l < n; l++) to[at + (uint32_t)l] = lane(out[i], l);
+    }
+  }
 }
 
 // --- colours of the visible splats ---------------------------------------------------------------
@@ -60,38 +65,55 @@ static inline Directions directions_to(const Floats *mean, const float *center) 
   return {x * inverse, y * inverse, z * inverse, inverse};
 }
 
-// Of up to sixteen splats, lane by lane: rows [i][16] of an array of structures.
-template <int Width>
-static inline void gather(const float *rows, const size_t *ids, int n, float (*out)[16]) {
-  for (int l = 0; l < n; l++)
-    for (int i = 0; i < Width; i++) out[i][l] = rows[ids[l] * Width + i];
-}
+constexpr int kMostColors = 48;  // SH coefficients of three channels
+constexpr uint32_t kAhead = 16;  // splats whose rows are fetched while earlier ones are worked on
 
-template <int Width>
-static inline void scatter(const Floats *values, const size_t *ids, int n, float *rows) {
-  for (int l = 0; l < n; l++)
-    for (int i = 0; i < Width; i++) rows[ids[l] * Width + i] = lane(values[i], l);
+// Up to sixteen splats, one a lane. Where there are fewer, the first is read again and what comes of it thrown away.
+struct Group {
+  size_t ids[16];
+  int count;
+  float *unused;  // room for a row
+
+  Group(const Visible &v, uint32_t first, float *room) : count(v.count - first < 16 ? (int)(v.count - first) : 16), unused(room) {
+    for (int l = 0; l < 16; l++) ids[l] = v.splats[first + (l < count ? l : 0)].id;
+  }
+  void gather(const float *rows, int stride, int width, float (*columns)[16]) const {
+    const float *at[16];
+    for (int l = 0; l < 16; l++) at[l] = rows + ids[l] * stride;
+    gather_rows(at, width, columns);
+  }
+  void scatter(const float (*columns)[16], int stride, int width, float *rows) const {
+    float *at[16];
+    for (int l = 0; l < 16; l++) at[l] = l < count ? rows + ids[l] * stride : unused;
+    scatter_rows(columns, width, at);
+  }
+};
+
+static inline void fetch_colors(const Visible &v, const Parameters &p, int used, uint32_t i) {
+  if (i >= v.count) return;
+  const float *row = p.sh + v.splats[i].id * (size_t)p.coefficients * 3;
+  for (int k = 0; k < 3 * used; k += 16) __builtin_prefetch(row + k);
 }
 
 // colors: 3 for each splat, by rank.
 static void splat_colors(const Visible &v, const Parameters &p, int32_t active, const float *center, float *colors) {
   for (uint32_t first = 0; first < v.count; first += 16) {
-    const int count = v.count - first < 16 ? (int)(v.count - first) : 16;
-    size_t ids[16];
-    float means[3][16] = {};
-    for (int l = 0; l < count; l++) ids[l] = v.splats[first + l].id;
-    gather<3>(p.means, ids, count, means);
+    const Group group(v, first, nullptr);
+    float means[3][16], sh[kMostColors][16], out[3][16];
+    for (uint32_t l = 0; l < 16; l++) fetch_colors(v, p, active, first + l + kAhead);
+    group.gather(p.means, 3, 3, means);
     const Floats mean[3] = {load(means[0]), load(means[1]), load(means[2])};
     const Directions to = directions_to(mean, center);
     Floats Y[16];
     const int n = sh_basis(to.x, to.y, to.z, active, Y);
-    for (int l = 0; l < count; l++) {
-      const float *row = p.sh + ids[l] * p.coefficients * 3;
-      float color[3] = {0.5f, 0.5f, 0.5f}, *out = colors + 3 * (size_t)v.ranks[first + l];
-      for (int k = 0; k < n; k++)
-        for (int c = 0; c < 3; c++) color[c] += lane(Y[k], l) * row[3 * k + c];
-      for (int c = 0; c < 3; c++) out[c] = color[c] > 0 ? color[c] : 0.f;
+    group.gather(p.sh, 3 * p.coefficients, 3 * n, sh);
+    for (int c = 0; c < 3; c++) {
+      Floats color = splat(0.5f);
+      for (int k = 0; k < n; k++) color = color + Y[k] * load(sh[3 * k + c]);
+      store(out[c], maximum(color, splat(0.f)));
     }
+    for (int l = 0; l < group.count; l++)
+      for (int c = 0; c < 3; c++) colors[3 * (size_t)v.ranks[first + l] + c] = out[c][l];
   }
 }
 
@@ -206,7 +228,9 @@ static void tile_backward(const Tile &tile, const float *colors, const float *im
       add_to(total[3], G), add_to(total[4], gx), add_to(total[5], gy);
       add_to(total[6], gx * dx), add_to(total[7], gx * dy), add_to(total[8], gy * dy);
     }
-    for (int c = 0; c < kSplatSums; c++) sums[i * kSplatSums + c] = sum(total[c]);
+    float *out = sums + (size_t)i * kSplatSums;
+    store_sums(out, total[0], total[1], total[2], total[3]), store_sums(out + 4, total[4], total[5], total[6], total[7]);
+    out[8] = sum(total[8]);
   }
 }
 
@@ -219,13 +243,6 @@ struct SplatLanes {  // what the way back needs of sixteen splats
 struct LaneGradients {
   Floats mean[3], log_scale[3], quat[4], logit, screen, radius;
 };
-
-static inline void lane_rotation(const Floats *q, Floats *R) {
-  const Floats w = q[0], x = q[1], y = q[2], z = q[3], one = splat(1.f);
-  R[0] = one - 2.f * (y * y + z * z), R[1] = 2.f * (x * y - w * z), R[2] = 2.f * (x * z + w * y);
-  R[3] = 2.f * (x * y + w * z), R[4] = one - 2.f * (x * x + z * z), R[5] = 2.f * (y * z - w * x);
-  R[6] = 2.f * (x * z - w * y), R[7] = 2.f * (y * z + w * x), R[8] = one - 2.f * (x * x + y * y);
-}
 
 // dL/d(raw quaternion) from dL/d(rotation); q the unit one.
 static inline void quaternion_gradient(const Floats *q, Floats inverse_norm, const Floats *D, Floats *out) {
@@ -265,10 +282,8 @@ static inline LaneGradients splat_gradients(const SplatLanes &s, const Camera &c
   const Floats j00 = cam.fx * iz, j02 = -(j00 * cx), j11 = cam.fy * iz, j12 = -(j11 * cy);
   Floats T[6], q[4], rotation[9], scale[3], axes[9], V[9];
   for (int i = 0; i < 3; i++) T[i] = R[i] * j00 + R[6 + i] * j02, T[3 + i] = R[3 + i] * j11 + R[6 + i] * j12;
-  const Floats norm2 = s.quat[0] * s.quat[0] + s.quat[1] * s.quat[1] + s.quat[2] * s.quat[2] + s.quat[3] * s.quat[3];
-  const Floats inverse_norm = splat(1.f) / square_root(maximum(norm2, splat(1e-30f)));
-  for (int i = 0; i < 4; i++) q[i] = s.quat[i] * inverse_norm;
-  lane_rotation(q, rotation);
+  const Floats inverse_norm = unit_quaternions(s.quat, q);
+  rotations_of(q, rotation);
   for (int i = 0; i < 3; i++) scale[i] = exp_of(s.log_scale[i]);
   for (int i = 0; i < 9; i++) axes[i] = rotation[i] * scale[i % 3];
   for (int r = 0; r < 3; r++)
@@ -285,7 +300,7 @@ static inline LaneGradients splat_gradients(const SplatLanes &s, const Camera &c
     for (int r = 0; r < 3; r++) drotation[3 * r + k] = daxes[3 * r + k] * scale[k];
   }
   quaternion_gradient(q, inverse_norm, drotation, out.quat);
-  out.logit = s.sums[3] * (splat(1.f) - splat(1.f) / (splat(1.f) + exp_of(-s.logit)));
+  out.logit = s.sums[3] * (splat(1.f) - sigmoid_of(s.logit));
 
   // dL/dJ = dL/dT R^t; J = fx/z (1, 0, -cx), fy/z (0, 1, -cy), cx and cy fixed where clamped.
   Floats d00 = splat(0.f), d02 = d00, d11 = d00, d12 = d00;
@@ -300,22 +315,18 @@ static inline LaneGradients splat_gradients(const SplatLanes &s, const Camera &c
 
 // Through the colours: dL/d(sh), and what they add to dL/d(mean) by the viewing directions. No gradient
 // where a colour was cut at zero.
-static inline void color_gradients(const Visible &v, uint32_t first, int n, const size_t *ids, const Parameters &p, int32_t active, const float *center, const float *colors,
-                                   const SplatLanes &s, LaneGradients &g, float *sh_out) {
+static inline void color_gradients(const Group &group, const Parameters &p, int32_t active, const float *center, const Floats *color, const SplatLanes &s, LaneGradients &g, float *sh_out) {
   const Directions to = directions_to(s.mean, center);
-  Floats Y[16], shade[16], slope[3];
+  Floats Y[16], shade[16], slope[3], along[3];
+  float sh[kMostColors][16];
   const int used = sh_basis(to.x, to.y, to.z, active, Y);
-  for (int k = 0; k < used; k++) shade[k] = splat(0.f);
-  for (int l = 0; l < n; l++) {
-    const float *row = p.sh + ids[l] * p.coefficients * 3, *color = colors + 3 * (size_t)v.ranks[first + l];
-    float *out = sh_out + ids[l] * p.coefficients * 3, along[3];
-    for (int c = 0; c < 3; c++) along[c] = color[c] > 0 ? lane(s.sums[c], l) : 0.f;
-    for (int k = 0; k < used; k++) {
-      const float y = lane(Y[k], l);
-      out[3 * k] = y * along[0], out[3 * k + 1] = y * along[1], out[3 * k + 2] = y * along[2];
-      ((float *)&shade[k])[l] = along[0] * row[3 * k] + along[1] * row[3 * k + 1] + along[2] * row[3 * k + 2];
-    }
+  group.gather(p.sh, 3 * p.coefficients, 3 * used, sh);
+  for (int c = 0; c < 3; c++) along[c] = keep(splat(0.f) < color[c], s.sums[c]);
+  for (int k = 0; k < used; k++) {
+    shade[k] = along[0] * load(sh[3 * k]) + along[1] * load(sh[3 * k + 1]) + along[2] * load(sh[3 * k + 2]);
+    for (int c = 0; c < 3; c++) store(sh[3 * k + c], Y[k] * along[c]);
   }
+  group.scatter(sh, 3 * p.coefficients, 3 * used, sh_out);
   add_basis_slopes(to, used, shade, slope);
   const Floats radial = slope[0] * to.x + slope[1] * to.y + slope[2] * to.z;
   g.mean[0] = g.mean[0] + (slope[0] - radial * to.x) * to.inverse_distance;
@@ -323,11 +334,11 @@ static inline void color_gradients(const Visible &v, uint32_t first, int n, cons
   g.mean[2] = g.mean[2] + (slope[2] - radial * to.z) * to.inverse_distance;
 }
 
-static inline SplatLanes load_splats(const Visible &v, uint32_t first, int n, const size_t *ids, const Parameters &p, const float (*sums)[16]) {
-  float raw[11][16] = {}, cov[3][16];
-  gather<3>(p.means, ids, n, raw), gather<3>(p.log_scales, ids, n, raw + 3), gather<4>(p.quats, ids, n, raw + 6), gather<1>(p.logits, ids, n, raw + 10);
+static inline SplatLanes load_splats(const Visible &v, uint32_t first, const Group &group, const Parameters &p, const float (*sums)[16]) {
+  float raw[11][16], cov[3][16];
+  group.gather(p.means, 3, 3, raw), group.gather(p.log_scales, 3, 3, raw + 3), group.gather(p.quats, 4, 4, raw + 6), group.gather(p.logits, 1, 1, raw + 10);
   for (int l = 0; l < 16; l++) {
-    const Extent &e = v.extents[first + (l < n ? l : 0)];
+    const Extent &e = v.extents[first + (l < group.count ? l : 0)];
     cov[0][l] = e.cov_xx, cov[1][l] = e.cov_xy, cov[2][l] = e.cov_yy;
   }
   SplatLanes s;
@@ -338,30 +349,50 @@ static inline SplatLanes load_splats(const Visible &v, uint32_t first, int n, co
   return s;
 }
 
-constexpr uint32_t kAhead = 16;  // splats whose sums are fetched while earlier ones are worked on
-
-static inline void fetch_sums(const Visible &v, const Places &at, uint32_t i) {
-  if (i >= v.count) return;
-  const uint32_t rank = v.ranks[i];
-  for (uint32_t k = at.start[rank]; k < at.start[rank + 1]; k++) __builtin_prefetch(at.sums + (size_t)at.places[k] * kSplatSums);
+static inline void store_gradients(const Group &group, const LaneGradients &g, const GradientArrays &out) {
+  float columns[4][16];
+  const auto put = [&](const Floats *values, int width, float *rows) {
+    for (int i = 0; i < width; i++) store(columns[i], values[i]);
+    group.scatter(columns, width, width, rows);
+  };
+  put(g.mean, 3, out.means), put(g.log_scale, 3, out.log_scales), put(g.quat, 4, out.quats);
+  put(&g.logit, 1, out.logits), put(&g.screen, 1, out.screen), put(&g.radius, 1, out.radii);
 }
 
-static void splats_backward(const Visible &v, const Places &at, const Parameters &p, const Camera &cam, int32_t active, const float *center, const GradientArrays &out) {
-  for (uint32_t first = 0; first < v.count; first += 16) {
-    const int n = v.count - first < 16 ? (int)(v.count - first) : 16;
-    float sums[kSplatSums][16] = {};
-    size_t ids[16];
-    for (int l = 0; l < n; l++) {
-      fetch_sums(v, at, first + (uint32_t)l + kAhead);
-      const uint32_t rank = v.ranks[first + l];
-      ids[l] = v.splats[first + l].id;
-      for (uint32_t k = at.start[rank]; k < at.start[rank + 1]; k++)
-        for (int c = 0; c < kSplatSums; c++) sums[c][l] += at.sums[(size_t)at.places[k] * kSplatSums + c];
+static inline void fetch_sums(const Visible &v, const Sums &sums, uint32_t i) {
+  if (i >= v.count) return;
+  for (uint32_t k = v.places_start[i]; k < v.places_start[i + 1]; k++) __builtin_prefetch(sums.values + (size_t)sums.places[k] * kSplatSums);
+  __builtin_prefetch(sums.colors + 3 * (size_t)v.ranks[i]);
+}
+
+// Of up to sixteen splats, what all their tiles say: kSplatSums columns, and three of colours.
+static inline void add_tiles(const Visible &v, const Sums &from, uint32_t first, int count, float (*sums)[16], float (*colors)[16]) {
+  for (int l = 0; l < 16; l++) {
+    const uint32_t i = first + (uint32_t)(l < count ? l : 0);
+    const float *color = from.colors + 3 * (size_t)v.ranks[i];
+    Four some = {}, more = {};
+    float last = 0;
+    for (uint32_t k = v.places_start[i]; k < v.places_start[i + 1]; k++) {
+      const float *row = from.values + (size_t)from.places[k] * kSplatSums;
+      some += *(const Four *)row, more += *(const Four *)(row + 4), last += row[8];
     }
-    const SplatLanes s = load_splats(v, first, n, ids, p, sums);
+    for (int c = 0; c < 4; c++) sums[c][l] = some[c], sums[4 + c][l] = more[c];
+    sums[8][l] = last;
+    for (int c = 0; c < 3; c++) colors[c][l] = color[c];
+  }
+}
+
+static void splats_backward(const Visible &v, const Sums &from, const Parameters &p, const Camera &cam, int32_t active, const float *center, const GradientArrays &out) {
+  float unused[kMostColors];
+  for (uint32_t first = 0; first < v.count; first += 16) {
+    const Group group(v, first, unused);
+    float sums[kSplatSums][16], colors[3][16];
+    for (uint32_t l = 0; l < 16; l++) fetch_sums(v, from, first + l + kAhead), fetch_colors(v, p, active, first + l + kAhead);
+    add_tiles(v, from, first, group.count, sums, colors);
+    const Floats color[3] = {load(colors[0]), load(colors[1]), load(colors[2])};
+    const SplatLanes s = load_splats(v, first, group, p, sums);
     LaneGradients g = splat_gradients(s, cam);
-    color_gradients(v, first, n, ids, p, active, center, at.colors, s, g, out.sh);
-    scatter<3>(g.mean, ids, n, out.means), scatter<3>(g.log_scale, ids, n, out.log_scales), scatter<4>(g.quat, ids, n, out.quats);
-    scatter<1>(&g.logit, ids, n, out.logits), scatter<1>(&g.screen, ids, n, out.screen), scatter<1>(&g.radius, ids, n, out.radii);
+    color_gradients(group, p, active, center, color, s, g, out.sh);
+    store_gradients(group, g, out);
   }
 }

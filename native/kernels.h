@@ -99,13 +99,15 @@ constexpr int kSplatSums = 9;  // see gradients.h
 struct Visible {  // a run of projected splats, in index order
   const Splat *splats;
   const Extent *extents;
-  const uint32_t *ranks;  // by depth
+  const uint32_t *ranks;         // by depth
+  const uint32_t *places_start;  // of splat i: rows [places_start[i], places_start[i + 1]) of Sums::places
   uint32_t count;
 };
 
-struct Places {  // of the splat of rank i: rows [start[i], start[i + 1]) of `places` are its rows of `sums`
-  const uint32_t *start, *places;
-  const float *sums, *colors;  // colors by rank
+struct Sums {  // kSplatSums for each splat in each tile
+  const float *values;
+  const uint32_t *places;  // rows of `values`
+  const float *colors;     // 3 each, by rank
 };
 
 struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
@@ -118,7 +120,13 @@ struct LossPlanes {  // eight planes of each channel, rows padded to whole vecto
   size_t stride;
 };
 
-struct AdamStep { float rate, beta1, beta2, root_correction, epsilon; };
+struct AdamStep {
+  float rate, beta1, beta2, root_correction, epsilon;
+  // The first kAdamHead numbers of every row of `row` have a rate of their own; row 0: there are none.
+  float head_rate;
+  uint32_t row;
+};
+constexpr int kAdamHead = 3;
 
 struct Kernels {
   const char *name;
@@ -137,7 +145,7 @@ struct Kernels {
   void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
   void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image, float *alpha);
   void (*tile_backward)(const Tile &, const float *colors, const float *image, const float *gradient, TileScratch &, float *sums);
-  void (*splats_backward)(const Visible &, const Places &, const Parameters &, const Camera &, int32_t active, const float *center, const GradientArrays &);
+  void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active, const float *center, const GradientArrays &);
   void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);
   void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
   void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin, int row_end, float *gradient, double *row_sums);

@@ -132,6 +132,45 @@ INLINE float sum(Floats a) {
   return (s[0] + s[2]) + (s[1] + s[3]);
 }
 
+typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
+typedef int32_t FourIndices __attribute__((vector_size(16)));
+
+// Rows a, b, c, d of four numbers become the columns of w, x, y, z.
+INLINE void transpose_4x4(const float *a, const float *b, const float *c, const float *d, float *w, float *x, float *y, float *z) {
+  const FourIndices low = {0, 4, 1, 5}, high = {2, 6, 3, 7}, first = {0, 1, 4, 5}, second = {2, 3, 6, 7};
+  const Four A = *(const Four *)a, B = *(const Four *)b, C = *(const Four *)c, D = *(const Four *)d;
+  const Four ab = __builtin_shuffle(A, B, low), AB = __builtin_shuffle(A, B, high), cd = __builtin_shuffle(C, D, low), CD = __builtin_shuffle(C, D, high);
+  *(Four *)w = __builtin_shuffle(ab, cd, first), *(Four *)x = __builtin_shuffle(ab, cd, second);
+  *(Four *)y = __builtin_shuffle(AB, CD, first), *(Four *)z = __builtin_shuffle(AB, CD, second);
+}
+
+// columns[i][l] = rows[l][i], i < width
+INLINE void gather_rows(const float *const *rows, int width, float (*columns)[16]) {
+  int i = 0;
+  for (; i + 4 <= width; i += 4)
+    for (int l = 0; l < 16; l += 4) transpose_4x4(rows[l] + i, rows[l + 1] + i, rows[l + 2] + i, rows[l + 3] + i, columns[i] + l, columns[i + 1] + l, columns[i + 2] + l, columns[i + 3] + l);
+  for (; i < width; i++)
+    for (int l = 0; l < 16; l++) columns[i][l] = rows[l][i];
+}
+
+// rows[l][i] = columns[i][l], i < width
+INLINE void scatter_rows(const float (*columns)[16], int width, float *const *rows) {
+  int i = 0;
+  for (; i + 4 <= width; i += 4)
+    for (int l = 0; l < 16; l += 4) transpose_4x4(columns[i] + l, columns[i + 1] + l, columns[i + 2] + l, columns[i + 3] + l, rows[l] + i, rows[l + 1] + i, rows[l + 2] + i, rows[l + 3] + i);
+  for (; i < width; i++)
+    for (int l = 0; l < 16; l++) rows[l][i] = columns[i][l];
+}
+
+// The sums of four at once, added in the order of `sum`.
+INLINE void store_sums(float *out, const Floats &a, const Floats &b, const Floats &c, const Floats &d) {
+  const auto quarter = [](const Floats &x) __attribute__((always_inline)) { const Four *q = (const Four *)&x; return (q[0] + q[1]) + (q[2] + q[3]); };
+  const FourIndices low = {0, 4, 1, 5}, high = {2, 6, 3, 7}, first = {0, 1, 4, 5}, second = {2, 3, 6, 7};
+  const Four A = quarter(a), B = quarter(b), C = quarter(c), D = quarter(d);
+  const Four ab = __builtin_shuffle(A, B, low) + __builtin_shuffle(A, B, high), cd = __builtin_shuffle(C, D, low) + __builtin_shuffle(C, D, high);
+  *(Four *)out = __builtin_shuffle(ab, cd, first) + __builtin_shuffle(ab, cd, second);
+}
+
 INLINE Floats floor_of(Floats a) {  // |a| < 2^31
   Floats t = to_float(truncate(a));
   return select(a < t, t - splat(1.f), t);

@@ -13,6 +13,15 @@ struct Window {
   }
 };
 
+// Sixteen numbers of which the first n count, the others become 0.
+INLINE Floats first_lanes(Floats a, int n) {
+  if (n >= 16) return a;
+  float kept[16];
+  store(kept, a);
+  for (int i = n; i < 16; i++) kept[i] = 0;
+  return load(kept);
+}
+
 static inline float *plane_of(const LossPlanes &p, int i, int channel) { return p.planes + (size_t)(i * 3 + channel) * p.stride * (size_t)p.height; }
 
 // One row, zero beyond its ends: `padded` has kReach zeros in front and 16 + kReach behind.
@@ -61,8 +70,9 @@ static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, doubl
   memset(p.scratch, 0, 3 * (p.stride + 32) * sizeof(float));
   for (int y = row_begin; y < row_end; y++)
     for (int c = 0; c < 3; c++) {
-      double total = 0;
+      Floats total = splat(0.f);
       for (int x = 0; x < p.width; x += 16) {
+        const int n = p.width - x;
         const auto blurred = [&](int i) { return blur_column(g, plane_of(p, i, c), p.stride, p.height, y, x); };
         const Floats a = blurred(0), b = blurred(1), aa = a * a, bb = b * b, ab = a * b;
         const Floats top1 = two * ab + c1, top2 = two * (blurred(4) - ab) + c2;
@@ -71,13 +81,10 @@ static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, doubl
         const Floats by_product = two * top1 * inverse;
         const Floats by_square = splat(0.f) - ssim / low2;
         const Floats by_mean = two * b * (top2 - top1) * inverse - two * a * ssim * (one / low1 - one / low2);
-        const int n = p.width - x < 16 ? p.width - x : 16;
-        for (int i = 0; i < n; i++) {
-          total += (double)lane(ssim, i);
-          rows[0][kReach + x + i] = lane(by_mean, i), rows[1][kReach + x + i] = lane(by_square, i), rows[2][kReach + x + i] = lane(by_product, i);
-        }
+        total = total + first_lanes(ssim, n);
+        store(rows[0] + kReach + x, first_lanes(by_mean, n)), store(rows[1] + kReach + x, first_lanes(by_square, n)), store(rows[2] + kReach + x, first_lanes(by_product, n));
       }
-      row_sums[y * 3 + c] = total;
+      row_sums[y * 3 + c] = (double)sum(total);
       for (int i = 0; i < 3; i++) blur_row(g, rows[i], plane_of(p, 5 + i, c) + (size_t)y * p.stride, p.width);
     }
 }
@@ -88,28 +95,51 @@ static void loss_gradient(const float *image, const float *target, const LossPla
   const float share = 1.f / (3.f * (float)p.width * (float)p.height), l1 = (1 - ssim_weight) * share, structure = -ssim_weight * share;
   for (int y = row_begin; y < row_end; y++)
     for (int c = 0; c < 3; c++) {
-      double total = 0;
+      Floats total = splat(0.f);
       for (int x = 0; x < p.width; x += 16) {
-        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, 5 + i, c), p.stride, p.height, y, x); };
-        const Floats by_mean = blurred(0), by_square = blurred(1), by_product = blurred(2);
         const int n = p.width - x < 16 ? p.width - x : 16;
-        for (int i = 0; i < n; i++) {
-          const size_t at = ((size_t)y * p.width + x + i) * 3 + c;
-          const float a = image[at], b = target[at], difference = a - b;
-          total += __builtin_fabs((double)difference);
-          const float slope = lane(by_mean, i) + 2 * a * lane(by_square, i) + b * lane(by_product, i);
-          gradient[at] = l1 * (difference > 0 ? 1.f : difference < 0 ? -1.f : 0.f) + structure * slope;
-        }
+        const size_t first = ((size_t)y * p.width + x) * 3 + c;
+        float pixels[2][16] = {}, slopes[16];
+        for (int i = 0; i < n; i++) pixels[0][i] = image[first + 3 * i], pixels[1][i] = target[first + 3 * i];
+        const auto blurred = [&](int i) { return blur_column(g, plane_of(p, 5 + i, c), p.stride, p.height, y, x); };
+        const Floats a = load(pixels[0]), b = load(pixels[1]), difference = a - b, none = splat(0.f);
+        const Floats up = keep(none < difference, splat(1.f)), down = keep(difference < none, splat(1.f));
+        total = total + maximum(difference, -difference);
+        store(slopes, l1 * (up - down) + structure * (blurred(0) + 2.f * (a * blurred(1)) + b * blurred(2)));
+        for (int i = 0; i < n; i++) gradient[first + 3 * i] = slopes[i];
       }
-      row_sums[y * 3 + c] = total;
+      row_sums[y * 3 + c] = (double)sum(total);
     }
 }
 
-// One Adam step, in place. rate and epsilon carry the bias corrections (Kingma & Ba 2015, end of Sec. 2).
-static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &s) {
-  for (size_t i = begin; i < end; i++) {
+INLINE float adam_change(float rate, float first, float second, const AdamStep &s) { return rate * first / (__builtin_sqrtf(second) * s.root_correction + s.epsilon); }
+
+static inline void adam_at_one_rate(float *parameter, const float *gradient, float *first, float *second, size_t count, const AdamStep &s) {
+  for (size_t i = 0; i < count; i++) {
     const float g = gradient[i], m = s.beta1 * first[i] + (1 - s.beta1) * g, v = s.beta2 * second[i] + (1 - s.beta2) * g * g;
     first[i] = m, second[i] = v;
-    parameter[i] -= s.rate * m / (__builtin_sqrtf(v) * s.root_correction + s.epsilon);
+    parameter[i] -= adam_change(s.rate, m, v, s);
+  }
+}
+
+static inline void copy_heads(const float *rows, size_t row, size_t count, float *heads) {
+  for (size_t i = 0; i < count; i++)
+    for (int c = 0; c < kAdamHead; c++) heads[i * kAdamHead + c] = rows[i * row + c];
+}
+
+// One Adam step, in place. rate and epsilon carry the bias corrections (Kingma & Ba 2015, end of Sec. 2).
+// Heads are stepped with their row and then once more, from where they were: of sixteen rows at a time,
+// because a few numbers in a row are too few for a vector.
+static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &s) {
+  if (!s.row) return adam_at_one_rate(parameter + begin, gradient + begin, first + begin, second + begin, end - begin, s);
+  float heads[16 * kAdamHead], firsts[16 * kAdamHead], seconds[16 * kAdamHead];
+  for (size_t at = begin; at < end; at += 16 * s.row) {
+    const size_t size = end - at < 16 * s.row ? end - at : 16 * s.row, rows = size / s.row;
+    copy_heads(parameter + at, s.row, rows, heads);
+    adam_at_one_rate(parameter + at, gradient + at, first + at, second + at, size, s);
+    copy_heads(first + at, s.row, rows, firsts), copy_heads(second + at, s.row, rows, seconds);
+    for (size_t i = 0; i < rows * kAdamHead; i++) heads[i] -= adam_change(s.head_rate, firsts[i], seconds[i], s);
+    for (size_t i = 0; i < rows; i++)
+      for (int c = 0; c < kAdamHead; c++) parameter[at + i * s.row + c] = heads[i * kAdamHead + c];
   }
 }

@@ -36,14 +36,14 @@ void TrainingPass::forward(float *image, float *alpha) {
 
 Visible TrainingPass::visible_of(int thread) const {
   const uint32_t begin = part_of(parameters_.count, threads_, thread).begin;
-  return {space_->projected.data() + begin, space_->projected_extents.data() + begin, space_->ranks.data() + begin, space_->projected_counts[thread]};
+  return {space_->projected.data() + begin, space_->projected_extents.data() + begin, space_->ranks.data() + begin, space_->places_start.data() + begin, space_->projected_counts[thread]};
 }
 
 GradientArrays TrainingPass::cleared_gradients() {
-  const size_t n = parameters_.count, sh = 3 * (size_t)parameters_.coefficients, sizes[7] = {3 * n, 3 * n, 4 * n, n, sh * n, n, n};
-  std::vector<float> &all = space_->gradients;
-  grow(all, (13 + sh) * n);
-  parallel(threads_, [&](int t) { std::fill_n(all.data() + (13 + sh) * n * t / threads_, (13 + sh) * n * (t + 1) / threads_ - (13 + sh) * n * t / threads_, 0.f); });
+  const size_t n = parameters_.count, sh = 3 * (size_t)parameters_.coefficients, sizes[7] = {3 * n, 3 * n, 4 * n, n, sh * n, n, n}, total = (13 + sh) * n;
+  Kept<float> &all = space_->gradients;
+  grow(all, total);
+  parallel(threads_, [&](int t) { std::fill(all.data() + total * t / threads_, all.data() + total * (t + 1) / threads_, 0.f); });
   float *at[7], *next = all.data();
   for (int i = 0; i < 7; i++) at[i] = next, next += sizes[i];
   return {at[0], at[1], at[2], at[3], at[4], at[5], at[6]};
@@ -58,15 +58,15 @@ GradientArrays TrainingPass::backward(const float *image, const float *image_gra
   });
   const double t1 = now();
   const GradientArrays out = cleared_gradients();
-  const Places places = {w.places_start.data(), w.places.data(), w.sums.data(), w.colors.data()};
-  parallel(threads_, [&](int t) { kernels_.splats_backward(visible_of(t), places, parameters_, camera_, active_, center_, out); });
+  const Sums sums = {w.sums.data(), w.places.data(), w.colors.data()};
+  parallel(threads_, [&](int t) { kernels_.splats_backward(visible_of(t), sums, parameters_, camera_, active_, center_, out); });
   seconds.backward = t1 - t0, seconds.parameters = now() - t1;
   return out;
 }
 
 LossValue photometric_loss(const Kernels &kernels, const float *image, const float *target, int width, int height, float ssim_weight, int threads, float *gradient) {
   const size_t stride = ((size_t)width + 15) / 16 * 16;
-  static thread_local std::vector<float> planes;  // kept: fresh pages cost more than the work
+  static thread_local Kept<float> planes;  // kept: fresh pages cost more than the work
   grow(planes, 24 * stride * (size_t)height);
   std::vector<std::vector<float>> scratch(threads, std::vector<float>(5 * (stride + 32)));
   std::vector<double> l1_rows(3 * (size_t)height), ssim_rows(3 * (size_t)height);
@@ -88,10 +88,9 @@ LossValue photometric_loss(const Kernels &kernels, const float *image, const flo
 }
 
 void adam_step(const Kernels &kernels, float *parameter, const float *gradient, float *first, float *second, size_t count, const AdamStep &step, int threads) {
-  parallel(count < 65536 ? 1 : threads, [&](int t) {
-    const size_t parts = count < 65536 ? 1 : threads;
-    kernels.adam(parameter, gradient, first, second, count * t / parts, count * (t + 1) / parts, step);
-  });
+  const int parts = count < 65536 ? 1 : threads;
+  const size_t row = step.row ? step.row : 1, rows = count / row;
+  parallel(parts, [&](int t) { kernels.adam(parameter, gradient, first, second, rows * t / parts * row, rows * (t + 1) / parts * row, step); });
 }
 
 }  // namespace drsplat

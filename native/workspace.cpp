@@ -8,7 +8,7 @@ namespace {
 void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads) {
   w.columns = (camera.width + 15) / 16, w.rows = (camera.height + 15) / 16;
   grow(w.projected, scene.count), grow(w.projected_extents, scene.count);
-  std::vector<uint32_t> &written = w.projected_counts;
+  Kept<uint32_t> &written = w.projected_counts;
   written.assign(threads, 0);
   parallel(threads, [&](int t) {
     const Part p = part_of(scene.count, threads, t);
@@ -70,19 +70,21 @@ void sort_by_depth(Workspace &w, int threads, bool way_back) {
   });
 }
 
-// Room for each splat's places: as many as tiles in its spans.
+// Room for each splat's places, in index order: as many as tiles in its spans.
 void find_places(Workspace &w, uint64_t pairs, int threads) {
-  grow(w.places, pairs + 1), grow(w.places_start, w.visible + 1);
-  uint32_t sum = 0;
-  for (int t = 0; t < threads; t++) {
+  const size_t n = w.projected.size();
+  grow(w.places, pairs + 1), grow(w.places_start, n + 1);
+  std::fill_n(w.places_start.begin(), n + 1, 0);
+  parallel(threads, [&](int t) {
     const uint32_t *span = w.workers[t]->spans.data();
     const Part p = part_of(w.visible, threads, t);
     for (uint32_t i = p.begin; i < p.end; i++) {
-      w.places_start[i] = sum;
-      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++) sum += (*span >> 16) - (*span & 0xffff);
+      uint32_t count = 0;
+      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++) count += (*span >> 16) - (*span & 0xffff);
+      w.places_start[(uint32_t)w.keys[i] + 1] = count;
     }
-  }
-  w.places_start[w.visible] = sum;
+  });
+  for (size_t i = 0; i < n; i++) w.places_start[i + 1] += w.places_start[i];
 }
 
 // Counting sort of (tile, splat) pairs by tile; since splats come in depth order, so does every list.
@@ -115,7 +117,7 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
     const uint32_t *span = worker.spans.data();
     const Part p = part_of(w.visible, threads, t);
     for (uint32_t i = p.begin; i < p.end; i++) {
-      uint32_t *place = way_back ? &w.places[w.places_start[i]] : nullptr;
+      uint32_t *place = way_back ? &w.places[w.places_start[(uint32_t)w.keys[i]]] : nullptr;
       for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++)
         for (uint32_t x = *span & 0xffff; x < *span >> 16; x++) {
           const uint32_t at = worker.tile_counts[(size_t)row * w.columns + x]++;

@@ -1,6 +1,7 @@
 // What one view needs between projecting its splats and visiting its tiles.
 #pragma once
 #include "kernels.h"
+#include "memory.h"
 #include "parallel.h"
 
 #include <algorithm>
@@ -22,8 +23,8 @@ struct SegmentWeight { int32_t segment; float weight; };
 struct Worker {
   TileScratch scratch;
   Triples triples;
-  std::vector<uint32_t> spans, tile_counts, depth_counts, row_start;
-  std::vector<SegmentWeight> by_row;
+  Kept<uint32_t> spans, tile_counts, depth_counts, row_start;
+  Kept<SegmentWeight> by_row;
 
   Worker() = default;
   Worker(const Worker &) = delete;
@@ -34,14 +35,14 @@ struct Worker {
 
 // Memory that one view needs, kept for the next one: fresh pages cost as much as the work on them.
 struct Workspace {
-  std::vector<Splat> projected, splats;
-  std::vector<Extent> projected_extents, extents;
-  std::vector<uint64_t> keys, other_keys;
-  std::vector<uint32_t> list, tile_start;
-  // For the way back, if asked: how many each thread projected, in index order; the depth rank of each;
-  // and by rank its entries of `list`, in tile order.
-  std::vector<uint32_t> projected_counts, ranks, places, places_start;
-  std::vector<float> scene, colors, sums, gradients;     // training only
+  Kept<Splat> projected, splats;
+  Kept<Extent> projected_extents, extents;
+  Kept<uint64_t> keys, other_keys;
+  Kept<uint32_t> list, tile_start;
+  // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
+  // and its entries of `list` in tile order.
+  Kept<uint32_t> projected_counts, ranks, places, places_start;
+  Kept<float> scene, colors, sums, gradients;  // training only
   std::vector<std::unique_ptr<Worker>> workers;
   int columns = 0, rows = 0;
   uint32_t visible = 0;
@@ -70,12 +71,6 @@ class Lease {  // a workspace nobody else is using
   std::unique_ptr<Workspace> space_;
 };
 
-template <class T>
-void grow(std::vector<T> &v, size_t n) {
-  if (v.size() < n) v.resize(n);
-}
-
-
 // Projects, sorts by depth and bins into tiles. `way_back` fills ranks and places.
 StageSeconds prepare(Workspace &, const Kernels &, const Scene &, const Camera &, int threads, bool way_back = false);
 
@@ -93,6 +88,5 @@ void each_tile(Workspace &w, const Camera &camera, int threads, Work work) {
       }
   });
 }
-
 
 }  // namespace drsplat

@@ -169,6 +169,27 @@ def test_threads_change_no_bit_of_a_step(isa):
     assert np.abs(states[0][0]).max() > 0
 
 
+@every_isa
+@pytest.mark.parametrize("count", [1, 15, 16, 40, 2_003])
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_the_constant_term_has_its_own_rate(count, coefficients, isa):
+    grads = gradients(3, (count, coefficients, 3))
+    both, constant, rest = ([np.ones_like(grads[0]) for _ in range(3)] for _ in range(3))
+    taken(adam_step, both, grads, 1e-3, constant_rate=0.02, isa=isa, threads=2)
+    taken(adam_step, constant, grads, 0.02, isa=isa)
+    taken(adam_step, rest, grads, 1e-3, isa=isa)
+    assert_allclose(both[0][:, 0], constant[0][:, 0], rtol=1e-6)
+    assert_array_equal(both[0][:, 1:], rest[0][:, 1:])
+    assert_array_equal(both[1], rest[1])
+    assert_array_equal(both[2], rest[2])
+
+
+def test_only_harmonics_have_a_constant_term():
+    rows = [np.zeros((10, 6), np.float32) for _ in range(4)]
+    with pytest.raises(InputError, match=r"harmonics \(N, K, 3\)"):
+        adam_step(*rows, 1e-3, 1, constant_rate=1e-2)
+
+
 def test_only_arrays_that_can_be_changed_in_place_are_taken():
     whole = np.zeros((10, 6), np.float32)
     for bad in (whole[:, ::2], whole.astype(np.float64), whole[:5]):

@@ -85,6 +85,8 @@ def adam_step(
     beta1: float,
     beta2: float,
     epsilon: float,
+    head_rate: float,
+    row: int,
     threads: int,
     isa: str,
 ) -> None: ...

@@ -154,12 +154,16 @@ def adam_step(
     beta1: float = 0.9,
     beta2: float = 0.999,
     epsilon: float = 1e-15,
+    constant_rate: float | None = None,
     threads: int = 0,
     isa: str = "",
 ) -> None:
     """One Adam step in place: parameter and both moments change. step counts from 1.
 
-    Raises: InputError: arrays that are not contiguous float32 of one shape.
+    constant_rate: of harmonics (N, K, 3), the rate of the constant term, K = 0.
+
+    Raises: InputError: arrays that are not contiguous float32 of one shape; a constant_rate for
+    anything but harmonics.
     Source: Kingma & Ba 2015, Algorithm 1.  Twin: kernels.reference_loss.
     """
     arrays = (parameter, gradient, first_moment, second_moment)
@@ -168,6 +172,8 @@ def adam_step(
             raise InputError(f"expected float32 {parameter.shape}, got {array.dtype} {array.shape}")
         if not array.flags.c_contiguous:
             raise InputError("adam_step works in place: all arrays must be contiguous")
+    if constant_rate is not None and (parameter.ndim != 3 or parameter.shape[2] != 3):
+        raise InputError(f"constant_rate: expected harmonics (N, K, 3), got {parameter.shape}")
     _native.adam_step(
         parameter,
         gradient.reshape(-1),
@@ -178,6 +184,8 @@ def adam_step(
         beta1,
         beta2,
         epsilon,
+        constant_rate or 0.0,
+        0 if constant_rate is None else 3 * parameter.shape[1],
         threads,
         _checked_isa(isa),
     )

@@ -12,7 +12,6 @@ from ..gaussians import Gaussians
 from ..kernels.training import Gradients, SceneParameters, adam_step
 
 FLOATING = SceneParameters._fields
-COLOR_BLOCK = 1 << 12  # rows of which everything stays in a core's cache
 LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32
 Rows = Integer[np.ndarray, " _"] | Bool[np.ndarray, " _"]
 
@@ -45,26 +44,18 @@ class Optimizer:
 
     def step(self, gradients: Gradients, rates: Rates, step: int, threads: int = 0) -> None:
         """One step of Adam, in place."""
-        p, m, v = self.parameters, self.first, self.second
-        for name in ("means", "log_scales", "quats", "logits"):
-            parameter, gradient = getattr(p, name), getattr(gradients, name)
-            moments, rate = (getattr(m, name), getattr(v, name)), getattr(rates, name)
-            adam_step(parameter, gradient, *moments, rate, step, threads=threads)
-        self._step_colors(gradients.sh, rates, step, threads)
-
-    def _step_colors(
-        self, gradient: Float32[np.ndarray, "n k 3"], rates: Rates, step: int, threads: int
-    ) -> None:
-        """The constant term is stepped on a copy, at its own rate; its moments come out the same."""
-        arrays = (self.parameters.sh, gradient, self.first.sh, self.second.sh)
-        for begin in range(0, len(gradient), COLOR_BLOCK):
-            p, g, m, v = (array[begin : begin + COLOR_BLOCK] for array in arrays)
-            constant, *moments = (_constant_term(array) for array in (p, m, v))
-            slope = _constant_term(g)
-            adam_step(constant, slope, moments[0], moments[1], rates.sh, step, threads=threads)
-            adam_step(p, g, m, v, rates.sh_rest, step, threads=threads)
-            for channel in range(3):
-                p[:, 0, channel] = constant[channel]
+        for name in FLOATING:
+            parameter, gradient, first, second = (
+                getattr(each, name)
+                for each in (self.parameters, gradients, self.first, self.second)
+            )
+            rate, constant = getattr(rates, name), None
+            if name == "sh":
+                rate, constant = rates.sh_rest, rates.sh
+            adam_step(
+                parameter, gradient, first, second, rate, step,
+                constant_rate=constant, threads=threads,
+            )  # fmt: skip
 
     def keep(self, rows: Rows) -> None:
         """Only these Gaussians remain, in this order."""
@@ -135,11 +126,6 @@ class Optimizer:
         optimizer = cls(groups[0])
         optimizer.first, optimizer.second = groups[1:]
         return optimizer
-
-
-def _constant_term(sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "3 n"]:
-    """Channel by channel: NumPy copies three long columns several times as fast as n short rows."""
-    return np.stack([sh[:, 0, channel] for channel in range(3)])
 
 
 def _zeros_like(parameters: SceneParameters) -> SceneParameters:
