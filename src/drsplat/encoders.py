@@ -10,19 +10,39 @@ from jaxtyping import Float32, UInt8
 
 @dataclass(frozen=True)
 class EncoderIdentity:
-    """Two embeddings can be compared only if their identities are equal.
+    """Two embeddings can be compared only if their identities match.
 
     name: for people, e.g. "ViT-B-16/laion2b_s34b_b88k". dim: D. weights: hash of the weights, or ""
-    where it is not known (then only name and dim are compared).
+    where it is not known. preprocessing: how images are scaled and normalised, or "" where it is not
+    known, as with files of LangSplat.
     """
 
     name: str
     dim: int
     weights: str = ""
+    preprocessing: str = ""
 
     def matches(self, other: "EncoderIdentity") -> bool:
-        same_weights = not (self.weights and other.weights) or self.weights == other.weights
-        return (self.name, self.dim) == (other.name, other.dim) and same_weights
+        """Equal in all that both know. Names count where a hash is missing: a model keeps its
+        weights when its folder gets another name."""
+        same_model = (
+            self.weights == other.weights
+            if self.weights and other.weights
+            else self.name == other.name
+        )
+        return (
+            same_model and self.dim == other.dim and _agree(self.preprocessing, other.preprocessing)
+        )
+
+
+def _agree(one: str, other: str) -> bool:
+    return not (one and other) or one == other
+
+
+def identity_json(identity: EncoderIdentity) -> dict[str, object]:
+    """As files have it; without preprocessing where it is not known, as files had it before."""
+    known = {"preprocessing": identity.preprocessing} if identity.preprocessing else {}
+    return {"name": identity.name, "dim": identity.dim, "weights": identity.weights, **known}
 
 
 @runtime_checkable

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..encoders import EncoderIdentity
+from ..encoders import EncoderIdentity, identity_json
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.tensors import check_tensors, map_tensors, write_tensors
 from .codebook import Codebook
@@ -18,13 +18,10 @@ def save_codebook(
     codebook: Codebook, path: str | os.PathLike[str], overwrite: bool = False
 ) -> None:
     """Write a codebook to one safetensors file."""
-    encoder = codebook.encoder
     metadata = {
         "format": CODEBOOK_FORMAT,
         "hash": codebook.hash,
-        "encoder": json.dumps(
-            {"name": encoder.name, "dim": encoder.dim, "weights": encoder.weights}
-        ),
+        "encoder": json.dumps(identity_json(codebook.encoder)),
     }
     write_tensors(path, codebook.tensors(), metadata, overwrite)
 
@@ -70,10 +67,15 @@ def codebook_from_tensors(
 
 
 def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
-    """Raises: FormatError: not an object of name, dim and weights."""
+    """An identity as `identity_json` gives it; files of older versions have no preprocessing.
+
+    Raises: FormatError: not an object of name, dim and weights.
+    """
     if not isinstance(identity, dict):
         raise FormatError(f"{where}: expected the encoder's name, dim and weights")
     name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
-    if isinstance(name, str) and isinstance(weights, str) and type(dim) is int and dim > 0:
-        return EncoderIdentity(name, dim, weights)
+    preprocessing = identity.get("preprocessing", "")
+    texts = (name, weights, preprocessing)
+    if all(isinstance(text, str) for text in texts) and type(dim) is int and dim > 0:
+        return EncoderIdentity(str(name), dim, str(weights), preprocessing)
     raise FormatError(f"{where}: expected the encoder's name, dim and weights")

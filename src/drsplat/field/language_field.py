@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Integer, UInt8, UInt16, UInt32
 
 from ..codes import Codebook, Codes
-from ..encoders import EncoderIdentity
+from ..encoders import EncoderIdentity, identity_json
 from ..errors import InputError, MismatchError
 from ..evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
@@ -284,10 +284,10 @@ class LanguageField:
             "scene": self.scene,
             "num_gaussians": self.num_gaussians,
             "num_registered": len(self),
-            "encoder": _identity_json(self.encoder),
+            "encoder": identity_json(self.encoder),
             "codebook": {
                 "hash": self.codebook.hash,
-                "encoder": _identity_json(self.codebook.encoder),
+                "encoder": identity_json(self.codebook.encoder),
             },
             "negatives": list(self.negatives.texts) if self.negatives else [],
         }
@@ -302,8 +302,5 @@ def _unit(vectors: Float32[np.ndarray, "*n D"]) -> Float32[np.ndarray, "*n D"]:
 
 def _named(encoder: EncoderIdentity) -> str:
     weights = f", weights {encoder.weights[:12]}" if encoder.weights else ""
-    return f"{encoder.name} ({encoder.dim}-d{weights})"
-
-
-def _identity_json(encoder: EncoderIdentity) -> dict[str, object]:
-    return {"name": encoder.name, "dim": encoder.dim, "weights": encoder.weights}
+    images = f", images at {encoder.preprocessing}" if encoder.preprocessing else ""
+    return f"{encoder.name} ({encoder.dim}-d{weights}{images})"
