@@ -24,7 +24,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "gaussians", "views", "features", "segments", "crops", "encoders", "lens", "photos",
+    "errors", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
     "formats", "kernels", "codes", "evidence", "field", "columns", "registration", "rendering", "search",
     "tasks", "words", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
     "demo", "commands", "cli", "__main__",

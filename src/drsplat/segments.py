@@ -1,11 +1,11 @@
 """Masks of one image, and who makes them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
+from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 
 from .errors import InputError
 
@@ -45,6 +45,48 @@ class Masks:
 
     def __len__(self) -> int:
         return len(self.parts)
+
+    @property
+    def areas(self) -> Int64[np.ndarray, " n"]:
+        """Pixels of each mask."""
+        return np.array([np.count_nonzero(part) for part in self.parts], np.int64)
+
+    def full(self, index: int) -> Bool[np.ndarray, "h w"]:
+        """One mask at the size of the image."""
+        mask = np.zeros((self.height, self.width), bool)
+        x0, y0, x1, y1 = self.boxes[index]
+        mask[y0:y1, x0:x1] = self.parts[index]
+        return mask
+
+    def subset(self, indices: Sequence[int] | Int64[np.ndarray, " k"]) -> "Masks":
+        """The masks of these indices, in their order."""
+        chosen = np.asarray(indices, np.int64)
+        parts = tuple(self.parts[i] for i in chosen)
+        return Masks(self.height, self.width, self.boxes[chosen], parts, self.scores[chosen])
+
+
+def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Float32[np.ndarray, " n"]) -> Masks:
+    """Masks at the size of the image, each cut to the smallest box that has all of it.
+
+    One without pixels gets the image's first pixel as its box and stays without pixels, so that
+    numbers do not shift. Raises: InputError: images without pixels; scores of another number.
+    """
+    if 0 in full.shape[1:]:
+        raise InputError(f"masks of {full.shape[2]}x{full.shape[1]} pixels: expected at least 1x1")
+    boxes = np.array([tight_box(mask) or (0, 0, 1, 1) for mask in full], np.int32).reshape(-1, 4)
+    parts = tuple(
+        mask[y0:y1, x0:x1].copy() for mask, (x0, y0, x1, y1) in zip(full, boxes, strict=True)
+    )
+    return Masks(full.shape[1], full.shape[2], boxes, parts, scores)
+
+
+def tight_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
+    """x0, y0, x1, y1 of the smallest box around a mask, ends excluded; None where it has none."""
+    rows = np.flatnonzero(mask.any(1))
+    if not len(rows):
+        return None
+    columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(0))
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
 @runtime_checkable
