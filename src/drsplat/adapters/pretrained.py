@@ -1,0 +1,223 @@
+"""A pretrained model by its id on the Hugging Face hub or by its folder: files, hash, errors."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ..errors import DrSplatError, FormatError, InputError, MissingExtraError
+from ..formats.json_files import read_json, shown
+from .libraries import INSTALL, model_class, models_library
+
+WEIGHTS, INDEX = "model.safetensors", "model.safetensors.index.json"
+_WANTED = [
+    "*.json", "merges.txt", "vocab.txt", "*.model", WEIGHTS, "model-*-of-*.safetensors",
+]  # fmt: skip
+_VOCABULARIES = ("tokenizer.json", "vocab.json", "vocab.txt", "*.model")
+_ID = re.compile(r"[A-Za-z0-9][\w.-]*(/[\w.-]+)?")
+
+
+def model_folder(name: str) -> Path:
+    """The folder with a model's files: `name` itself where that is one, else the hub's, downloaded
+    into the cache of huggingface_hub if it is not there yet.
+
+    Raises: InputError: no such folder and no such id, or a gated one. DrSplatError: no network.
+    MissingExtraError: huggingface_hub is not installed.
+    """
+    folder = Path(name).expanduser()
+    if name and folder.is_dir():
+        return folder
+    if folder.exists() or not _ID.fullmatch(name):
+        raise InputError(
+            f"{name}: expected a folder with config.json and {WEIGHTS}, or an id of the Hugging Face "
+            "hub such as laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+        )
+    return _downloaded(name)
+
+
+def cached_in_full(name: str) -> bool:
+    """Whether config and weights of a hub's model are in the local cache. Uses no network."""
+    hub = import_module("huggingface_hub")
+    found = [hub.try_to_load_from_cache(name, file) for file in ("config.json", WEIGHTS, INDEX)]
+    config, whole, index = (isinstance(path, str) for path in found)
+    return config and (whole or index)
+
+
+def model_type(folder: Path) -> str:
+    """The architecture that config.json names.
+
+    Raises: InputError: there is no config.json. FormatError: it names none.
+    """
+    if not (folder / "config.json").is_file():
+        raise InputError(
+            f"{folder}: has no config.json, so it is not a model's folder as transformers saves it: "
+            "give the folder with config.json and model.safetensors"
+        )
+    config = read_json(folder / "config.json")
+    name = config.get("model_type") if isinstance(config, dict) else None
+    if not isinstance(name, str):
+        raise FormatError(f"{folder / 'config.json'}: expected a model_type, got {shown(name)}")
+    return name
+
+
+def weight_files(folder: Path) -> list[Path]:
+    """The safetensors files that hold a model's weights, each with a sound header.
+
+    Raises: InputError: there are none, or only pickles. FormatError: one is damaged or missing.
+    """
+    if (folder / WEIGHTS).is_file():
+        files = [folder / WEIGHTS]
+    elif (folder / INDEX).is_file():
+        files = _shards(folder)
+    else:
+        raise InputError(_no_weights(folder))
+    for file in files:
+        _check_header(file)
+    return files
+
+
+def weights_hash(files: list[Path]) -> str:
+    """BLAKE2b over the bytes of the files, in their order."""
+    digest = hashlib.blake2b(digest_size=16)
+    for path in files:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = ()) -> Any:
+    """A model of transformers in float32, ready to compute, every weight of it from the files.
+
+    unused: ends of names of weights that may be missing because they have no part in the result.
+
+    Raises: FormatError: the weights do not fit config.json, or some are missing.
+    MissingExtraError: transformers cannot be used.
+    """
+    kind = model_class(class_name)
+    try:
+        with _quiet():
+            model, report = kind.from_pretrained(
+                str(folder), use_safetensors=True, local_files_only=True, output_loading_info=True
+            )
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FormatError(
+            f"{folder}: config.json and the weights do not make a {class_name}: {_first_line(error)}. "
+            "Download or convert the model anew"
+        ) from error
+    missing = sorted(name for name in report["missing_keys"] if not name.endswith(unused))
+    if missing:
+        raise FormatError(
+            f"{folder}: the weights lack {len(missing)} tensors of a {class_name}, first "
+            f"'{missing[0]}': they are of another model than config.json says"
+        )
+    return model.float().eval()
+
+
+def load_tokenizer(folder: Path) -> Any:
+    """Raises: InputError: the folder has no tokenizer that transformers can load."""
+    if not any(next(folder.glob(pattern), None) for pattern in _VOCABULARIES):
+        # transformers would make one without words, for which all texts are alike
+        raise InputError(
+            f"{folder}: has no tokenizer, which a query in words needs: copy tokenizer.json (or "
+            "vocab.json and merges.txt) of the model into it"
+        )
+    kind = model_class("AutoTokenizer")
+    try:
+        with _quiet():
+            return kind.from_pretrained(str(folder), local_files_only=True)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, ImportError) as error:
+        raise InputError(
+            f"{folder}: its tokenizer cannot be loaded: {_first_line(error)}. Copy it anew; that of "
+            "SigLIP 1 (spiece.model) needs: pip install sentencepiece"
+        ) from error
+
+
+def _downloaded(name: str) -> Path:
+    try:
+        hub = import_module("huggingface_hub")
+        errors = import_module("huggingface_hub.errors")
+    except ImportError:
+        raise MissingExtraError(f"'{name}' is an id of the Hugging Face hub: {INSTALL}") from None
+    try:
+        return Path(hub.snapshot_download(name, allow_patterns=_WANTED))
+    except errors.GatedRepoError as error:
+        raise InputError(
+            f"{name}: gated. Accept its terms at https://huggingface.co/{name} and log in with "
+            "`hf auth login`, or choose a model that is free to download"
+        ) from error
+    except errors.RepositoryNotFoundError as error:
+        raise InputError(
+            f"{name}: there is no such folder here and no such model on the Hugging Face hub (or it "
+            "is private: `hf auth login`). Check the spelling"
+        ) from error
+    except (OSError, errors.LocalEntryNotFoundError) as error:  # all else of the network is OSError
+        raise DrSplatError(
+            f"{name}: not in the local cache in full, and the hub cannot be reached "
+            f"({_first_line(error)}). Run once with a network and without HF_HUB_OFFLINE, or copy the "
+            "model's folder here and give its path"
+        ) from error
+
+
+def _shards(folder: Path) -> list[Path]:
+    index = read_json(folder / INDEX)
+    places = index.get("weight_map") if isinstance(index, dict) else None
+    if not isinstance(places, dict) or not places:
+        raise FormatError(f"{folder / INDEX}: expected a weight_map, got {shown(places)}")
+    names = sorted({str(name) for name in places.values()})
+    strange = [name for name in names if Path(name).name != name]
+    missing = [name for name in names if not (folder / name).is_file()]
+    if strange or missing:
+        raise FormatError(
+            f"{folder / INDEX}: names {shown((strange or missing)[0])}, which is not there: download "
+            "the model again"
+        )
+    return [folder / name for name in names]
+
+
+def _no_weights(folder: Path) -> str:
+    others = sorted(
+        path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth")
+    )
+    if not others:
+        return f"{folder}: has no {WEIGHTS}: download the model's weights into it"
+    return (
+        f"{folder}: its weights are a pickle ({others[0]}), which can run code when it is loaded. "
+        f'Convert it once, where you trust it: python -c "from transformers import AutoModel; '
+        f"AutoModel.from_pretrained({str(folder)!r}).save_pretrained('converted')\", copy the "
+        "tokenizer's files beside it, and give that folder"
+    )
+
+
+def _check_header(path: Path) -> None:
+    """The length of a file against its header, which a broken download does not pass."""
+    safetensors = import_module("safetensors")
+    try:
+        with safetensors.safe_open(str(path), framework="numpy"):
+            pass
+    except (safetensors.SafetensorError, OSError, ValueError) as error:
+        raise FormatError(
+            f"{path}: damaged or incomplete ({_first_line(error)}): download it again"
+        ) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No progress bars and reports of transformers: what is wrong with the weights is an error here."""
+    log = models_library().utils.logging
+    level, bars = log.get_verbosity(), log.is_progress_bar_enabled()
+    log.set_verbosity_error()
+    log.disable_progress_bar()
+    try:
+        yield
+    finally:
+        log.set_verbosity(level)
+        if bars:
+            log.enable_progress_bar()
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]

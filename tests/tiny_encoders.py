@@ -1,0 +1,98 @@
+"""Folders of tiny models with random weights, as `save_pretrained` writes the published ones."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+SIDE, PATCH, TOKENS = 32, 8, 12
+WORDS = ("a", "red", "blue", "mug", "on", "the", "table")
+_SIZES = {
+    "hidden_size": 16,
+    "intermediate_size": 32,
+    "num_hidden_layers": 2,
+    "num_attention_heads": 2,
+}
+_TEXT = {
+    "vocab_size": 64,
+    "max_position_embeddings": TOKENS,
+    "bos_token_id": 0,
+    "eos_token_id": 1,
+    **_SIZES,
+}
+_VISION = {"patch_size": PATCH, "image_size": SIDE, **_SIZES}
+
+
+def write_model(folder: Path, kind: str, seed: int = 0) -> Path:
+    """A model and its tokenizer; the preprocessing is left to the published one."""
+    import torch
+    import transformers
+
+    torch.manual_seed(seed)
+    config = {"clip": clip_config, "dinov2": dinov2_config}.get(kind) or siglip_config
+    name = {"clip": "CLIP", "siglip": "Siglip", "siglip2": "Siglip2", "dinov2": "Dinov2"}[kind]
+    transformers.utils.logging.disable_progress_bar()
+    model = getattr(transformers, f"{name}Model")(config(kind))
+    with torch.no_grad():  # as in training: fresh ones are so small that all texts look alike
+        for weight in model.parameters():
+            weight.add_(0.2 * torch.randn(weight.shape))
+    model.save_pretrained(folder)
+    if kind == "clip":
+        write_clip_tokenizer(folder)
+    elif kind != "dinov2":
+        write_word_tokenizer(folder)
+    return folder
+
+
+def clip_config(kind: str) -> Any:
+    import transformers
+
+    return transformers.CLIPConfig(text_config=_TEXT, vision_config=_VISION, projection_dim=8)
+
+
+def siglip_config(kind: str) -> Any:
+    import transformers
+
+    vision = _VISION if kind == "siglip" else {**_VISION, "num_patches": (SIDE // PATCH) ** 2}
+    if kind == "siglip2":
+        vision.pop("image_size")
+    config = transformers.SiglipConfig if kind == "siglip" else transformers.Siglip2Config
+    return config(text_config=_TEXT, vision_config=vision)
+
+
+def dinov2_config(kind: str) -> Any:
+    import transformers
+
+    sizes = {name: size for name, size in _SIZES.items() if name != "intermediate_size"}
+    return transformers.Dinov2Config(image_size=42, patch_size=14, mlp_ratio=2, **sizes)
+
+
+def write_clip_tokenizer(folder: Path) -> None:
+    """vocab.json and merges.txt in CLIP's layout: every word of WORDS is one token."""
+    letters = sorted(set("".join(WORDS)))
+    vocab = ["<|startoftext|>", "<|endoftext|>", *letters, *(f"{c}</w>" for c in letters)]
+    merges = ["#version: 0.2"]
+    for word in WORDS:
+        so_far = word[0]
+        for place, letter in enumerate(word[1:], 2):
+            after = letter + ("</w>" if place == len(word) else "")
+            merges.append(f"{so_far} {after}")
+            so_far += after
+            vocab.append(so_far)
+    vocab = list(dict.fromkeys(vocab))
+    ids = {token: number for number, token in enumerate(vocab)}
+    (folder / "vocab.json").write_text(json.dumps(ids))
+    (folder / "merges.txt").write_text("\n".join(dict.fromkeys(merges)) + "\n")
+    (folder / "tokenizer_config.json").write_text(json.dumps({"tokenizer_class": "CLIPTokenizer"}))
+
+
+def write_word_tokenizer(folder: Path) -> None:
+    """Whole words, in lower case only."""
+    from tokenizers import Tokenizer, models, pre_tokenizers
+    from transformers import PreTrainedTokenizerFast
+
+    tokens = ["<pad>", "</s>", "<unk>", *WORDS]
+    words = Tokenizer(models.WordLevel({t: i for i, t in enumerate(tokens)}, unk_token="<unk>"))
+    words.pre_tokenizer = pre_tokenizers.Whitespace()
+    PreTrainedTokenizerFast(
+        tokenizer_object=words, pad_token="<pad>", eos_token="</s>", unk_token="<unk>"
+    ).save_pretrained(folder)
