@@ -29,11 +29,17 @@ class Asked:
 
 @dataclass(frozen=True)
 class Ask:
-    """The query as given: text or a file with a vector, and how to measure. Defaults are those of the options."""
+    """The query as given: a text, an image or a file with a vector; who embeds it; how to measure.
+
+    Defaults are those of the options.
+    """
 
     text: str | None = None
     vector: str | None = None
+    image: str | None = None
     vocabulary: str | None = None
+    encoder: str | None = None
+    device: str = "auto"
     relevancy: bool = False
     negatives: str | None = None
     threshold: float | None = None
@@ -42,7 +48,7 @@ class Ask:
 def asked(field: LanguageField, ask: Ask, threads: int = 0) -> Asked:
     """Scores of the field for a query.
 
-    Raises: InputError: no text and no vector, or both; no encoder for the text. MismatchError: another encoder.
+    Raises: InputError: not one of text, image and vector; no encoder for it. MismatchError: another encoder.
     """
     from ..search import relevancy_from_scores
 
@@ -64,31 +70,81 @@ def asked(field: LanguageField, ask: Ask, threads: int = 0) -> Asked:
 
 
 def _query(field: LanguageField, ask: Ask) -> tuple[np.ndarray, Encoder | None]:
-    """The query's vector, and the encoder where it came from words."""
+    """The query's vector, and the encoder where one made it."""
     from ..errors import InputError
     from ..search import embed_query
+
+    if sum(given is not None for given in (ask.text, ask.image, ask.vector)) != 1:
+        raise InputError("give one of these: a text, --image PICTURE or --vector FILE.npy")
+    if ask.vector is not None:
+        return read_vector(ask.vector), None
+    encoder = _encoder(field, ask)
+    if ask.text is not None:
+        return embed_query(encoder, field, ask.text), encoder
+    return _embedded_image(encoder, str(ask.image)), encoder
+
+
+def _encoder(field: LanguageField, ask: Ask) -> Encoder:
     from .options import encoder_for
 
-    if ask.text is not None and ask.vector is None:
-        encoder = encoder_for(field, ask.vocabulary)
-        return embed_query(encoder, field, ask.text), encoder
-    if ask.vector is not None and ask.text is None:
-        return read_vector(ask.vector), None
-    raise InputError("give either a text or --vector FILE.npy")
+    return encoder_for(field, ask.vocabulary, ask.encoder, ask.device)
+
+
+def _embedded_image(encoder: Encoder, path: str) -> np.ndarray:
+    """A picture of a thing as the masks were: padded with black to a square.
+
+    Raises: InputError: an encoder of words only.
+    """
+    import numpy as np
+
+    from ..crops import crop
+    from ..encoders import ImageEncoder
+    from ..errors import InputError
+
+    if not isinstance(encoder, ImageEncoder):
+        raise InputError(
+            f"{encoder.identity.name} sees no images: pass --encoder NAME, the model that embedded the masks"
+        )
+    picture = read_picture(path)
+    height, width = picture.shape[:2]
+    square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))
+    vector: np.ndarray = encoder.encode_images([square])[0]
+    return vector
+
+
+def read_picture(path: str) -> np.ndarray:
+    """The RGB of a picture file, upright, on black where it is transparent.
+
+    Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
+    """
+    import numpy as np
+    from PIL import Image, ImageOps
+
+    from ..errors import FormatError, InputError
+    from ..photos import PHOTO_FORMATS
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such picture")
+    try:
+        with Image.open(path, formats=PHOTO_FORMATS) as file:
+            picture = ImageOps.exif_transpose(file).convert("RGBA")
+    except Exception as error:  # decoders of damaged files raise anything
+        raise FormatError(
+            f"{path}: cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {error}"
+        ) from error
+    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
+    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
 
 
 def _negatives(field: LanguageField, encoder: Encoder | None, ask: Ask, threads: int) -> Negatives:
     from ..errors import InputError
     from ..search import NEGATIVES, text_negatives
-    from .options import encoder_for
 
     if ask.negatives is not None and ask.negatives.endswith(".npy"):
         return field.score_negatives(read_vectors(ask.negatives), threads=threads)
     if ask.negatives is not None:
         words = [word.strip() for word in ask.negatives.split(",")]
-        return text_negatives(
-            field, encoder or encoder_for(field, ask.vocabulary), words, threads=threads
-        )
+        return text_negatives(field, encoder or _encoder(field, ask), words, threads=threads)
     if field.negatives is not None:
         return field.negatives
     if encoder is None:

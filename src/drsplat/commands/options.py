@@ -94,23 +94,40 @@ def view_named(views: Sequence[View], name: str) -> View:
     )
 
 
-def add_vocabulary(parser: argparse.ArgumentParser) -> None:
+def add_query_encoders(parser: argparse.ArgumentParser) -> None:
+    """--encoder, --device, --vocabulary: what turns words into vectors."""
+    parser.add_argument(
+        "--encoder", metavar="NAME",
+        help="the model that embedded the masks, for queries in words or by image: a folder or an id such as "
+        "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (default: none; fields of the built-in words encoder need none)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
+        help="where --encoder computes (default: auto)",
+    )  # fmt: skip
     parser.add_argument(
         "--vocabulary", metavar="FILE",
-        help="texts and their vectors from the encoder that embedded the masks, for queries in words: JSON {text: "
-        "[numbers]} or safetensors (default: none; fields of the built-in words encoder need none)",
+        help="texts and their vectors from the encoder that embedded the masks, instead of the encoder itself: JSON "
+        "{text: [numbers]} or safetensors",
     )  # fmt: skip
 
 
-def encoder_for(field: LanguageField, vocabulary: str | None) -> Encoder:
+def encoder_for(
+    field: LanguageField, vocabulary: str | None, encoder: str | None = None, device: str = "auto"
+) -> Encoder:
     """What turns words into queries of this field.
 
-    Raises: InputError: a field of another encoder than the built-in one, and no vocabulary.
-    MismatchError: a vocabulary that does not say who made it, of another dimension.
+    Raises: InputError: a field of another encoder than the built-in one, and neither its name nor a
+    vocabulary; or both. MismatchError: another encoder, or one of another dimension where the field
+    does not say who made it.
     """
     from .. import WordEncoder, read_vocabulary
     from ..errors import InputError, MismatchError
 
+    if encoder is not None:
+        if vocabulary is not None:
+            raise InputError("--encoder and --vocabulary both say who embeds the words: drop one")
+        return _loaded_encoder(field, encoder, device)
     if vocabulary is not None:
         # JSON does not say who made it, and neither does a field registered without --encoder-name
         anonymous = Path(vocabulary).suffix == ".json" or field.encoder.name == "unknown"
@@ -125,9 +142,22 @@ def encoder_for(field: LanguageField, vocabulary: str | None) -> Encoder:
         return WordEncoder()
     raise InputError(
         f"the masks of this field were embedded by '{field.encoder.name}' ({field.encoder.dim}-d), so words must be "
-        "too: embed them with that encoder and pass --vocabulary FILE (JSON {text: [numbers]}), or one query with "
+        "too: pass --encoder NAME (its folder, or its id on the Hugging Face hub), --vocabulary FILE (JSON {text: "
+        "[numbers]}) of texts embedded with it, or one query with "
         f"--vector FILE.npy ({field.encoder.dim} numbers)"
     )
+
+
+def _loaded_encoder(field: LanguageField, name: str, device: str) -> Encoder:
+    """Checked against the field; a field that does not know its encoder takes the given one's word."""
+    from ..adapters.loading import load_encoder
+    from ..encoders import EncoderIdentity
+
+    encoder = load_encoder(name, device)
+    if field.encoder.name == "unknown" and encoder.identity.dim == field.encoder.dim:
+        encoder.identity = EncoderIdentity("unknown", field.encoder.dim)
+    field.check_encoder(encoder.identity)
+    return encoder
 
 
 def tracker(arguments: argparse.Namespace) -> Track:

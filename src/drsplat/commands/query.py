@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from .answers import COSINE_THRESHOLD, MIN_GAUSSIANS, RELEVANCY_THRESHOLD, Ask, Asked, asked
 from .options import (
     add_capture_options,
     add_overwrite,
-    add_vocabulary,
+    add_query_encoders,
     count,
     finite,
     new_output,
@@ -21,9 +22,11 @@ if TYPE_CHECKING:
     from ..gaussians import Gaussians
     from ..tasks import Instance
 
-SUMMARY = "find things in a field, in words or by a vector"
+SUMMARY = "find things in a field, in words, by an image or by a vector"
 EXAMPLES = """\
   drsplat query room.field "red mug" --scene scene.ply
+  drsplat query room.field "red mug" --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K --relevancy --scene scene.ply
+  drsplat query room.field --image my_mug.png --encoder models/clip --threshold 0.6 --scene scene.ply
   drsplat query room.field "red mug" --vocabulary clip_texts.json --relevancy --scene scene.ply --top 3
   drsplat query room.field --vector query.npy --threshold 0.25 --scene scene.ply --save found.ply
   drsplat query room.field "red mug" --scene scene.ply --picture mug.png --views capture --view photo_003
@@ -38,7 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--vector", metavar="FILE.npy", help="look for this embedding instead of words: (D,) floats"
     )
-    add_vocabulary(parser)
+    parser.add_argument(
+        "--image", metavar="PICTURE",
+        help="look for what this picture shows instead of words, embedded by --encoder; best cut out, on black or "
+        "transparent, as masks are",
+    )  # fmt: skip
+    add_query_encoders(parser)
     parser.add_argument(
         "--threshold", type=finite, metavar="T",
         help=f"select Gaussians above this (default: {COSINE_THRESHOLD} of the cosine, in [-1, 1], 0.6 with the "
@@ -96,7 +104,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     ids = select(answer.field, answer.values, answer.threshold)
     report = {
         "field": arguments.field,
-        "query": arguments.text or arguments.vector,
+        "query": arguments.text or arguments.image or arguments.vector,
         **_numbers(answer, len(ids)),
     }
     if arguments.scene is None:
@@ -163,9 +171,8 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _ask(arguments: argparse.Namespace) -> Ask:
-    return Ask(
-        arguments.text, arguments.vector, arguments.vocabulary, arguments.relevancy, arguments.negatives, arguments.threshold
-    )  # fmt: skip
+    names = [field.name for field in fields(Ask)]
+    return Ask(**{name: getattr(arguments, name) for name in names})
 
 
 def _numbers(answer: Asked, num_selected: int) -> dict[str, Any]:
@@ -238,6 +245,6 @@ def _draw(arguments: argparse.Namespace, scene: Gaussians, things: list[Instance
     share = visible_share(scene, view, ids, threads=arguments.threads)
     picture = highlighted(photo_or_rendering(scene, view, threads=arguments.threads), share)
     note = f"{len(things)} found" if things else "not found"
-    title = f"“{arguments.text}”" if arguments.text else str(arguments.vector)
+    title = f"“{arguments.text}”" if arguments.text else str(arguments.image or arguments.vector)
     write_picture(arguments.picture, titled(picture, title, note), arguments.overwrite)
     return view.name

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .options import (
     add_capture_options,
     add_overwrite,
-    add_vocabulary,
+    add_query_encoders,
     finite,
     new_output,
     tracker,
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="of --query (default: as `drsplat query`)"
     )
-    add_vocabulary(parser)
+    add_query_encoders(parser)
     add_capture_options(parser)
 
 
@@ -119,7 +119,10 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     if arguments.query is None:
         return None
     path, text = arguments.query
-    ask = Ask(text=text, vocabulary=arguments.vocabulary, threshold=arguments.threshold)
+    ask = Ask(
+        text=text, vocabulary=arguments.vocabulary, encoder=arguments.encoder,
+        device=arguments.device, threshold=arguments.threshold,
+    )  # fmt: skip
     answer = asked(load_field(path), ask, arguments.threads)
     chosen = np.zeros((len(scene), 1), np.float32)
     least, values = MIN_GAUSSIANS, answer.values

@@ -1,0 +1,151 @@
+"""`drsplat query --encoder`: fields whose masks a tiny CLIP embedded, asked in words and by image."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from PIL import Image
+
+from drsplat.adapters.loading import load_encoder
+from drsplat.cli import main
+from drsplat.commands.answers import Ask, asked, read_picture
+from drsplat.encoders import EncoderIdentity
+from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.field import LanguageField, build_field
+from fields import SCENE, random_evidence
+from tiny_encoders import write_model
+
+torch = pytest.importorskip("torch", reason="needs torch")
+pytest.importorskip("transformers", reason="needs transformers")
+torch.set_num_threads(1)
+
+THING = np.random.default_rng(3).integers(1, 256, (12, 20, 3), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_model(tmp_path_factory.mktemp("models") / "tiny-clip", "clip")
+
+
+@pytest.fixture(scope="module")
+def dinov2(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_model(tmp_path_factory.mktemp("models") / "tiny-dinov2", "dinov2")
+
+
+def field_of(identity: EncoderIdentity) -> LanguageField:
+    evidence = random_evidence(np.random.default_rng(0), dim=identity.dim)
+    return build_field(evidence, SCENE, identity)
+
+
+@pytest.fixture(scope="module")
+def field(clip: Path) -> LanguageField:
+    return field_of(load_encoder(str(clip), "cpu").identity)
+
+
+def test_words_through_the_encoder_of_the_field(clip: Path, field: LanguageField) -> None:
+    expected = load_encoder(str(clip), "cpu").encode_texts(["a red mug"])[0]  # type: ignore[union-attr]
+    answer = asked(field, Ask(text="a red mug", encoder=str(clip)))
+    assert_allclose(answer.query, expected, atol=1e-6)
+    assert_allclose(answer.values, field.scores(expected), atol=1e-6)
+    relevant = asked(field, Ask(text="a red mug", encoder=str(clip), relevancy=True))
+    negatives = load_encoder(str(clip), "cpu").encode_texts(
+        ["object", "things", "stuff", "texture"]
+    )
+    assert_allclose(relevant.values, field.relevancy(expected, negatives), atol=1e-6)
+
+
+def test_an_image_is_padded_to_a_square_as_masks_are(
+    clip: Path, field: LanguageField, tmp_path: Path
+) -> None:
+    Image.fromarray(THING).save(tmp_path / "thing.png")
+    square = np.zeros((20, 20, 3), np.uint8)
+    square[4:16] = THING
+    encoder: Any = load_encoder(str(clip), "cpu")
+    answer = asked(field, Ask(image=str(tmp_path / "thing.png"), encoder=str(clip)))
+    assert_allclose(answer.query, encoder.encode_images([square])[0], atol=1e-6)
+
+
+def test_on_the_command_line(
+    clip: Path, field: LanguageField, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    field.save(tmp_path / "a.field")
+    Image.fromarray(THING).save(tmp_path / "thing.png")
+    given, shown = ["query", str(tmp_path / "a.field")], ["--image", str(tmp_path / "thing.png")]
+    options = ["--encoder", str(clip), "--device", "cpu", "--json"]
+    assert main([*given, "red mug", *options]) == 0
+    assert json.loads(capsys.readouterr().out)["query"] == "red mug"
+    assert main([*given, *shown, *options]) == 0
+    assert json.loads(capsys.readouterr().out)["query"].endswith("thing.png")
+    assert main([*given, "red mug", *shown, *options]) == 1
+    assert "one of these" in json.loads(capsys.readouterr().out)["error"]
+    assert main([*given, "red mug", "--vocabulary", "x.json", *options]) == 1
+    assert "drop one" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_another_encoder_is_refused_and_both_are_named(clip: Path, field: LanguageField) -> None:
+    for other in (
+        replace(field.encoder, weights="0" * 32),
+        EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 8),
+        replace(field.encoder, preprocessing="224 px"),
+    ):
+        with pytest.raises(MismatchError, match="tiny-clip") as caught:
+            asked(field_of(other), Ask(text="mug", encoder=str(clip)))
+        assert other.name in str(caught.value)
+    with pytest.raises(MismatchError, match="drsplat-words"):
+        asked(field, Ask(text="mug", encoder="drsplat-words"))
+
+
+def test_a_field_that_does_not_know_its_encoder_takes_one_that_fits(clip: Path) -> None:
+    for dim in (8, 16):
+        field = field_of(EncoderIdentity("unknown", dim))
+        if dim == 8:
+            assert asked(field, Ask(text="mug", encoder=str(clip))).measure == "cosine"
+            continue
+        with pytest.raises(MismatchError, match="tiny-clip"):
+            asked(field, Ask(text="mug", encoder=str(clip)))
+
+
+def test_without_an_encoder_the_message_says_how(field: LanguageField) -> None:
+    with pytest.raises(InputError, match=r"tiny-clip.*--encoder NAME.*\{text: \[numbers\]\}"):
+        asked(field, Ask(text="mug"))
+
+
+def test_self_referencing_queries(dinov2: Path, tmp_path: Path) -> None:
+    field = field_of(load_encoder(str(dinov2), "cpu").identity)
+    Image.fromarray(THING).save(tmp_path / "thing.png")
+    ask = Ask(image=str(tmp_path / "thing.png"), encoder=str(dinov2))
+    assert len(asked(field, ask).values) == len(field)
+    with pytest.raises(InputError, match="self-referencing"):
+        asked(field, Ask(text="mug", encoder=str(dinov2)))
+    with pytest.raises(InputError, match="self-referencing"):
+        asked(field, replace(ask, relevancy=True))
+
+
+def test_the_words_encoder_sees_no_images(tmp_path: Path) -> None:
+    from drsplat.words import WordEncoder
+
+    Image.fromarray(THING).save(tmp_path / "thing.png")
+    with pytest.raises(InputError, match="drsplat-words sees no images"):
+        asked(field_of(WordEncoder.identity), Ask(image=str(tmp_path / "thing.png")))
+
+
+def test_pictures(tmp_path: Path) -> None:
+    alpha = np.full((12, 20, 1), 255, np.uint8)
+    alpha[:, :5] = 0
+    Image.fromarray(np.concatenate([THING, alpha], 2)).save(tmp_path / "cut.png")
+    expected = THING.copy()
+    expected[:, :5] = 0
+    np.testing.assert_array_equal(read_picture(str(tmp_path / "cut.png")), expected)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # lies on its side
+    Image.fromarray(THING).save(tmp_path / "turned.png", exif=exif)
+    np.testing.assert_array_equal(read_picture(str(tmp_path / "turned.png")), np.rot90(THING, -1))
+    with pytest.raises(InputError, match="no such picture"):
+        read_picture(str(tmp_path / "absent.png"))
+    (tmp_path / "bad.png").write_bytes((tmp_path / "cut.png").read_bytes()[:60])
+    with pytest.raises(FormatError, match="cannot be read as a picture"):
+        read_picture(str(tmp_path / "bad.png"))
