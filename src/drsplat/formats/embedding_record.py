@@ -1,0 +1,196 @@
+"""embedding.json: what made the features of a folder, and which of them are finished."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ..errors import FormatError, InputError, MismatchError
+from .json_files import read_json, shown
+from .photo_files import listed
+from .replacing import replacing
+
+FILE_NAME, FORMAT = "embedding.json", "drsplat embedding 1"
+_MAPS, _EMBEDDINGS = "_s.npy", "_f.npy"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """One photo's files. photo: hash of its bytes and its raster. embeddings: hash of `_f.npy`, which
+    is written first; map_bytes: size of `_s.npy`. masks: by level. empty_masks: left out.
+    """
+
+    photo: str
+    embeddings: str
+    map_bytes: int
+    masks: Mapping[str, int]
+    empty_masks: int
+
+
+class EmbeddingRecord:
+    """The record of one folder. Made by `open_record`; every change is on disk when a method returns.
+
+    changes: what differed from the folder's former settings. finished: by stem of the files.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Mapping[str, object],
+        finished: dict[str, Finished],
+        changes: tuple[str, ...] = (),
+    ) -> None:
+        self.folder, self.finished, self.changes = folder, finished, changes
+        self._settings = settings
+
+    def is_finished(self, stem: str, photo: str) -> bool:
+        """Whether the files are there, of these settings and of this photo."""
+        entry = self.finished.get(stem)
+        return entry is not None and entry.photo == photo and _fits(entry, self.folder, stem)
+
+    def has_files(self, stem: str) -> bool:
+        return _sized(self.folder / f"{stem}{_MAPS}") is not None
+
+    def unfinished(self) -> list[str]:
+        """Stems that have maps but no entry."""
+        return [stem for stem in _stems(self.folder, _MAPS) if stem not in self.finished]
+
+    def make_room(self, stem: str) -> None:
+        """Before files are replaced. An entry that outlives its files could come to fit others; maps
+        must not be there beside embeddings that are not theirs, whenever the run is killed.
+        """
+        if self.finished.pop(stem, None) is not None:
+            self.write()
+        (self.folder / f"{stem}{_MAPS}").unlink(missing_ok=True)
+
+    def add(self, stem: str, photo: str, masks: Mapping[str, int], empty_masks: int) -> None:
+        """After both files are written."""
+        size = (self.folder / f"{stem}{_MAPS}").stat().st_size
+        digest = _digest(self.folder / f"{stem}{_EMBEDDINGS}")
+        self.finished[stem] = Finished(photo, digest, size, masks, empty_masks)
+        self.write()
+
+    def write(self) -> None:
+        photos = {stem: asdict(entry) for stem, entry in self.finished.items()}
+        document = {"format": FORMAT, "settings": self._settings, "photos": photos}
+        with replacing(self.folder / FILE_NAME, overwrite=True) as file:
+            file.write(json.dumps(document, indent=1).encode())
+
+
+def open_record(
+    folder: Path, settings: Mapping[str, object], overwrite: bool = False
+) -> EmbeddingRecord:
+    """The record of a folder for files of these settings; both are made where they are not there.
+
+    Where the folder's settings are others, nothing in it counts as finished. With `overwrite`
+    nothing does either, and features without a record are taken over.
+
+    Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a
+    damaged record.
+    """
+    path, settings = folder / FILE_NAME, _as_json(settings)
+    if path.is_file() and not overwrite:
+        before, finished = _read(path)
+        changes = _differences(before, settings)
+        record = EmbeddingRecord(folder, settings, {} if changes else finished, changes)
+        if changes:
+            record.write()
+        return record
+    foreign = [stem for ending in (_MAPS, _EMBEDDINGS) for stem in _stems(folder, ending)]
+    if foreign and not overwrite:
+        raise InputError(
+            f"{folder} has features that were not made here ({FILE_NAME} is missing): name another "
+            f"folder, or pass overwrite to replace them: {listed(sorted(set(foreign)))}"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    record = EmbeddingRecord(folder, settings, {})
+    record.write()
+    return record
+
+
+def read_settings(folder: Path) -> dict[str, object] | None:
+    """What made the features of a folder, or None where it has no record.
+
+    Raises: FormatError: a damaged record. MismatchError: some of its features have no entry, as
+    when `embed` was stopped after a setting had changed.
+    """
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return None
+    settings, finished = _read(path)
+    others = [stem for stem in _stems(folder, _MAPS) if stem not in finished]
+    if others:
+        raise MismatchError(
+            f"{folder}: {len(others)} photos have features that are not of the settings in "
+            f"{FILE_NAME}: let drsplat embed finish, or remove them: {listed(others)}"
+        )
+    return settings
+
+
+def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
+    document = read_json(path)
+    parts = document if isinstance(document, dict) else {}
+    settings, photos = parts.get("settings"), parts.get("photos")
+    if parts.get("format") == FORMAT and isinstance(settings, dict) and isinstance(photos, dict):
+        entries = {stem: _entry(value) for stem, value in photos.items()}
+        return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
+    raise FormatError(
+        f"{path}: expected '{FORMAT}' with settings and photos, got {shown(parts.get('format'))}: "
+        "damaged, or of another version. Name another folder, or pass overwrite to make all anew"
+    )
+
+
+def _entry(value: object) -> Finished | None:
+    """None for what no entry looks like: its photo is then embedded again."""
+    try:
+        entry = Finished(**value)  # type: ignore[arg-type]
+        counts = [entry.empty_masks, entry.map_bytes, *entry.masks.values()]
+    except (TypeError, AttributeError):
+        return None
+    return entry if all(type(count) is int for count in counts) else None
+
+
+def _fits(entry: Finished, folder: Path, stem: str) -> bool:
+    embeddings = folder / f"{stem}{_EMBEDDINGS}"
+    if _sized(folder / f"{stem}{_MAPS}") != entry.map_bytes or not embeddings.is_file():
+        return False
+    return _digest(embeddings) == entry.embeddings
+
+
+def _sized(path: Path) -> int | None:
+    return path.stat().st_size if path.is_file() else None
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def _stems(folder: Path, ending: str) -> list[str]:
+    names = (path.relative_to(folder).as_posix() for path in folder.rglob(f"*{ending}"))
+    return sorted(name.removesuffix(ending) for name in names)
+
+
+def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
+    """As they are read back: tuples become lists."""
+    try:
+        plain: dict[str, object] = json.loads(json.dumps(settings))
+    except TypeError as error:
+        raise InputError(
+            f"an identity must hold text, numbers and lists of them: {error}"
+        ) from None
+    return plain
+
+
+def _differences(before: object, now: object, name: str = "") -> tuple[str, ...]:
+    """Each setting that differs, what it was and what it is."""
+    return tuple(_changed(before, now, name))
+
+
+def _changed(before: object, now: object, name: str) -> Iterator[str]:
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in [*before, *(key for key in now if key not in before)]:
+            yield from _changed(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif before != now:
+        yield f"{name}: {json.dumps(before)} -> {json.dumps(now)}"

@@ -1,0 +1,241 @@
+"""Instances of LVIS and COCO: photos in which people have outlined things.
+
+Source: the LVIS v1 and COCO data formats (lvisdataset.org/dataset, cocodataset.org/#format-data).
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+from urllib.parse import urlsplit
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from ..errors import FormatError, InputError
+from .json_files import as_count, as_number, shown
+from .photo_files import safe_name
+from .rle import decode_runs, fill_polygon, unpack_counts
+
+T = TypeVar("T")
+MAX_SIDE = 1 << 16
+_MAX_COORDINATE = 1 << 20
+
+
+@dataclass(frozen=True)
+class AnnotatedPhoto:
+    """name: relative to the folder of the photos. height, width: pixels, as annotated."""
+
+    id: int
+    name: str
+    height: int
+    width: int
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Run lengths of a mask: numbers, or COCO's compressed text of them."""
+
+    counts: Int64[np.ndarray, " n"] | str
+    height: int
+    width: int
+
+
+Polygons = tuple[Float64[np.ndarray, " n"], ...]
+"""Outlines that are taken together, each x0, y0, x1, y1, ... in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instance:
+    """One outlined thing. area: as the file says, pixels. crowd: many things under one outline."""
+
+    id: int
+    photo: int
+    category: int
+    area: float
+    crowd: bool
+    segmentation: Polygons | Runs
+
+
+@dataclass(frozen=True)
+class Annotations:
+    """What one file holds; instances in its order. photos, categories: by id."""
+
+    path: Path
+    photos: Mapping[int, AnnotatedPhoto]
+    categories: Mapping[int, str]
+    instances: tuple[Instance, ...]
+
+    def mask(self, instance: Instance) -> Bool[np.ndarray, "h w"]:
+        """The pixels of an instance; polygons by `rle.fill_polygon`, united.
+
+        Raises: FormatError: runs that do not fit the photo.
+        """
+        photo, where = self.photos[instance.photo], f"{self.path}, annotation {instance.id}"
+        height, width, segmentation = photo.height, photo.width, instance.segmentation
+        if isinstance(segmentation, Runs):
+            where += ": segmentation"
+            counts = segmentation.counts
+            runs = unpack_counts(counts, where) if isinstance(counts, str) else counts
+            return decode_runs(runs, height, width, where)
+        mask = np.zeros((height, width), bool)
+        for polygon in segmentation:
+            mask |= fill_polygon(polygon.reshape(-1, 2), height, width)
+        return mask
+
+
+def read_annotations(path: str | Path) -> Annotations:
+    """The annotations in a JSON file of LVIS v1 or COCO.
+
+    A photo's name is its file_name; LVIS v1 has none, then it is the end of its coco_url with the
+    folder of the split ("train2017/000000391895.jpg"), because LVIS's splits are not COCO's.
+    Outlines of fewer than three corners are taken as they are: they hold no pixel.
+
+    Raises: InputError: there is no such file. FormatError: the file is no such JSON; the error names
+    the entry and the field.
+    """
+    path = Path(path)
+    document = _document(path)
+    photos = _by_id(document["images"], f"{path}, image", _photo)
+    categories = _by_id(document["categories"], f"{path}, category", _category)
+    instances = _by_id(document["annotations"], f"{path}, annotation", _instance)
+    for instance in instances.values():
+        _check_links(instance, photos, categories, f"{path}, annotation {instance.id}")
+    return Annotations(path, photos, categories, tuple(instances.values()))
+
+
+def _document(path: Path) -> dict[str, list[object]]:
+    """LVIS's training set is 1.1 GB of text: outlines become arrays while it is parsed."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8-sig"), object_hook=_compacted)
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: expected JSON: {error}") from error
+    if not isinstance(document, dict) or not all(
+        isinstance(document.get(key), list) for key in ("images", "annotations", "categories")
+    ):
+        raise FormatError(
+            f"{path}: expected an object with the lists images, annotations and categories, as LVIS "
+            f"and COCO have, got {shown(document)}"
+        )
+    return document
+
+
+def _compacted(entry: dict[str, object]) -> dict[str, object]:
+    """Lists of numbers as arrays; whatever else is there is left for the checks to name."""
+    outlines = entry.get("segmentation")
+    if isinstance(outlines, list):
+        entry["segmentation"] = [_array(outline, np.float64) for outline in outlines]
+    if "counts" in entry:
+        entry["counts"] = _array(entry["counts"], np.int64)
+    return entry
+
+
+def _array(values: object, dtype: type[np.float64] | type[np.int64]) -> object:
+    kinds: set[type] = {int} if dtype is np.int64 else {int, float}
+    if not isinstance(values, list) or not set(map(type, values)) <= kinds:
+        return values
+    try:
+        return np.array(values, dtype)
+    except OverflowError:
+        return values
+
+
+def _by_id(
+    entries: list[object], what: str, parse: Callable[[dict[str, object], int, str], T]
+) -> dict[int, T]:
+    found: dict[int, T] = {}
+    for place, entry in enumerate(entries):
+        if not isinstance(entry, dict):
+            raise FormatError(f"{what} at place {place}: expected an object, got {shown(entry)}")
+        number = as_count(entry.get("id"), f"{what} at place {place}: id")
+        if number in found:
+            raise FormatError(f"{what} {number}: the id occurs twice")
+        found[number] = parse(entry, number, f"{what} {number}")
+    return found
+
+
+def _photo(entry: dict[str, object], number: int, where: str) -> AnnotatedPhoto:
+    height, width = (as_count(entry.get(key), f"{where}: {key}") for key in ("height", "width"))
+    if not (1 <= height <= MAX_SIDE and 1 <= width <= MAX_SIDE):
+        raise FormatError(f"{where}: height, width: no photo has {width}x{height} pixels")
+    return AnnotatedPhoto(number, _photo_name(entry, where), height, width)
+
+
+def _photo_name(entry: dict[str, object], where: str) -> str:
+    name = entry.get("file_name")
+    if isinstance(name, str):
+        return safe_name(name, f"{where}: file_name")
+    url = entry.get("coco_url")
+    if not isinstance(url, str):
+        raise FormatError(f"{where}: expected a text file_name, or coco_url as LVIS has")
+    try:
+        place = urlsplit(url).path
+    except ValueError as error:
+        raise FormatError(f"{where}: coco_url: {error}") from None
+    return safe_name("/".join(place.strip("/").split("/")[-2:]), f"{where}: coco_url")
+
+
+def _category(entry: dict[str, object], number: int, where: str) -> str:
+    name = entry.get("name")
+    if not isinstance(name, str):
+        raise FormatError(f"{where}: name: expected text, got {shown(name)}")
+    return name
+
+
+def _instance(entry: dict[str, object], number: int, where: str) -> Instance:
+    photo, category = (
+        as_count(entry.get(key), f"{where}: {key}") for key in ("image_id", "category_id")
+    )
+    area = as_number(entry.get("area"), f"{where}: area")
+    crowd = as_count(entry.get("iscrowd", 0), f"{where}: iscrowd") != 0
+    segmentation = _segmentation(entry.get("segmentation"), f"{where}: segmentation")
+    return Instance(number, photo, category, area, crowd, segmentation)
+
+
+def _segmentation(value: object, where: str) -> Polygons | Runs:
+    if isinstance(value, dict):
+        return _runs(value, where)
+    if not isinstance(value, list):
+        raise FormatError(f"{where}: expected polygons or run lengths, got {shown(value)}")
+    for polygon in value:
+        if not isinstance(polygon, np.ndarray) or len(polygon) % 2:
+            raise FormatError(
+                f"{where}: expected polygons, lists of x and y in turns; got {shown(polygon)}"
+            )
+        if not (np.abs(polygon) <= _MAX_COORDINATE).all():  # false for NaN
+            raise FormatError(f"{where}: a polygon has a coordinate that no photo has")
+    return tuple(value)
+
+
+def _runs(value: dict[str, object], where: str) -> Runs:
+    counts, size = value.get("counts"), value.get("size")
+    if not isinstance(size, list) or len(size) != 2:
+        raise FormatError(f"{where}: size: expected [height, width], got {shown(size)}")
+    height, width = (as_count(side, f"{where}: size") for side in size)
+    if not isinstance(counts, str | np.ndarray):
+        raise FormatError(
+            f"{where}: counts: expected whole numbers or compressed text, got {shown(counts)}"
+        )
+    return Runs(counts, height, width)
+
+
+def _check_links(
+    instance: Instance,
+    photos: Mapping[int, AnnotatedPhoto],
+    categories: Mapping[int, str],
+    where: str,
+) -> None:
+    photo = photos.get(instance.photo)
+    if photo is None:
+        raise FormatError(f"{where}: image_id: there is no image {instance.photo}")
+    if instance.category not in categories:
+        raise FormatError(f"{where}: category_id: there is no category {instance.category}")
+    runs = instance.segmentation
+    if isinstance(runs, Runs) and (runs.height, runs.width) != (photo.height, photo.width):
+        raise FormatError(
+            f"{where}: segmentation: size: {runs.width}x{runs.height}, but its image has "
+            f"{photo.width}x{photo.height}"
+        )
