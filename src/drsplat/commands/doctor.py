@@ -1,0 +1,209 @@
+"""drsplat doctor: what is installed, what can run here, what is missing."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Any
+
+SUMMARY = "say what is installed, what can run on this machine and what is missing"
+EXAMPLES = """\
+  drsplat doctor
+  drsplat doctor --json
+
+Downloads nothing and needs no network."""
+
+PACKAGES = {
+    "numpy": "core", "scipy": "core", "pillow": "core", "safetensors": "core", "zstandard": "core",
+    "rich": "core", "jaxtyping": "core", "torch": "models, cuda", "transformers": "models",
+    "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1", "torchvision": "not needed",
+    "gsplat": "cuda", "faiss-cpu": "not needed",
+}  # fmt: skip
+"""Name of each distribution and what it is for."""
+MODELS = {
+    "laion/CLIP-ViT-B-16-laion2B-s34B-b88K": "embeddings and words",
+    "facebook/sam-vit-huge": "masks, on a GPU",
+    "facebook/sam2.1-hiera-tiny": "masks, on a CPU",
+}
+"""The default models by id; written out because importing those who load them takes longer than all of this."""
+_PROBE = "import json; from drsplat.commands.doctor import probe; print(json.dumps(probe()))"
+_PROBE_SECONDS = 120
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """It has no options of its own."""
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    asked = _start_probe()  # the slowest: importing torch; the rest is done meanwhile
+    versions = {name: _version(name) for name in PACKAGES}
+    answer = {
+        "drsplat": _version("drsplat"),
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "packages": versions,
+        "native": _native(),
+        "models": _models(),
+    }
+    facts = _probed(asked)
+    devices = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": _has_fast_bfloat16()}
+    devices |= {"cuda": facts.get("cuda", []), "mps": facts.get("mps", False)}
+    return {**answer, "devices": devices, "can": abilities(facts)}
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import show_facts, show_table
+
+    native, devices = answer["native"], answer["devices"]
+    show_facts(
+        f"drsplat {answer['drsplat']}",
+        {
+            "Python": f"{answer['python']} on {answer['system']}",
+            "instruction set": f"{native['chosen']} of {', '.join(native['instruction_sets'])}",
+            "CPU": f"{devices['cpu_cores']} cores, bfloat16 {'fast' if devices['cpu_bfloat16'] else 'not in hardware'}",
+            "GPU": ", ".join(devices["cuda"])
+            or ("Apple's" if devices["mps"] else "none that torch finds"),
+        },
+    )
+    packages = answer["packages"].items()
+    rows = [(name, number or "not installed", PACKAGES[name]) for name, number in packages]
+    show_table("Packages", ("name", "version", "for"), rows)
+    print("Models")  # lines, because a table would cut their ids, which people copy
+    for name, of in answer["models"].items():
+        print(f"  {name}: {of['for']}; {_cached_said(of['cached'])}")
+    print("\nWhat can run")
+    for name, ability in answer["can"].items():
+        print(f"  {'yes' if ability['ready'] else 'NO '} {name}")
+        for line in (ability["reason"], ability["cure"]):
+            if line:
+                print(f"      {line}")
+
+
+def abilities(facts: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What can run: ready, else the reason, and what to do about it.
+
+    facts: as `probe` gives them; empty where torch is not installed.
+    """
+    return {
+        "register, query, render, train on the CPU": _ability(None, None),
+        "train on a CUDA GPU": _ability(_no_cuda_training(facts), None),
+        "masks and embeddings of real models (SAM, CLIP)": _ability(*_no_models(facts)),
+    }
+
+
+def _ability(reason: str | None, cure: str | None) -> dict[str, Any]:
+    return {"ready": reason is None, "reason": reason, "cure": cure}
+
+
+def _no_cuda_training(facts: dict[str, Any]) -> str | None:
+    """Why not, with what to do; without torch there is nothing to import, so it is asked here."""
+    from ..training.cuda import unavailable
+
+    return facts["no_cuda_training"] if facts else unavailable()
+
+
+def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
+    """Why SAM and CLIP cannot run, and the cure."""
+    from ..adapters.libraries import INSTALL, NO_TORCHVISION
+
+    absent = [name for name in ("torch", "transformers") if not _is_installed(name)]
+    if absent:
+        return f"not installed: {', '.join(absent)}", INSTALL
+    if facts.get("torch_fault"):
+        return f"torch cannot be imported: {facts['torch_fault']}", f"{INSTALL} --force-reinstall"
+    if facts.get("torchvision_fault"):
+        return (
+            "the installed torchvision does not fit torch, so transformers cannot import its models "
+            f"({facts['torchvision_fault']})",
+            f"{NO_TORCHVISION} (drsplat needs none), or install the one of this torch",
+        )
+    return None, None
+
+
+def probe() -> dict[str, Any]:
+    """What only importing torch can tell."""
+    from ..adapters.probing import torch_facts
+
+    facts = torch_facts()
+    if facts["torch_fault"]:
+        return {**facts, "no_cuda_training": f"torch cannot be imported: {facts['torch_fault']}"}
+    from ..training.cuda import unavailable
+
+    return {**facts, "no_cuda_training": unavailable()}
+
+
+def _start_probe() -> subprocess.Popen[str] | None:
+    if not _is_installed("torch"):
+        return None
+    return subprocess.Popen(
+        [sys.executable, "-c", _PROBE],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
+    """Its answer, the last line; a process that died says why in its own last line."""
+    if asked is None:
+        return {}
+    try:
+        out, errors = asked.communicate(timeout=_PROBE_SECONDS)
+    except subprocess.TimeoutExpired:
+        asked.kill()
+        asked.communicate()
+        out, errors = "", f"no answer in {_PROBE_SECONDS} s"
+    try:
+        facts = json.loads((out.splitlines() or [""])[-1])
+    except ValueError:
+        fault = (errors.strip().splitlines() or [f"exit code {asked.returncode}"])[-1]
+        return {"torch_fault": fault, "no_cuda_training": f"torch cannot be imported: {fault}"}
+    return facts if isinstance(facts, dict) else {}
+
+
+def _native() -> dict[str, Any]:
+    from ..kernels import available_isas, default_isa
+
+    return {"instruction_sets": list(available_isas()), "chosen": default_isa()}
+
+
+def _models() -> dict[str, dict[str, Any]]:
+    """The default models by id: what for, and whether they are here (None: cannot be told)."""
+    from ..adapters.pretrained import cached_in_full
+
+    known = _is_installed("huggingface_hub")
+    return {
+        name: {"for": use, "cached": cached_in_full(name) if known else None}
+        for name, use in MODELS.items()
+    }
+
+
+def _cached_said(cached: bool | None) -> str:
+    return {
+        True: "in the local cache",
+        False: "not in the local cache, downloaded at first use",
+        None: "huggingface_hub is not installed",
+    }[cached]
+
+
+def _has_fast_bfloat16() -> bool:
+    from ..adapters.devices import has_fast_bfloat16
+
+    return has_fast_bfloat16()
+
+
+def _is_installed(name: str) -> bool:
+    return find_spec(name) is not None
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
