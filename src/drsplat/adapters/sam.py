@@ -1,0 +1,206 @@
+"""SAM and SAM 2 of transformers as segmenters; no torchvision, none of their processors."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+from PIL import Image
+
+from ..errors import FormatError, InputError
+from ..formats.json_files import as_vector, read_json, shown
+from .devices import chosen_device
+from .libraries import models_library
+from .point_masks import Found, PointMaskSettings, PointSegmenter
+from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
+
+DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
+"""The paper's. Source: LangSplat preprocess.py (sam_vit_h_4b8939)."""
+CPU_SEGMENTER = "facebook/sam2.1-hiera-tiny"
+"""The one to take without a GPU."""
+
+_IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+_ARCHITECTURES = {
+    "sam": ("SamModel", False),
+    "sam2": ("Sam2Model", True),
+    "sam2_video": ("Sam2Model", True),  # what Meta's SAM 2 checkpoints say; they hold both
+}
+_CHUNK_NUMBERS = 1 << 24  # floats of enlarged masks at a time: 64 MiB
+
+
+@dataclass(frozen=True)
+class ModelFrame:
+    """How an image becomes what the model sees, a square of `side` pixels, and masks come back.
+
+    stretched: SAM 2 stretches the image to the square. SAM scales the longer side to it and fills
+    the rest, right and below, with zeros after normalising. Scaled by Pillow, bilinear, as bytes.
+
+    Source: segment-anything utils/transforms.py and modeling/sam.py; sam2 utils/transforms.py,
+    which scales floats in torch, so up to 1/255 differs before normalising.
+    """
+
+    side: int
+    stretched: bool
+    mean: tuple[float, ...] = _IMAGENET_MEAN
+    std: tuple[float, ...] = _IMAGENET_STD
+
+    def scaled_size(self, height: int, width: int) -> tuple[int, int]:
+        """Height and width of the image within the square."""
+        if self.stretched:
+            return self.side, self.side
+        scale = self.side / max(height, width)
+        return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
+
+    def pixel_values(self, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 s s"]:
+        height, width = self.scaled_size(*image.shape[:2])
+        scaled = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
+        pixels = np.asarray(scaled, np.float64) / 255
+        values = np.zeros((3, self.side, self.side), np.float32)
+        values[:, :height, :width] = ((pixels - self.mean) / self.std).transpose(2, 0, 1)
+        return values
+
+    def scaled_points(
+        self, points: Float64[np.ndarray, "p 2"], height: int, width: int
+    ) -> Float32[np.ndarray, "p 2"]:
+        """x, y in pixels of the image to those of the square."""
+        new_height, new_width = self.scaled_size(height, width)
+        scaled = points * (new_width / width, new_height / height)
+        return np.asarray(scaled, np.float32)
+
+    def enlarged(self, logits: Any, height: int, width: int) -> Any:
+        """Masks' logits, (n, h, w) over the square, to the size of the image, as tensors."""
+        from torch.nn.functional import interpolate
+
+        rows = logits[:, None].float()
+        if not self.stretched:
+            used_height, used_width = self.scaled_size(height, width)
+            rows = interpolate(rows, (self.side, self.side), mode="bilinear", align_corners=False)
+            rows = rows[..., :used_height, :used_width]
+        rows = interpolate(rows, (height, width), mode="bilinear", align_corners=False)
+        return rows[:, 0]
+
+
+class SamPredictor:
+    """SAM or SAM 2 on one device, in float32. identity: name and hash of the weights."""
+
+    def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
+        self.model, self.frame, self.device = model.to(device), frame, device
+        self.identity: Mapping[str, object] = dict(identity)
+
+    def find(
+        self,
+        crop: UInt8[np.ndarray, "h w 3"],
+        points: Float64[np.ndarray, "p 2"],
+        settings: PointMaskSettings,
+    ) -> Iterator[Found]:
+        """See PointPredictor. The image is encoded once; batches of points are decoded."""
+        import torch
+
+        size = crop.shape[:2]
+        with torch.inference_mode():
+            pixels = torch.from_numpy(self.frame.pixel_values(crop))[None].to(self.device)
+            features = self.model.get_image_embeddings(pixels)
+            asked = torch.from_numpy(self.frame.scaled_points(points, *size)).to(self.device)
+            for start in range(0, len(asked), settings.points_per_batch):
+                batch = asked[start : start + settings.points_per_batch]
+                yield from self._answers(features, batch, size, settings)
+
+    def _answers(
+        self, features: Any, points: Any, size: tuple[int, ...], settings: PointMaskSettings
+    ) -> Iterator[Found]:
+        """The predicted IoU decides before masks are enlarged, which costs time and memory."""
+        import torch
+
+        answer = self.model(
+            image_embeddings=features,
+            input_points=points[None, :, None],
+            input_labels=torch.ones((1, len(points), 1), dtype=torch.int64, device=points.device),
+            multimask_output=True,
+        )
+        iou = answer.iou_scores[0].float()
+        wanted = torch.zeros_like(iou, dtype=torch.bool)
+        wanted[:, list(settings.outputs)] = True
+        rows, outputs = torch.nonzero(wanted & (iou > settings.min_predicted_iou), as_tuple=True)
+        chunk = max(1, _CHUNK_NUMBERS // max(size[0] * size[1], self.frame.side**2))
+        for start in range(0, len(rows), chunk):
+            some, which = rows[start : start + chunk], outputs[start : start + chunk]
+            logits = answer.pred_masks[0, some, which]
+            yield self._found(logits, iou[some, which], which, size, settings)
+
+    def _found(
+        self, logits: Any, iou: Any, which: Any, size: tuple[int, ...], settings: PointMaskSettings
+    ) -> Found:
+        enlarged = self.frame.enlarged(logits, size[0], size[1])
+        strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
+        lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
+        stability = strict / lax.clamp(min=1)  # nothing above the laxer bound: 0
+        good = stability >= settings.min_stability
+        return Found(
+            (enlarged[good] > 0).cpu().numpy(),
+            _array(iou[good]),
+            _array(stability[good]),
+            which[good].cpu().numpy(),
+        )
+
+
+def load_segmenter(
+    name: str = DEFAULT_SEGMENTER,
+    device: str = "auto",
+    settings: PointMaskSettings | None = None,
+) -> PointSegmenter:
+    """SAM or SAM 2 (also 2.1) with a grid of points.
+
+    name: a folder as `save_pretrained` writes it, or an id of the Hugging Face hub, which is
+    downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are loaded,
+    never pickles. device: auto, cpu, cuda or mps.
+
+    identity: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
+    pixels, and the settings. The device is not part of it, although it may change single pixels.
+
+    Raises: InputError: no such model, a gated one, another architecture, no weights. FormatError:
+    damaged or incomplete ones. MissingExtraError: torch, transformers or the device is absent.
+    DrSplatError: no network.
+    """
+    models_library()
+    device = chosen_device(device)
+    folder = model_folder(name)
+    kind = model_type(folder)
+    if kind not in _ARCHITECTURES:
+        raise InputError(
+            f"{name}: is a '{kind}', expected SAM or SAM 2 ({', '.join(_ARCHITECTURES)}), such as "
+            f"{DEFAULT_SEGMENTER} or, without a GPU, {CPU_SEGMENTER}"
+        )
+    files = weight_files(folder)
+    class_name, stretched = _ARCHITECTURES[kind]
+    model = load_model(class_name, folder)
+    mean, std = read_normalization(folder)
+    side = int(model.config.prompt_encoder_config.image_size)  # in which points are placed
+    frame = ModelFrame(side, stretched, mean, std)
+    called = folder.resolve().name if Path(name).expanduser().is_dir() else name
+    identity = {
+        "name": called, "architecture": class_name, "weights": weights_hash(files),
+        "side": side, "mean": list(mean), "std": list(std),
+    }  # fmt: skip
+    return PointSegmenter(SamPredictor(model, frame, device, identity), settings)
+
+
+def read_normalization(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Mean and deviation per channel, of 0 to 1, from the model's folder, else ImageNet's.
+
+    Raises: FormatError: the file has other than three numbers, or deviations that are not positive.
+    """
+    path = folder / "preprocessor_config.json"
+    settings = read_json(path) if path.is_file() else {}
+    if not isinstance(settings, dict):
+        raise FormatError(f"{path}: expected an object, got {shown(settings)}")
+    mean = as_vector(settings.get("image_mean", list(_IMAGENET_MEAN)), 3, f"{path}: image_mean")
+    std = as_vector(settings.get("image_std", list(_IMAGENET_STD)), 3, f"{path}: image_std")
+    if min(std) <= 0:
+        raise FormatError(f"{path}: image_std: expected positive numbers, got {std.tolist()}")
+    return tuple(mean.tolist()), tuple(std.tolist())
+
+
+def _array(tensor: Any) -> Float32[np.ndarray, " n"]:
+    return np.asarray(tensor.float().cpu().numpy())
