@@ -138,7 +138,7 @@ def test_the_size_of_batches_makes_no_difference(
     whole, sizes = encoder.encode_images(IMAGES), []
     inner = encoder._image_rows
     monkeypatch.setattr(encoder, "_image_rows", lambda i: sizes.append(len(i)) or inner(i))
-    monkeypatch.setattr(type(encoder), "batch", 2)
+    monkeypatch.setattr(encoder, "batch", 2)
     assert_allclose(encoder.encode_images(IMAGES), whole, atol=1e-6)
     assert sizes == [2, 2, 1]
 

@@ -58,7 +58,8 @@ class TransformersEncoder:
     """Images and texts to unit vectors. Made by `loading.load_encoder`.
 
     identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what
-    precision images are computed; texts always in float32. The last TEXTS_KEPT texts are remembered.
+    precision images are computed; texts always in float32. batch: images in one pass. The last
+    TEXTS_KEPT texts are remembered.
     """
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
@@ -77,6 +78,7 @@ class TransformersEncoder:
         self._model = load_model(self._family.class_name, folder, unused).to(self.device)
         self.preprocessing = read_preprocessing(folder, _published(self._family, self._vision))
         self._check_side()
+        self.batch = max(1, BATCH_BYTES[self.device] // (12 * self.preprocessing.side**2))
         dim = self._model.config.projection_dim if kind == "clip" else self._vision.hidden_size
         self.identity = EncoderIdentity(name, dim, weights_hash(files), str(self.preprocessing))
         self._tokenizer: Any = None
@@ -109,11 +111,6 @@ class TransformersEncoder:
         while len(self._texts) > TEXTS_KEPT:
             self._texts.popitem(last=False)
         return np.stack(vectors) if vectors else np.empty((0, self.identity.dim), np.float32)
-
-    @property
-    def batch(self) -> int:
-        """Images in one pass."""
-        return max(1, BATCH_BYTES[self.device] // (12 * self.preprocessing.side**2))
 
     @property
     def _vision(self) -> Any:
