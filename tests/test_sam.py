@@ -450,6 +450,14 @@ def test_equal_identity_means_equal_masks(folder, library, tmp_path):
     assert stricter.identity != segmenter.identity
 
 
+def test_the_callers_torch_is_left_as_it_was(folder):
+    import torch
+
+    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    for _ in segmenter.predictor.find(IMAGE, point_grid(2) * 64, LOOSE):
+        assert not torch.is_inference_mode_enabled()
+
+
 def test_masks_do_not_depend_on_how_many_are_enlarged_at_a_time(folder, monkeypatch):
     segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
     whole = segmenter.segment(IMAGE)["default"]
@@ -504,6 +512,11 @@ def test_pixels_are_normalised_as_the_folder_says(library, tmp_path):
     values = segmenter.predictor.frame.pixel_values(np.full((64, 64, 3), 255, np.uint8))
     np.testing.assert_allclose(values[:, 0, 0], [0.5, 0.375, 0.25])
     assert segmenter.identity["std"] == [1, 2, 4]
+    config.rename(folder / "processor_config.json").write_text(
+        '{"image_processor": {"image_mean": [0.1, 0.2, 0.3]}}'  # as transformers 5 saves it
+    )
+    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    assert segmenter.identity["mean"] == [0.1, 0.2, 0.3]
     for wrong in ('{"image_std": [1, 0, 1]}', '{"image_mean": [1, 2]}', "[]"):
         config.write_text(wrong)
         with pytest.raises(FormatError, match=r"preprocessor_config\.json"):

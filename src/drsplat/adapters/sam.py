@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from PIL import Image
 
 from ..errors import FormatError, InputError
@@ -99,50 +99,61 @@ class SamPredictor:
         import torch
 
         size = crop.shape[:2]
-        with torch.inference_mode():
+        with torch.inference_mode():  # never across a yield: it would hold in the caller
             pixels = torch.from_numpy(self.frame.pixel_values(crop))[None].to(self.device)
             features = self.model.get_image_embeddings(pixels)
-            asked = torch.from_numpy(self.frame.scaled_points(points, *size)).to(self.device)
-            for start in range(0, len(asked), settings.points_per_batch):
-                batch = asked[start : start + settings.points_per_batch]
-                yield from self._answers(features, batch, size, settings)
+        asked = self.frame.scaled_points(points, *size)
+        for start in range(0, len(asked), settings.points_per_batch):
+            batch = asked[start : start + settings.points_per_batch]
+            logits, iou = self._answers(features, batch)
+            # before masks are enlarged, which costs time and memory
+            wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
+            yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
 
     def _answers(
-        self, features: Any, points: Any, size: tuple[int, ...], settings: PointMaskSettings
-    ) -> Iterator[Found]:
-        """The predicted IoU decides before masks are enlarged, which costs time and memory."""
+        self, features: Any, points: Float32[np.ndarray, "p 2"]
+    ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
+        """Three masks' logits per point, (p, 3, h, w) over the square, and their predicted IoU."""
         import torch
 
-        answer = self.model(
-            image_embeddings=features,
-            input_points=points[None, :, None],
-            input_labels=torch.ones((1, len(points), 1), dtype=torch.int64, device=points.device),
-            multimask_output=True,
-        )
-        iou = answer.iou_scores[0].float()
-        wanted = torch.zeros_like(iou, dtype=torch.bool)
-        wanted[:, list(settings.outputs)] = True
-        rows, outputs = torch.nonzero(wanted & (iou > settings.min_predicted_iou), as_tuple=True)
-        chunk = max(1, _CHUNK_NUMBERS // max(size[0] * size[1], self.frame.side**2))
-        for start in range(0, len(rows), chunk):
-            some, which = rows[start : start + chunk], outputs[start : start + chunk]
-            logits = answer.pred_masks[0, some, which]
-            yield self._found(logits, iou[some, which], which, size, settings)
+        with torch.inference_mode():
+            asked = torch.from_numpy(points).to(self.device)
+            answer = self.model(
+                image_embeddings=features,
+                input_points=asked[None, :, None],
+                input_labels=torch.ones((1, len(asked), 1), dtype=torch.int64, device=self.device),
+                multimask_output=True,
+            )
+            return answer.pred_masks[0], _array(answer.iou_scores[0])
 
-    def _found(
-        self, logits: Any, iou: Any, which: Any, size: tuple[int, ...], settings: PointMaskSettings
-    ) -> Found:
-        enlarged = self.frame.enlarged(logits, size[0], size[1])
-        strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
-        lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
-        stability = strict / lax.clamp(min=1)  # nothing above the laxer bound: 0
-        good = stability >= settings.min_stability
-        return Found(
-            (enlarged[good] > 0).cpu().numpy(),
-            _array(iou[good]),
-            _array(stability[good]),
-            which[good].cpu().numpy(),
-        )
+    def _enlarged(
+        self,
+        logits: Any,
+        iou: Float32[np.ndarray, "p 3"],
+        wanted: Int64[np.ndarray, "n 2"],
+        size: tuple[int, ...],
+        settings: PointMaskSettings,
+    ) -> Iterator[Found]:
+        """wanted: point and output of each mask."""
+        chunk = max(1, _CHUNK_NUMBERS // max(size[0] * size[1], self.frame.side**2))
+        for start in range(0, len(wanted), chunk):
+            points, outputs = wanted[start : start + chunk].T
+            masks, stability = self._stable(logits[points, outputs], size, settings)
+            good = stability >= settings.min_stability
+            yield Found(masks[good], iou[points, outputs][good], stability[good], outputs[good])
+
+    def _stable(
+        self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
+    ) -> tuple[Bool[np.ndarray, "n h w"], Float32[np.ndarray, " n"]]:
+        """Masks at the size of the crop, and how little they change with the threshold."""
+        import torch
+
+        with torch.inference_mode():
+            enlarged = self.frame.enlarged(logits, size[0], size[1])
+            strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
+            lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
+            # nothing above the laxer bound: 0
+            return (enlarged > 0).cpu().numpy(), _array(strict / lax.clamp(min=1))
 
 
 def load_segmenter(
@@ -193,6 +204,10 @@ def read_normalization(folder: Path) -> tuple[tuple[float, ...], tuple[float, ..
     """
     path = folder / "preprocessor_config.json"
     settings = read_json(path) if path.is_file() else {}
+    if not path.is_file() and (folder / "processor_config.json").is_file():
+        path = folder / "processor_config.json"
+        whole = read_json(path)
+        settings = whole.get("image_processor", {}) if isinstance(whole, dict) else whole
     if not isinstance(settings, dict):
         raise FormatError(f"{path}: expected an object, got {shown(settings)}")
     mean = as_vector(settings.get("image_mean", list(_IMAGENET_MEAN)), 3, f"{path}: image_mean")
@@ -202,5 +217,5 @@ def read_normalization(folder: Path) -> tuple[tuple[float, ...], tuple[float, ..
     return tuple(mean.tolist()), tuple(std.tolist())
 
 
-def _array(tensor: Any) -> Float32[np.ndarray, " n"]:
+def _array(tensor: Any) -> Float32[np.ndarray, "*shape"]:
     return np.asarray(tensor.float().cpu().numpy())
