@@ -16,7 +16,8 @@ from typing import NoReturn, TextIO
 
 from .errors import DrSplatError, DrSplatWarning
 
-VERBS = ("train", "inspect", "register", "query", "render", "demo", "doctor")  # in the order of the pipeline
+# in the order of the pipeline
+VERBS = ("train", "inspect", "embed", "codebook", "register", "query", "render", "demo", "doctor")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -42,7 +42,7 @@ class Runs:
     width: int
 
 
-Polygons = tuple[Float64[np.ndarray, " n"], ...]
+Polygons = tuple[Float64[np.ndarray, " _"], ...]
 """Outlines that are taken together, each x0, y0, x1, y1, ... in pixels."""
 
 

@@ -56,6 +56,12 @@ def find_photo(folder: Path, name: str) -> Path | None:
     return next((path for path in with_suffix if path.is_file()), None)
 
 
+def capture_folder(path: Path) -> Path:
+    """The folder of a capture that is named by itself, its model's folder or one of its files."""
+    folder = path if path.is_dir() else path.parent
+    return Path(_MODEL_FOLDERS.sub("", folder.as_posix()))
+
+
 def image_folder(capture: Path, images: str | Path | None) -> Path:
     """Where a capture's photos are: `images`, else CAPTURE/images, else CAPTURE.
 
@@ -65,7 +71,7 @@ def image_folder(capture: Path, images: str | Path | None) -> Path:
     Raises: InputError: `images` is no folder.
     """
     if not (capture / "images").is_dir():
-        capture = Path(_MODEL_FOLDERS.sub("", capture.as_posix()))
+        capture = capture_folder(capture)
     if images is None:
         return capture / "images" if (capture / "images").is_dir() else capture
     for folder in (capture / images, Path(images)):

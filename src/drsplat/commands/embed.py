@@ -1,0 +1,161 @@
+"""drsplat embed: posed photos -> masks and their embeddings, as LangSplat writes them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from .options import add_capture_options, add_overwrite, count, views_of
+
+if TYPE_CHECKING:
+    from ..codes import Track
+    from ..encoders import ImageEncoder
+    from ..segments import Segmenter
+
+SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register"
+EXAMPLES = """\
+  drsplat embed capture
+  drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --levels large
+  drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
+
+A run that was stopped goes on where it was when the same command is given again, without --overwrite."""
+SEGMENTER = "facebook/sam-vit-huge"
+ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+ENCODER_HELP = (
+    f"model that embeds, an id of the Hugging Face hub or a folder: CLIP, SigLIP or SigLIP 2, or DINOv2, which knows "
+    f"no words (default: {ENCODER}, the paper's)"
+)
+T = TypeVar("T")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "capture", help="the photos: a folder with a COLMAP model, transforms.json or cameras.json"
+    )
+    parser.add_argument(
+        "--output", "-o", metavar="DIR",
+        help="folder for <photo>_s.npy and <photo>_f.npy (default: CAPTURE/language_features)",
+    )  # fmt: skip
+    add_overwrite(parser)
+    models = parser.add_argument_group("models")
+    models.add_argument(
+        "--segmenter", default=SEGMENTER, metavar="NAME",
+        help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder (default: {SEGMENTER}, the paper's; "
+        "on a CPU facebook/sam2.1-hiera-tiny takes seconds for a photo instead of minutes)",
+    )  # fmt: skip
+    models.add_argument("--encoder", default=ENCODER, metavar="NAME", help=ENCODER_HELP)
+    add_device(models)
+    method = parser.add_argument_group("method")
+    method.add_argument(
+        "--levels", choices=("four", "large"), default="four",
+        help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
+        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four)",
+    )  # fmt: skip
+    method.add_argument(
+        "--max-height", type=count, default=1080, metavar="PIXELS",
+        help="scale taller photos down to this, as LangSplat does (default: 1080)",
+    )  # fmt: skip
+    add_capture_options(parser)
+
+
+def add_device(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
+        help="where the models run; auto is a GPU where there is one (default: auto)",
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..embedding import embed
+    from ..progress import Stopwatch, peak_memory_bytes
+
+    watch = Stopwatch()
+    views = views_of(arguments, arguments.capture)
+    output = _output_folder(arguments)
+    segmenter = _segmenter(arguments)
+    encoder = image_encoder(arguments)
+    watch.lap("load")
+    report = embed(
+        views, output, segmenter, encoder,
+        max_height=arguments.max_height, overwrite=arguments.overwrite, track=metered(arguments),
+    )  # fmt: skip
+    watch.lap("embed")
+    made = report.photos - report.reused
+    return {
+        "output": str(output),
+        "photos": report.photos,
+        "reused": report.reused,
+        "redone": report.redone,
+        "changes": list(report.changes),
+        "masks": sum(report.masks.values()),
+        "masks_per_level": dict(report.masks),
+        "empty_masks": report.empty_masks,
+        "encoder": encoder.identity.name,
+        "dim": encoder.identity.dim,
+        "seconds": sum(watch.seconds.values()),
+        "photos_per_second": made / watch.seconds["embed"],
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import said, show_facts, size_said
+
+    made = answer["photos"] - answer["reused"]
+    anew = f", {said(answer['redone'])} over older files" if answer["redone"] else ""
+    show_facts(
+        f"embedded: {answer['output']}",
+        {
+            "photos": f"{said(answer['photos'])} ({said(answer['reused'])} from an earlier run{anew})",
+            "masks": f"{said(answer['masks'])} ({said(answer['masks_per_level'])})",
+            "empty masks": said(answer["empty_masks"]),
+            "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
+            "time": f"{answer['seconds']:.1f} s for {said(made)} photos",
+            "peak memory": size_said(answer["peak_memory_bytes"]),
+        },
+    )
+
+
+def _output_folder(arguments: argparse.Namespace) -> Path:
+    from ..formats.photo_files import capture_folder
+
+    if arguments.output:
+        return Path(arguments.output)
+    return capture_folder(Path(arguments.capture)) / "language_features"
+
+
+def metered(arguments: argparse.Namespace) -> Track:
+    """A bar on a terminal; elsewhere a line a minute, because this takes hours on a CPU."""
+
+    def follow(items: Sequence[T], description: str, /) -> Iterable[T]:
+        with Meter(description, len(items), quiet=arguments.json) as meter:
+            for done, item in enumerate(items, 1):
+                yield item
+                meter.update(done, item if isinstance(item, str) else "")
+
+    from ..progress import Meter
+
+    return follow
+
+
+def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
+    """That of --encoder and --device. InputError: one that knows words only."""
+    from ..adapters.loading import load_encoder
+    from ..encoders import ImageEncoder
+    from ..errors import InputError
+
+    encoder = load_encoder(arguments.encoder, arguments.device)
+    if not isinstance(encoder, ImageEncoder):
+        raise InputError(f"--encoder {arguments.encoder}: it embeds words, no images: name another")
+    return encoder
+
+
+def _segmenter(arguments: argparse.Namespace) -> Segmenter:
+    from ..adapters.point_masks import PointMaskSettings
+    from ..adapters.sam import load_segmenter
+    from ..segments import LEVELS
+
+    levels = LEVELS if arguments.levels == "four" else ("large",)
+    return load_segmenter(arguments.segmenter, arguments.device, PointMaskSettings(levels=levels))
