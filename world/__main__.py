@@ -1,0 +1,88 @@
+"""python -m world --split test --seed 7 --output DIR [--views 40 --size 640x480]
+python -m world --contact-sheet FILE.jpg"""
+
+import argparse
+import secrets
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from .cameras import views_of
+from .contact_sheet import contact_sheet
+from .layouts import write_lerf, write_scannet, write_truth
+from .looks import SPLITS, Split
+from .render import shoot
+from .rooms import make_room
+from .scan import from_depth, of_surfaces
+
+VERSION = 1  # of the world: a change of what a seed makes raises it
+
+
+def main() -> None:
+    arguments = _arguments()
+    split = SPLITS[arguments.split]
+    if arguments.contact_sheet:
+        contact_sheet(arguments.contact_sheet, split)
+        return
+    output: Path = arguments.output
+    if output.exists():
+        sys.exit(f"{output} exists already: name a folder that does not, or remove it")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    temporary = output.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        write_scene(
+            temporary, split, arguments.seed, arguments.views, arguments.size, arguments.spp
+        )
+        temporary.rename(output)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def write_scene(
+    folder: Path, split: Split, seed: int, views: int, size: tuple[int, int], spp: int
+) -> None:
+    """One room in all layouts (see `layouts`)."""
+    room = make_room(split, seed)
+    cameras = views_of(room, views, size, split.rng(seed, 300))
+    shots = []
+    started = time.perf_counter()
+    for shot in shoot(room, cameras, spp, seed):
+        shots.append(shot)
+        print(
+            f"\r{len(shots)}/{views} views, {time.perf_counter() - started:.0f} s",
+            end="",
+            flush=True,
+        )
+    print()
+    rng, scene = split.rng(seed, 400), f"{split.name}_{seed:04d}"
+    about = {"world": VERSION, "split": split.name, "seed": seed, "spp": spp, "scene": scene}
+    write_truth(folder, room, shots, about)
+    write_lerf(
+        folder / "lerf_ovs", scene, room, shots, from_depth(shots, 20_000, rng), max(4, views // 6)
+    )
+    write_scannet(folder / "scannet", scene, room, shots, of_surfaces(room, shots, rng))
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m world", description="Makes a household scene.")
+    parser.add_argument("--split", choices=sorted(SPLITS), default="train")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--output", type=Path, metavar="DIR")
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--size", type=_size, default=(640, 480), metavar="WIDTHxHEIGHT")
+    parser.add_argument("--spp", type=int, default=32, help="samples per pixel")
+    parser.add_argument("--contact-sheet", type=Path, metavar="FILE.jpg")
+    arguments = parser.parse_args()
+    if arguments.output is None and arguments.contact_sheet is None:
+        parser.error("name what to make: --output DIR or --contact-sheet FILE.jpg")
+    return arguments
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = text.lower().split("x")
+    return int(width), int(height)
+
+
+if __name__ == "__main__":
+    main()

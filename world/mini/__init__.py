@@ -1,0 +1,1 @@
+"""How the built-in encoder `mini` is learned from this world; needs torch and mitsuba."""
