@@ -48,14 +48,19 @@ class Ask:
 def asked(field: LanguageField, ask: Ask, threads: int = 0) -> Asked:
     """Scores of the field for a query.
 
+    Words of a loaded encoder are measured by relevancy: CLIP's cosines of words with photos are seldom
+    above 0.3, fit or not, and no threshold suits all of them.
+
     Raises: InputError: not one of text, image and vector; no encoder for it. MismatchError: another encoder.
     """
     from ..search import relevancy_from_scores
 
     query, encoder = _query(field, ask)
     scores = field.scores(query, threads=threads)
-    if not (ask.relevancy or ask.negatives):
-        default = getattr(encoder, "threshold", COSINE_THRESHOLD)
+    own = getattr(encoder, "threshold", None)  # the built-in encoders' cosines mean something
+    uncertain = ask.text is not None and ask.encoder is not None and own is None
+    if not (ask.relevancy or ask.negatives or uncertain):
+        default = COSINE_THRESHOLD if own is None else own
         return Asked(
             field, query, scores, "cosine", default if ask.threshold is None else ask.threshold
         )

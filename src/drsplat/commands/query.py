@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 SUMMARY = "find things in a field, in words, by an image or by a vector"
 EXAMPLES = """\
   drsplat query room.field "red mug" --scene scene.ply
-  drsplat query room.field "red mug" --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K --relevancy --scene scene.ply
+  drsplat query room.field "red mug" --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K --scene scene.ply
   drsplat query room.field --image my_mug.png --encoder models/clip --threshold 0.6 --scene scene.ply
   drsplat query room.field "red mug" --vocabulary clip_texts.json --relevancy --scene scene.ply --top 3
   drsplat query room.field --vector query.npy --threshold 0.25 --scene scene.ply --save found.ply
   drsplat query room.field "red mug" --scene scene.ply --picture mug.png --views capture --view photo_003
 
 Which threshold? Cosines of one encoder's texts are near 1 for what fits, those of CLIP between texts and photos
-seldom exceed 0.3: look at the printed range, or use --relevancy, which is the same scale for every encoder."""
+seldom exceed 0.3. Relevancy is the same scale for every encoder; words with --encoder are measured by it. For
+the others look at the printed range."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--relevancy", action="store_true",
-        help="measure relevancy instead of the cosine: how much better the query fits than any negative; 0.5 is as well",
+        help="measure relevancy instead of the cosine: how much better the query fits than any negative; 0.5 is as well "
+        "(default: only for words with --encoder)",
     )  # fmt: skip
     parser.add_argument(
         "--negatives", metavar="WORDS|FILE.npy",
