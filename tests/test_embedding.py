@@ -172,6 +172,14 @@ def test_a_photo_without_masks_has_files_without_rows(tmp_path):
     assert len(registered.segments) == len(features["b"].embeddings)
 
 
+def test_photos_without_any_mask_are_told_of(tmp_path):
+    view = a_view(tmp_path, "a.png")
+    Image.new("RGB", (24, 18)).save(view.image_path)
+    with pytest.warns(DrSplatWarning, match="no mask was found in any of 1 photos"):
+        report = embed([view], tmp_path / "out", ColorSegmenter(), ThumbnailEncoder())
+    assert (report.masks, report.empty_masks) == ({}, 1)
+
+
 # What is refused
 
 

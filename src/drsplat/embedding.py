@@ -86,15 +86,9 @@ def embed(
     for stem in track(pending, "embedding photos"):
         _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder)
     _tell_leftovers(record)
-    finished = [record.finished[stem] for stem in photos]
-    masks = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
+    masks, empty_masks = _totals(record, list(photos))
     return EmbeddingReport(
-        photos=len(photos),
-        reused=len(photos) - len(pending),
-        redone=redone,
-        masks={level: count for level, count in masks.items() if count},
-        empty_masks=sum(photo.empty_masks for photo in finished),
-        changes=record.changes,
+        len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes
     )
 
 
@@ -190,6 +184,17 @@ def _counts(maps: SegmentMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
     """Masks by level, of the levels that the segmenter gave."""
     ids = {level: maps.segment_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
     return {level: len(np.unique(seen[seen >= 0])) for level, seen in ids.items()}
+
+
+def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:
+    """Masks by level and empty masks of all these photos."""
+    finished = [record.finished[stem] for stem in stems]
+    counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
+    masks = {level: count for level, count in counts.items() if count}
+    if not masks:
+        text = f"no mask was found in any of {len(stems)} photos: there is nothing to register"
+        warn(text, DrSplatWarning, stacklevel=4)
+    return masks, sum(photo.empty_masks for photo in finished)
 
 
 def _tell_changes(record: EmbeddingRecord) -> None:
