@@ -71,7 +71,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--output", type=Path, metavar="DIR")
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=_size, default=(640, 480), metavar="WIDTHxHEIGHT")
-    parser.add_argument("--spp", type=int, default=32, help="samples per pixel")
+    parser.add_argument("--spp", type=int, default=16, help="samples per pixel")
     parser.add_argument("--contact-sheet", type=Path, metavar="FILE.jpg")
     arguments = parser.parse_args()
     if arguments.output is None and arguments.contact_sheet is None:

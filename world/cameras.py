@@ -36,11 +36,8 @@ def orbit(room: Room, count: int, size: tuple[int, int], rng: np.random.Generato
         height = 0.55 + 0.3 * np.sin(7 * np.pi * k / count)
         for shrink in range(16):
             reach = rng.uniform(0.95, 1.4) * 0.97**shrink
-            eye = room.focus + [
-                reach * np.cos(angle),
-                reach * np.sin(angle),
-                height + 0.05 * shrink,
-            ]
+            ring = np.array([reach * np.cos(angle), reach * np.sin(angle), height + 0.05 * shrink])
+            eye = room.focus + ring
             if is_free(room, eye):
                 break
         target = room.focus + rng.normal(0, 0.08, 3) * [1, 1, 0.5]

@@ -31,13 +31,13 @@ def _studio(kind: str, split: Split, seed: int, side: int) -> Stage:
     thing = make(kind, split, seed)
     scale = float(1 / thing.size.max())
     turn = np.radians(35 + 25 * (seed % 3) - 60 * (seed % 2))
-    toward = np.array([np.cos(turn), np.sin(turn), 0.45 if thing.size[2] * scale > 0.25 else 0.9])
+    toward = np.array([np.cos(turn), np.sin(turn), 0.45 if thing.size[2] * scale > 0.25 else 1.0])
     middle = np.array([0, 0, 0.5 * thing.size[2] * scale])
     eye = middle + 2.35 * toward / np.linalg.norm(toward)
     paper = plain("plaster", (0.80, 0.82, 0.84))
     ground = box((80.0, 80.0, 0.2)).moved(z=-0.2)
     view = look_at(eye, middle, (side, side), 27.0, kind)
-    return Stage([(thing, (0.0, 0.0, 0.0, scale))], [(paper, ground)], view, np.full(3, 0.85))
+    return Stage([(thing, (0.0, 0.0, 0.0, scale))], [(paper, ground)], view, np.full(3, 1.5))
 
 
 def _paste(rows: list[tuple[str, list[np.ndarray]]], seeds: int, side: int) -> Image.Image:

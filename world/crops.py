@@ -16,7 +16,7 @@ from drsplat import View
 
 from . import engine
 from .cameras import look_at
-from .looks import Look, Split, Wardrobe, color, plain
+from .looks import Look, Split, Wardrobe, color, plain, shaded, washed
 from .meshes import Mesh, box
 from .thing import Thing
 from .things import CATALOGUE
@@ -71,8 +71,8 @@ def random_stage(split: Split, rng: np.random.Generator, kind: int, side: int) -
         scale = _unit(other) * (rng.uniform(0.2, 0.4) if before else rng.uniform(0.4, 0.9))
         gap = _reach(star, actors[0][1][3]) + _reach(other, scale) * rng.uniform(0.8, 1.1)
         angle = azimuth + (rng.uniform(-1.0, 1.0) if before else rng.uniform(1.0, 2 * np.pi - 1.0))
-        place = (gap * np.cos(angle), gap * np.sin(angle), rng.uniform(0, 360), scale)
-        actors.append((other, tuple(map(float, place))))
+        x, y = gap * np.cos(angle), gap * np.sin(angle)
+        actors.append((other, (float(x), float(y), float(rng.uniform(0, 360)), float(scale))))
     height = np.radians(rng.uniform(8, 55))
     toward = np.array(
         [np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)]
@@ -112,11 +112,11 @@ def _ground(clothes: Wardrobe, rng: np.random.Generator, use: str) -> Look:
         "brown",
         *(["black", "blue", "green", "red", "yellow", "pink"]),
     )
-    pale = tuple(0.35 + 0.6 * c for c in shade.rgb) if rng.random() < 0.5 else shade.rgb
+    pale = washed(shade.rgb, 0.35, 0.6) if rng.random() < 0.5 else shade.rgb
     kind = rng.random()
     if kind < 0.25:
         return plain("plaster", pale)
-    dark = tuple(0.55 * c for c in pale)
+    dark = shaded(pale, 0.55)
     if kind < 0.5 and use == "floor":
         return clothes.textured("wood", "wood", pale, dark, float(rng.uniform(1.5, 3)))
     if kind < 0.65:

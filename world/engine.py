@@ -21,9 +21,7 @@ from .denoising import denoised
 from .looks import MATERIALS, Look
 from .meshes import Mesh
 
-LLVM = tuple(f"/usr/lib/x86_64-linux-gnu/libLLVM-{n}.so" for n in (19, 18, 17, 16)) + (
-    "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1",
-)
+LLVM = tuple(f"/usr/lib/x86_64-linux-gnu/libLLVM-{n}.so" for n in (19, 18, 17, 16))
 CREASE = 40.0  # degrees; edges sharper than this are drawn sharp
 # OpenCV's camera axes (right, down, forward) in Mitsuba's (left, up, forward)
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -119,6 +117,11 @@ def _bsdf(look: Look) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": bsdf}
 
 
+def even_sky(radiance: list[float]) -> dict[str, Any]:
+    """The same light from everywhere."""
+    return {"type": "constant", "radiance": {"type": "rgb", "value": radiance}}
+
+
 def sky(image: Float32[np.ndarray, "h w 3"]) -> dict[str, Any]:
     """Light from all around: linear radiance over (polar angle from +z, azimuth)."""
     mi = mitsuba()
@@ -152,7 +155,7 @@ def sensor(view: View, spp: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def scene(shapes: dict[str, Any], lights: dict[str, Any], depth: int = 5) -> Any:
+def scene(shapes: dict[str, Any], lights: dict[str, Any], depth: int = 4) -> Any:
     """depth: the bounces of light, 2 for direct light alone."""
     path = {"type": "path", "max_depth": depth}
     parts = {"type": "scene", "integrator": path}
@@ -163,7 +166,7 @@ def side_by_side(views: list[View], spp: int) -> dict[str, Any]:
     """Cameras of one size that render next to each other into one wide picture, in one go."""
     sensors = {f"sensor_{k:03d}": sensor(view, spp) for k, view in enumerate(views)}
     first = sensor(views[0], spp)
-    film = {**first["film"], "width": sum(view.width for view in views)}
+    film: dict[str, Any] = {**first["film"], "width": sum(view.width for view in views)}
     return {"type": "batch", "sampler": first["sampler"], "film": film, **sensors}
 
 

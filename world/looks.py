@@ -131,6 +131,11 @@ def shaded(rgb: Rgb, factor: float) -> Rgb:
     return _rgb(values * factor if factor <= 1 else 1 - (1 - values) * (2 - factor))
 
 
+def washed(rgb: Rgb, white: float, share: float) -> Rgb:
+    """A share of the colour over this much white."""
+    return _rgb(white + share * np.array(rgb))
+
+
 def plain(material: str, shade: Color | Rgb) -> Look:
     return Look(material, shade.rgb if isinstance(shade, Color) else shade)
 

@@ -4,6 +4,7 @@ Metres, z up. Every maker stands its mesh on z = 0 around the z axis, except `sw
 its path. Corners of a face are counterclockwise seen from outside. uv are metres along the surface.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,7 +125,7 @@ def _on_rounded_box(
         return points
     inner = np.clip(points, -core, core)
     away = points - inner
-    return inner + edge * away / np.linalg.norm(away, axis=-1, keepdims=True)
+    return np.asarray(inner + edge * away / np.linalg.norm(away, axis=-1, keepdims=True))
 
 
 def pillow(length: float, width: float, thickness: float, n: int = 20) -> Mesh:
@@ -141,8 +142,8 @@ def pillow(length: float, width: float, thickness: float, n: int = 20) -> Mesh:
 
 
 def sweep(
-    path: list[Vec3] | np.ndarray,
-    radii: float | list[float] | list[tuple[float, float]] | np.ndarray,
+    path: Sequence[Vec3] | np.ndarray,
+    radii: float | Sequence[float] | Sequence[tuple[float, float]] | np.ndarray,
     sides: int = 14,
     square: float = 2.0,
     loop: bool = False,
@@ -174,10 +175,7 @@ def sweep(
 def _frames(
     path: Float64[np.ndarray, "n 3"], loop: bool
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    if loop:
-        tangent = np.roll(path, -1, 0) - np.roll(path, 1, 0)
-    else:
-        tangent = np.gradient(path, axis=0)
+    tangent = np.roll(path, -1, 0) - np.roll(path, 1, 0) if loop else np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     direction = path[-1] - path[0]
     bend = np.linalg.svd(path - path.mean(0))[1]
@@ -214,7 +212,8 @@ def extrude(outline: Curve, height: float) -> Mesh:
 
 def _ears(ring: Float64[np.ndarray, "n 2"]) -> Int32[np.ndarray, "f 3"]:
     """Triangles of a simple counterclockwise polygon, by ear clipping."""
-    left, faces = list(range(len(ring))), []
+    left = list(range(len(ring)))
+    faces: list[tuple[int, ...]] = []
     while len(left) > 3:
         k = next(k for k in range(len(left)) if _is_ear(ring, left, k))
         faces.append((left[k - 1], left[k], left[(k + 1) % len(left)]))

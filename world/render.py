@@ -39,8 +39,8 @@ def built(room: Room) -> Any:
 def _lights(room: Room) -> dict[str, Any]:
     warm = np.array([1 + room.light["warm"], 1.0, 1 - room.light["warm"]])
     day = np.array([0.97, 1.0, 1.05]) * room.light["window"]
-    image = np.broadcast_to(room.light["sky"] * warm, (8, 16, 3)).astype(np.float32)
-    return {"sky": engine.sky(image.copy()), "window": engine.panel(*room.window, day.tolist())}
+    even = (room.light["sky"] * warm).tolist()
+    return {"sky": engine.even_sky(even), "window": engine.panel(*room.window, day.tolist())}
 
 
 def shoot(room: Room, views: list[View], spp: int, seed: int) -> Iterator[Shot]:

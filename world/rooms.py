@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from .looks import Look, Split, Wardrobe, color, plain, shaded
+from .looks import Look, Split, Wardrobe, color, plain, shaded, washed
 from .meshes import Mesh, box, turn
 from .thing import Ledge, Part, Thing
 from .things import CATALOGUE
@@ -17,7 +17,7 @@ WALL_HEIGHT = 2.6
 MOST = 20  # things in a room
 ON_TABLE = (
     "mug", "bowl", "plate", "bottle", "teapot", "spoon", "fork", "knife", "pot", "pan", "apple", "banana",
-    "orange", "carrot", "pear", "book", "lamp", "vase", "candle", "clock", "laptop", "frame", "duck", "car", "carton",
+    "orange", "carrot", "pear", "bread", "book", "lamp", "vase", "candle", "clock", "laptop", "frame", "duck", "car", "carton",
 )  # fmt: skip
 ON_SHELF = (
     "book",
@@ -189,14 +189,14 @@ def _on_ledges(objects: list[Placed], hosts: list[Placed], split: Split, rng: Rn
     """Fill tables, seats and shelves; a kind comes twice at most, and then in two colours."""
     used: list[tuple[str, str]] = [(o.thing.name, o.thing.color) for o in objects]
     wanted = {
-        "table": (ON_TABLE, int(rng.integers(7, 10))),
+        "table": (ON_TABLE, int(rng.integers(8, 11))),
         "sofa": (ON_SEAT, int(rng.integers(1, 3))),
     }
     for host in hosts:
         kinds, count = wanted.get(host.thing.name, (ON_SHELF, 1))
         for number, ledge in enumerate(host.thing.ledges):
             if host.thing.name == "shelf":
-                count = 0 if number == 0 else int(rng.integers(1, 4))
+                count = 0 if number == 0 else int(rng.integers(1, 3))
             _fill(objects, host, ledge, kinds, count, used, split, rng)
 
 
@@ -247,10 +247,10 @@ def _shell(
 ) -> tuple[list[Structure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     clothes = Wardrobe(split, rng)
     wall_shade = color(rng, "white", "yellow", "blue", "green", "pink", "grey")
-    pale = tuple(0.62 + 0.32 * c for c in wall_shade.rgb)
+    pale = washed(wall_shade.rgb, 0.62, 0.32)
     wall = clothes.textured("wall", "plaster", pale, shaded(pale, 0.94), 1.5)
     floor_shade = color(rng, "brown", "brown", "grey", "white")
-    light_floor = tuple(0.18 + 0.8 * c for c in floor_shade.rgb)
+    light_floor = washed(floor_shade.rgb, 0.18, 0.8)
     floor = clothes.textured(
         "floor", "wood", light_floor, shaded(light_floor, 0.5), float(rng.uniform(0.7, 1.1))
     )

@@ -37,19 +37,21 @@ def dots(rng: np.random.Generator) -> Mask:
     x, y = (np.mod(count * a + b, 1) - 0.5 for a, b in ((_COLUMNS, 0.0), (_ROWS, 0.0)))
     x2, y2 = (np.mod(count * a + 0.5, 1) - 0.5 for a in (_COLUMNS, _ROWS))
     radius = rng.uniform(0.17, 0.24)
-    return np.maximum(_soft(radius - np.hypot(x, y), 0.05), _soft(radius - np.hypot(x2, y2), 0.05))
+    return np.asarray(
+        np.maximum(_soft(radius - np.hypot(x, y), 0.05), _soft(radius - np.hypot(x2, y2), 0.05))
+    )
 
 
 def plaid(rng: np.random.Generator) -> Mask:
     count, cut = rng.integers(2, 4), rng.uniform(0.4, 0.7)
     a, b = (_soft(np.cos(2 * np.pi * count * t) - cut, 0.3) for t in (_ROWS, _COLUMNS))
-    return 0.5 * (a + b)
+    return np.asarray(0.5 * (a + b))
 
 
 def checks(rng: np.random.Generator) -> Mask:
     count = rng.integers(2, 4)
     a, b = (np.sin(2 * np.pi * count * t) for t in (_ROWS, _COLUMNS))
-    return 0.75 * _soft(a * b - 0.12, 0.1)
+    return np.asarray(0.75 * _soft(a * b - 0.12, 0.1))
 
 
 def chevrons(rng: np.random.Generator) -> Mask:
@@ -67,22 +69,22 @@ def diamonds(rng: np.random.Generator) -> Mask:
 def grain(rng: np.random.Generator) -> Mask:
     """Wood: fine fibres along u with slow bands."""
     fibres, bands = noise(rng, 2.0, 40.0), noise(rng, 1.0, 6.0)
-    return np.clip(0.4 + 0.17 * fibres + 0.17 * bands, 0, 1)
+    return np.asarray(np.clip(0.4 + 0.17 * fibres + 0.17 * bands, 0, 1))
 
 
 def flames(rng: np.random.Generator) -> Mask:
     """Wood: year rings, cut aslant."""
     warp = noise(rng, 1.2, 2.5, 2.5)
     rings = np.sin(2 * np.pi * (rng.integers(5, 9) * _ROWS + 0.8 * warp))
-    return np.clip(0.42 + 0.22 * rings + 0.08 * noise(rng, 3.0, 40.0), 0, 1)
+    return np.asarray(np.clip(0.42 + 0.22 * rings + 0.08 * noise(rng, 3.0, 40.0), 0, 1))
 
 
 def plaster(rng: np.random.Generator) -> Mask:
-    return np.clip(0.3 + 0.14 * noise(rng, 4, 4), 0, 1)
+    return np.asarray(np.clip(0.3 + 0.14 * noise(rng, 4, 4), 0, 1))
 
 
 def stucco(rng: np.random.Generator) -> Mask:
-    return np.clip(0.3 + 0.10 * noise(rng, 30, 30) + 0.16 * noise(rng, 2, 2, 2.0), 0, 1)
+    return np.asarray(np.clip(0.3 + 0.10 * noise(rng, 30, 30) + 0.16 * noise(rng, 2, 2, 2.0), 0, 1))
 
 
 def planks(rng: np.random.Generator) -> Mask:
@@ -91,13 +93,15 @@ def planks(rng: np.random.Generator) -> Mask:
     tone, shift = rng.uniform(0, 0.45, 4)[board], rng.uniform(0, 1, 4)[board]
     fibres = np.clip(0.15 * noise(rng, 2.0, 40.0), -0.3, 0.3)
     gap = np.minimum(np.mod(4 * _ROWS, 1), np.mod(_COLUMNS + shift, 1) * 4) < 0.06
-    return np.clip(tone + 0.2 + fibres + 0.5 * gap, 0, 1)
+    return np.asarray(np.clip(tone + 0.2 + fibres + 0.5 * gap, 0, 1))
 
 
 def tiles(rng: np.random.Generator) -> Mask:
     cell = (np.floor(2 * _ROWS) * 2 + np.floor(2 * _COLUMNS)).astype(int)
     gap = (np.mod(2 * _ROWS, 1) < 0.035) | (np.mod(2 * _COLUMNS, 1) < 0.035)
-    return np.clip(rng.uniform(0, 0.3, 4)[cell] + 0.07 * noise(rng, 6, 6) + 0.55 * gap, 0, 1)
+    return np.asarray(
+        np.clip(rng.uniform(0, 0.3, 4)[cell] + 0.07 * noise(rng, 6, 6) + 0.55 * gap, 0, 1)
+    )
 
 
 def parquet(rng: np.random.Generator) -> Mask:
@@ -108,24 +112,26 @@ def parquet(rng: np.random.Generator) -> Mask:
     tone = rng.uniform(0, 0.5, 16)[(stave + 8 * flip) % 16]
     gap = np.mod(4 * np.where(flip, y, x), 1) < 0.08
     fibres = np.where(flip, noise(rng, 2, 40), noise(rng, 40, 2))
-    return np.clip(tone + 0.15 + 0.1 * fibres + 0.4 * gap, 0, 1)
+    return np.asarray(np.clip(tone + 0.15 + 0.1 * fibres + 0.4 * gap, 0, 1))
 
 
 def terrazzo(rng: np.random.Generator) -> Mask:
     chips = noise(rng, 9, 9, 2.0)
-    return np.clip(0.15 + 0.5 * _soft(chips - 1.0, 0.2) + 0.25 * _soft(-chips - 1.1, 0.2), 0, 1)
+    return np.asarray(
+        np.clip(0.15 + 0.5 * _soft(chips - 1.0, 0.2) + 0.25 * _soft(-chips - 1.1, 0.2), 0, 1)
+    )
 
 
 def weave(rng: np.random.Generator) -> Mask:
     """Cloth: threads over and under."""
     thread = 0.5 + 0.5 * np.sin(2 * np.pi * 24 * _ROWS) * np.sin(2 * np.pi * 24 * _COLUMNS)
-    return np.clip(0.25 * thread + 0.1 + 0.06 * noise(rng, 5, 5), 0, 1)
+    return np.asarray(np.clip(0.25 * thread + 0.1 + 0.06 * noise(rng, 5, 5), 0, 1))
 
 
 def twill(rng: np.random.Generator) -> Mask:
     """Cloth: a fine diagonal rib."""
     rib = 0.5 + 0.5 * np.sin(2 * np.pi * 20 * (_ROWS + _COLUMNS))
-    return np.clip(0.25 * rib + 0.1 + 0.07 * noise(rng, 12, 12), 0, 1)
+    return np.asarray(np.clip(0.25 * rib + 0.1 + 0.07 * noise(rng, 12, 12), 0, 1))
 
 
 def wicker(rng: np.random.Generator) -> Mask:
@@ -133,23 +139,25 @@ def wicker(rng: np.random.Generator) -> Mask:
     row = np.floor(12 * _ROWS)
     over = np.abs(np.sin(np.pi * (6 * _COLUMNS + 0.5 * row)))
     round_ = np.abs(np.sin(np.pi * 12 * _ROWS))
-    return np.clip(0.95 - 0.75 * over * round_ + 0.04 * noise(rng, 10, 10), 0, 1)
+    return np.asarray(np.clip(0.95 - 0.75 * over * round_ + 0.04 * noise(rng, 10, 10), 0, 1))
 
 
 def rushes(rng: np.random.Generator) -> Mask:
     """Basketwork, coiled: thick rounds with stitches."""
     round_ = np.abs(np.sin(np.pi * 10 * _ROWS))
     stitch = np.cos(2 * np.pi * (8 * _COLUMNS + 4 * _ROWS)) > 0.6
-    return np.clip(0.9 - 0.65 * round_ + 0.15 * stitch + 0.04 * noise(rng, 10, 10), 0, 1)
+    return np.asarray(
+        np.clip(0.9 - 0.65 * round_ + 0.15 * stitch + 0.04 * noise(rng, 10, 10), 0, 1)
+    )
 
 
 def speckles(rng: np.random.Generator) -> Mask:
     """Peel of fruit, glaze: faint spots."""
-    return np.clip(0.12 + 0.12 * noise(rng, 14, 14), 0, 1)
+    return np.asarray(np.clip(0.12 + 0.12 * noise(rng, 14, 14), 0, 1))
 
 
 def freckles(rng: np.random.Generator) -> Mask:
-    return np.clip(0.08 + 0.3 * _soft(noise(rng, 16, 16, 2.0) - 1.5, 0.4), 0, 1)
+    return np.asarray(np.clip(0.08 + 0.3 * _soft(noise(rng, 16, 16, 2.0) - 1.5, 0.4), 0, 1))
 
 
 PATTERNS: dict[str, Callable[[np.random.Generator], Mask]] = {

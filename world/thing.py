@@ -30,7 +30,7 @@ class Ledge:
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """name, color, material: one word each, for captions. round: it has no front."""
+    """name, color, material: for captions, a word each but for names like "toy duck"."""
 
     name: str
     color: str

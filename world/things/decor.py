@@ -14,7 +14,7 @@ INK = (0.06, 0.06, 0.07)
 def book(rng: Rng, split: Split) -> Thing:
     """Lying or standing; the spine towards -y, or +x when it stands."""
     wide, tall, thick = rng.uniform(0.13, 0.18), rng.uniform(0.19, 0.25), rng.uniform(0.018, 0.045)
-    shade, cover, print_ = color(rng), 0.003, None
+    shade, cover = color(rng), 0.003
     print_ = plain("paper", (0.95, 0.93, 0.85) if min(shade.rgb) < 0.6 else shaded(shade.rgb, 0.35))
     boards = [box((tall, wide, cover)).moved(z=z) for z in (0, thick - cover)]
     spine = box((tall, cover, thick)).moved(y=-wide / 2 + cover / 2)
@@ -292,7 +292,7 @@ def carton(rng: Rng, split: Split) -> Thing:
     across = [box((0.022, y + 0.013, z * 1.065)), box((x + 0.013, 0.022, z * 1.065))]
     turns = np.radians(np.linspace(0, 360, 18, endpoint=False))
     loops = [
-        sweep([(s * (0.034 + 0.032 * np.cos(a)), 0.012 * np.sin(a) * 0, z * 1.065 + 0.016 + 0.017 * np.sin(a)) for a in turns], [(0.002, 0.012)] * 18, 8, 4, loop=True)
+        sweep([(s * (0.034 + 0.032 * np.cos(a)), 0, z * 1.065 + 0.016 + 0.017 * np.sin(a)) for a in turns], [(0.002, 0.012)] * 18, 8, 4, loop=True)
         for s in (1, -1)
     ]  # fmt: skip
     bow = joined(*loops, sphere(0.012).moved(z=z * 1.065 + 0.01))
@@ -318,11 +318,7 @@ def _open_box(rng: Rng, x: float, y: float, z: float) -> Thing:
             .turned("y", rng.uniform(10, 50))
         )
         flaps.append(flap.moved(x=half / 2 - wall, z=z).turned("z", turn))
-    tape = (
-        box((0.04, y + 0.001, 0.0)).moved(z=z)
-        if False
-        else box((0.001, 0.045, z * 0.55)).moved(x=x / 2, z=z * 0.45)
-    )
+    tape = box((0.001, 0.045, z * 0.55)).moved(x=x / 2, z=z * 0.45)
     return build(
         "box",
         shade,

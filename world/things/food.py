@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..looks import Split, Wardrobe, color, plain
+from ..looks import Color, Split, Wardrobe, color, plain
 from ..meshes import Mesh, joined, lathe, rounded, sphere, sweep
 from ..thing import Thing, build
 
@@ -112,4 +112,25 @@ def pear(rng: Rng, split: Split) -> Thing:
     return build("pear", shade, "peel", (look, body), (plain("wood", STALK), stalk))
 
 
-THINGS = (apple, banana, orange, carrot, pear)
+def bread(rng: Rng, split: Split) -> Thing:
+    """A loaf of a golden brown, with pale cuts across it."""
+    long, wide = rng.uniform(0.2, 0.28), rng.uniform(0.085, 0.11)
+    red, green, blue = (np.array([0.66, 0.41, 0.18]) * rng.uniform(0.88, 1.1)).tolist()
+    shade = Color("brown", (red, green, blue))
+    t = np.linspace(0, 1, 24)
+    swell = np.clip(1 - np.abs(2 * t - 1) ** 3.5, 0.02, 1) ** 0.5
+    path = [(long * (s - 0.5), 0, 0) for s in t]
+    body = sweep(path, np.stack([wide * 0.40 * swell, wide / 2 * swell], axis=1), 28, 2.3)
+    cuts = []
+    for x in long * np.linspace(-0.26, 0.26, int(rng.integers(3, 5))):
+        turns = np.radians(np.linspace(35, 145, 9))
+        line = [
+            (x + 0.016 * np.cos(a), wide / 2 * np.cos(a), wide * 0.395 * np.sin(a)) for a in turns
+        ]
+        cuts.append(sweep(line, [(0.004, 0.008)] * 9, 8))
+    look = Wardrobe(split, rng).spotted(shade, "peel", 0.1)
+    crumb = plain("peel", (0.93, 0.80, 0.56))
+    return build("bread", shade, "bread", (look, body), (crumb, joined(*cuts)))
+
+
+THINGS = (apple, banana, orange, carrot, pear, bread)

@@ -1,9 +1,11 @@
 """What stands on a kitchen table."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..looks import VIVID, Color, Look, Split, Wardrobe, color, plain, shaded
-from ..meshes import Curve, Mesh, cylinder, extrude, joined, lathe, rounded, sphere, sweep
+from ..meshes import Curve, Mesh, Vec3, cylinder, extrude, joined, lathe, rounded, sphere, sweep
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -19,7 +21,9 @@ def _vessel(outer: Curve, wall: float, floor: float) -> Mesh:
     )
 
 
-def _arc(center: tuple[float, float], radii: tuple[float, float], start: float, end: float) -> list:
+def _arc(
+    center: tuple[float, float], radii: tuple[float, float], start: float, end: float
+) -> list[Vec3]:
     """In the yz plane; degrees from +y towards +z."""
     turns = np.radians(np.linspace(start, end, 14))
     return [(0, center[0] + radii[0] * np.cos(a), center[1] + radii[1] * np.sin(a)) for a in turns]
@@ -135,15 +139,9 @@ def teapot(rng: Rng, split: Split) -> Thing:
         ]
     )
     knob = sphere(radius * 0.15).moved(z=height + 0.027 + radius * 0.1)
-    spout = [
-        (radius * 0.75, 0, height * 0.25),
-        (radius * 1.15, 0, height * 0.35),
-        (radius * 1.4, 0, height * 0.65),
-        (radius * 1.68, 0, height * 0.95),
-    ]
-    tube = sweep(
-        rounded(spout, 2), np.linspace(radius * 0.28, radius * 0.11, len(rounded(spout, 2)))
-    )
+    spout = rounded([(0.75, 0.25), (1.15, 0.35), (1.4, 0.65), (1.68, 0.95)])
+    pipe = [(radius * x, 0.0, height * z) for x, z in spout]
+    tube = sweep(pipe, np.linspace(radius * 0.28, radius * 0.11, len(pipe)))
     grip = np.radians(np.linspace(80, 280, 16))
     reach = radius * rng.uniform(0.55, 0.7)
     path = [
@@ -170,7 +168,7 @@ def _cutlery_shade(rng: Rng) -> tuple[Color, str, Look]:
     return STEEL, "metal", plain("metal", STEEL)
 
 
-def _ribbon(path: list, widths: list, thick: float, square: float = 4.0) -> Mesh:
+def _ribbon(path: Sequence[Vec3], widths: list[float], thick: float, square: float = 4.0) -> Mesh:
     return sweep(path, [(w / 2, thick / 2) for w in widths], 16, square)
 
 
@@ -233,7 +231,7 @@ def knife(rng: Rng, split: Split) -> Thing:
     rivets = [cylinder(0.003, 0.0162).moved(-grip * s, 0, -0.0008) for s in (0.25, 0.7)]
     return build(
         "knife", shade, "wood" if wooden else "plastic",
-        (look, handle.scaled(1, 1, 1)), (plain("metal", STEEL), joined(steel, *rivets)),
+        (look, handle), (plain("metal", STEEL), joined(steel, *rivets)),
     )  # fmt: skip
 
 

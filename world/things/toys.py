@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..looks import VIVID, Color, Split, color, plain, shaded
+from ..looks import VIVID, Split, color, plain, shaded
 from ..meshes import Mesh, box, cylinder, extrude, joined, lathe, rounded, sphere, sweep
 from ..thing import Thing, build
 
@@ -175,7 +175,7 @@ def blocks(rng: Rng, split: Split) -> Thing:
         pieces.append((looks[k % 2], ring.moved(z=z)))
         z += h
     pieces.append((plain("wood", (0.72, 0.52, 0.32)), sphere(size * 0.3).moved(z=z + size * 0.18)))
-    return build("stacking toy", Color(shade.word, shade.rgb), "plastic", *pieces)
+    return build("stacking toy", shade, "plastic", *pieces)
 
 
 THINGS = (ball, duck, bear, car, blocks)
