@@ -46,19 +46,47 @@ def orbit(room: Room, count: int, size: tuple[int, int], rng: np.random.Generato
 
 
 def walk(room: Room, count: int, size: tuple[int, int], rng: np.random.Generator) -> list[View]:
-    """Along the walls at the height of eyes, looking across at the things."""
+    """Along the walls at the height of eyes, looking across at the things; of a few such views at
+    each place the one that sees the most."""
     views = []
     for k in range(count):
-        for attempt in range(60):
-            angle = 2 * np.pi * k / count + rng.normal(0, 0.02 + 0.02 * attempt)
-            ring = np.array([np.cos(angle), np.sin(angle)])
-            ring /= np.abs(ring).max() ** 0.7  # between a circle and the rectangle of the walls
-            inset = rng.uniform(0.5, 0.9)
-            eye = np.array([*(ring * (np.array(room.size) / 2 - inset)), rng.uniform(1.35, 1.75)])
-            if is_free(room, eye):
-                break
-        views.append(look_at(eye, _across(room, eye, rng), size, 66.0))
+        around = 2 * np.pi * k / count
+        tries = [_strolling(room, around, attempt, size, rng) for attempt in range(24)]
+        free = [view for view in tries if is_free(room, view.center)]
+        views.append(max(free[:6] or tries, key=lambda view: len(in_sight(room, view))))
     return views
+
+
+def _strolling(
+    room: Room, around: float, attempt: int, size: tuple[int, int], rng: np.random.Generator
+) -> View:
+    angle = around + rng.normal(0, 0.02 + 0.02 * attempt)
+    ring = np.array([np.cos(angle), np.sin(angle)])
+    ring /= np.abs(ring).max() ** 0.7  # between a circle and the rectangle of the walls
+    inset = rng.uniform(0.5, 0.9)
+    eye = np.array([*(ring * (np.array(room.size) / 2 - inset)), rng.uniform(1.35, 1.75)])
+    return look_at(eye, _across(room, eye, rng), size, 66.0)
+
+
+def in_sight(room: Room, view: View) -> list[int]:
+    """The things whose middle is in the picture and not behind tall furniture."""
+    centers = np.array([placed.center for placed in room.objects])
+    camera = centers @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
+    pixels = camera @ view.K.T
+    half = np.array([view.width, view.height]) / 2
+    ahead = camera[:, 2] > 0.5
+    middle = np.abs(pixels[:, :2] - half * pixels[:, 2:]) < 0.9 * half * pixels[:, 2:]
+    tall = [placed for placed in room.objects if placed.thing.size.prod() > 0.15]
+    return [
+        int(k)
+        for k in np.flatnonzero(ahead & middle.all(1))
+        if not any(_hides(placed, view.center, centers[k]) for placed in tall)
+    ]
+
+
+def _hides(placed: Placed, eye: Vec, target: Vec) -> bool:
+    """Whether the first four fifths of the way from the eye to the target cross the thing's box."""
+    return any(_distance(placed, eye + t * (target - eye)) == 0 for t in np.linspace(0.05, 0.8, 12))
 
 
 def _across(room: Room, eye: Vec, rng: np.random.Generator) -> Vec:

@@ -5,6 +5,7 @@ libllvm19`); the older ones of some systems crash in it, so that without one we 
 which is slow.
 """
 
+import importlib
 import os
 from collections.abc import Callable
 from functools import cache
@@ -206,9 +207,8 @@ def first_hits(
 def _cast_together(
     world: Any, origins: np.ndarray, directions: np.ndarray, index_of: Callable[[str], int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    import drjit as dr
-
     mi = mitsuba()
+    dr: Any = importlib.import_module("drjit")
     starts, ways = (np.ascontiguousarray(x.T, np.float32) for x in (origins, directions))
     hit = world.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(starts), mi.Vector3f(ways)))
     valid, registered = (

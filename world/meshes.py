@@ -77,6 +77,11 @@ def lathe(profile: Curve, sides: int = 40) -> Mesh:
     return _grid(vertices, np.stack([u, v], axis=2))
 
 
+def ring(profile: Curve, sides: int = 40) -> Mesh:
+    """A lathed band: the profile, counterclockwise in (radius, height), closes on itself."""
+    return lathe([*profile, profile[0]], sides)
+
+
 def cylinder(radius: float, height: float, edge: float = 0.0, sides: int = 40) -> Mesh:
     edge = min(edge, 0.45 * height, 0.9 * radius)
     if not edge:
@@ -158,7 +163,8 @@ def sweep(
     half = np.array(radii, float) if half is None else np.stack([half, half], axis=1)
     side, up = _frames(path, loop)
     angle = np.linspace(0, 2 * np.pi, sides + 1)
-    c, s = (np.sign(f(angle)) * np.abs(f(angle)) ** (2 / square) for f in (np.cos, np.sin))
+    wave = np.round([np.cos(angle), np.sin(angle)], 12)  # a root of 1e-16 would open the seam
+    c, s = np.sign(wave) * np.abs(wave) ** (2 / square)
     rings = path[:, None] + side[:, None] * (half[:, :1] * c)[..., None]
     rings = rings + up[:, None] * (half[:, 1:] * s)[..., None]
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

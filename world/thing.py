@@ -1,6 +1,7 @@
 """A thing: named parts of surface, standing on z = 0 and facing +x."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -38,7 +39,7 @@ class Thing:
     parts: tuple[Part, ...]
     ledges: tuple[Ledge, ...] = ()
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
         """Lowest and highest corner, in metres."""
         points = np.concatenate([part.mesh.vertices for part in self.parts])

@@ -5,7 +5,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..looks import VIVID, Color, Look, Split, Wardrobe, color, plain, shaded
-from ..meshes import Curve, Mesh, Vec3, cylinder, extrude, joined, lathe, rounded, sphere, sweep
+from ..meshes import (
+    Curve,
+    Mesh,
+    Vec3,
+    cylinder,
+    extrude,
+    joined,
+    lathe,
+    ring,
+    rounded,
+    sphere,
+    sweep,
+)
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -82,11 +94,11 @@ def plate(rng: Rng, split: Split) -> Thing:
     def rim(r: float) -> float:
         return lift * 0.8 + slope * (r - flat - 0.012)
 
-    ring = lathe(
+    edge = ring(
         [(a, rim(a) - 0.002), (b, rim(b) - 0.002), (b, rim(b) + 0.0007), (a, rim(a) + 0.0007)], 56
     )
     look = clothes.maybe_patterned(shade, "ceramic", 0.12, 0.15)
-    return build("plate", shade, "ceramic", (look, dish), (band, ring))
+    return build("plate", shade, "ceramic", (look, dish), (band, edge))
 
 
 def bottle(rng: Rng, split: Split) -> Thing:
@@ -100,8 +112,8 @@ def bottle(rng: Rng, split: Split) -> Thing:
     body = lathe([(0, 0), *rounded(profile), (0, height * 0.95)])
     low, high = height * 0.12, shoulder * rng.uniform(0.7, 0.9)
     r = radius + 0.0006
-    label = lathe([(radius * 0.9, low), (r, low), (r, high), (radius * 0.9, high)])
-    stripe = lathe(
+    label = ring([(radius * 0.9, low), (r, low), (r, high), (radius * 0.9, high)])
+    stripe = ring(
         [
             (radius * 0.9, low + 0.02),
             (r + 0.0004, low + 0.02),
@@ -244,7 +256,7 @@ def pot(rng: Rng, split: Split) -> Thing:
     material = "metal" if steel else "ceramic"
     look, dark = plain(material, shade), plain("plastic", (0.09, 0.09, 0.1))
     body = cylinder(radius, height, 0.012)
-    rim = lathe(
+    rim = ring(
         [
             (radius * 0.9, height - 0.006),
             (radius + 0.004, height - 0.006),
