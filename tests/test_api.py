@@ -12,9 +12,9 @@ import drsplat
 
 PUBLIC = {
     "Codebook", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
-    "Gaussians", "InputError", "Instance", "LanguageField", "MismatchError", "MissingExtraError",
-    "Registration", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
-    "WordEncoder", "__version__", "embed_query", "load_codebook", "load_field", "load_image",
+    "Gaussians", "ImageEncoder", "InputError", "Instance", "LanguageField", "Masks", "MismatchError", "MissingExtraError",
+    "Registration", "Segmenter", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
+    "WordEncoder", "__version__", "embed", "embed_query", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
     "locate", "query", "read_faiss_codebook", "read_features", "read_gaussians",
     "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "save_codebook",
     "select", "splat_arrays", "supporting_masks", "topk_contributions", "train", "train_codebook",
@@ -26,7 +26,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 ORDER = (
     "errors", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
     "formats", "kernels", "codes", "evidence", "field", "columns", "registration", "rendering", "search",
-    "tasks", "words", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
+    "tasks", "words", "mini", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
     "demo", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent

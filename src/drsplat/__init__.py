@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
+    from .adapters.loading import load_encoder
+    from .adapters.sam import load_segmenter
     from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
-    from .encoders import Encoder, EncoderIdentity
+    from .embedding import embed
+    from .encoders import Encoder, EncoderIdentity, ImageEncoder
     from .errors import (
         DrSplatError,
         DrSplatWarning,
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     from .registration import Registration, register
     from .rendering import render
     from .search import embed_query, query
+    from .segments import Masks, Segmenter
     from .support import supporting_masks
     from .tasks import Instance, locate, select
     from .training import Training, TrainingSettings, train
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
     from .words import WordEncoder
 
 _HOMES = {
+    "adapters.loading": ("load_encoder",),
+    "adapters.sam": ("load_segmenter",),
     "codes": (
         "Codebook",
         "load_codebook",
@@ -45,7 +51,8 @@ _HOMES = {
         "save_codebook",
         "train_codebook",
     ),
-    "encoders": ("Encoder", "EncoderIdentity"),
+    "embedding": ("embed",),
+    "encoders": ("Encoder", "EncoderIdentity", "ImageEncoder"),
     "errors": (
         "DrSplatError",
         "DrSplatWarning",
@@ -67,6 +74,7 @@ _HOMES = {
     "registration": ("Registration", "register"),
     "rendering": ("render",),
     "search": ("embed_query", "query"),
+    "segments": ("Masks", "Segmenter"),
     "support": ("supporting_masks",),
     "tasks": ("Instance", "locate", "select"),
     "training": ("Training", "TrainingSettings", "train"),
@@ -83,12 +91,15 @@ __all__ = [
     "EncoderIdentity",
     "FormatError",
     "Gaussians",
+    "ImageEncoder",
     "InputError",
     "Instance",
     "LanguageField",
+    "Masks",
     "MismatchError",
     "MissingExtraError",
     "Registration",
+    "Segmenter",
     "SparsePoints",
     "Training",
     "TrainingSettings",
@@ -96,10 +107,13 @@ __all__ = [
     "ViewFeatures",
     "WordEncoder",
     "__version__",
+    "embed",
     "embed_query",
     "load_codebook",
+    "load_encoder",
     "load_field",
     "load_image",
+    "load_segmenter",
     "locate",
     "query",
     "read_faiss_codebook",

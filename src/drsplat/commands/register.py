@@ -78,7 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--encoder-name", metavar="NAME",
         help="who made the embeddings, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the built-in one. Queries "
-        "and codebooks of other encoders are then refused (default: the codebook's, else unknown)",
+        "and codebooks of other encoders are then refused (default: what `drsplat embed` noted, else the codebook's, "
+        "else unknown)",
     )  # fmt: skip
     parser.add_argument(
         "--parts", metavar="DIR",
@@ -205,12 +206,13 @@ def _encoder(
     arguments: argparse.Namespace, codebook: "Codebook | None"
 ) -> "EncoderIdentity | None":
     from .. import EncoderIdentity, WordEncoder
+    from ..embedding import recorded_encoder
     from ..formats.langsplat import FeatureFolder
 
     if arguments.encoder_name == WordEncoder.identity.name:
         return WordEncoder.identity
     if arguments.encoder_name is None:
-        return codebook.encoder if codebook else None
+        return recorded_encoder(arguments.features) or (codebook.encoder if codebook else None)
     if codebook is not None and codebook.encoder.name == arguments.encoder_name:
         return codebook.encoder
     dim = FeatureFolder(Path(arguments.features), 0).dim
