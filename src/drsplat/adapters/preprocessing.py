@@ -73,8 +73,14 @@ def read_preprocessing(folder: Path, default: Preprocessing) -> Preprocessing:
     Raises: FormatError: the file is damaged, or asks for what we do not do.
     """
     path, settings = _settings(folder)
-    if settings is None:
-        return default
+    return default if settings is None else preprocessing_of(settings, path, default)
+
+
+def preprocessing_of(settings: dict[str, Any], path: Path, default: Preprocessing) -> Preprocessing:
+    """From the settings of a processor of transformers; `path` is where they were read.
+
+    Raises: as `read_preprocessing`.
+    """
     for step in ("do_resize", "do_rescale", "do_normalize"):
         if settings.get(step, True) is not True:
             raise FormatError(f"{path}: {step} is off; drsplat always resizes, scales, normalises")

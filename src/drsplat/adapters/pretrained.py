@@ -11,8 +11,8 @@ from typing import Any
 from ..errors import DrSplatError, FormatError, InputError, MissingExtraError
 from ..formats.json_files import read_json, shown
 from .libraries import INSTALL, model_class, models_library
+from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
-WEIGHTS, INDEX = "model.safetensors", "model.safetensors.index.json"
 _WANTED = [
     "*.json", "merges.txt", "vocab.txt", "*.model", WEIGHTS, "model-*-of-*.safetensors",
 ]  # fmt: skip
@@ -32,8 +32,9 @@ def model_folder(name: str) -> Path:
         return folder
     if folder.exists() or not _ID.fullmatch(name):
         raise InputError(
-            f"{name}: expected a folder with config.json and {WEIGHTS}, or an id of the Hugging Face "
-            "hub such as laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+            f"{name}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and "
+            f"{OPEN_CLIP}), or an id of the Hugging Face hub such as "
+            "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
         )
     return _downloaded(name)
 
@@ -41,20 +42,25 @@ def model_folder(name: str) -> Path:
 def cached_in_full(name: str) -> bool:
     """Whether config and weights of a hub's model are in the local cache. Uses no network."""
     hub = import_module("huggingface_hub")
-    found = [hub.try_to_load_from_cache(name, file) for file in ("config.json", WEIGHTS, INDEX)]
-    config, whole, index = (isinstance(path, str) for path in found)
-    return config and (whole or index)
+    here = {
+        file for file in ("config.json", OPEN_CLIP_CONFIG, WEIGHTS, INDEX, OPEN_CLIP)
+        if isinstance(hub.try_to_load_from_cache(name, file), str)
+    }  # fmt: skip
+    as_transformers = "config.json" in here and bool({WEIGHTS, INDEX} & here)
+    return as_transformers or (OPEN_CLIP in here and bool({"config.json", OPEN_CLIP_CONFIG} & here))
 
 
 def model_type(folder: Path) -> str:
-    """The architecture that config.json names.
+    """The architecture that config.json names; "clip" where OpenCLIP's settings are there instead.
 
-    Raises: InputError: there is no config.json. FormatError: it names none.
+    Raises: InputError: there is neither. FormatError: config.json names none.
     """
     if not (folder / "config.json").is_file():
+        if (folder / OPEN_CLIP_CONFIG).is_file():
+            return "clip"
         raise InputError(
-            f"{folder}: has no config.json, so it is not a model's folder as transformers saves it: "
-            "give the folder with config.json and model.safetensors"
+            f"{folder}: has no config.json, so it is not a model's folder as transformers saves it, "
+            f"nor {OPEN_CLIP_CONFIG}: give the folder with config.json and {WEIGHTS}"
         )
     config = read_json(folder / "config.json")
     name = config.get("model_type") if isinstance(config, dict) else None
@@ -64,7 +70,8 @@ def model_type(folder: Path) -> str:
 
 
 def weight_files(folder: Path) -> list[Path]:
-    """The safetensors files that hold a model's weights, each with a sound header.
+    """The safetensors files that hold a model's weights, each with a sound header. Those under
+    OpenCLIP's names only where there are no others.
 
     Raises: InputError: there are none, or only pickles. FormatError: one is damaged or missing.
     """
@@ -72,8 +79,10 @@ def weight_files(folder: Path) -> list[Path]:
         files = [folder / WEIGHTS]
     elif (folder / INDEX).is_file():
         files = _shards(folder)
+    elif (folder / OPEN_CLIP).is_file():
+        files = [folder / OPEN_CLIP]
     else:
-        raise InputError(_no_weights(folder))
+        raise InputError(no_weights(folder))
     for file in files:
         _check_header(file)
     return files
@@ -89,25 +98,21 @@ def weights_hash(files: list[Path]) -> str:
     return digest.hexdigest()
 
 
-def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = ()) -> Any:
+def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = (), **made: Any) -> Any:
     """A model of transformers in float32, ready to compute, every weight of it from the files.
 
     unused: ends of names of weights that may be missing because they have no part in the result.
+    made: config and state_dict, where the folder has them under other names.
 
     Raises: FormatError: the weights do not fit config.json, or some are missing.
     MissingExtraError: transformers cannot be used.
     """
     kind = model_class(class_name)
-    try:
-        with _quiet():
-            model, report = kind.from_pretrained(
-                str(folder), use_safetensors=True, local_files_only=True, output_loading_info=True
-            )
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FormatError(
-            f"{folder}: config.json and the weights do not make a {class_name}: {_first_line(error)}. "
-            "Download or convert the model anew"
-        ) from error
+    with model_errors(folder, class_name):
+        model, report = kind.from_pretrained(
+            None if made else str(folder), use_safetensors=True, local_files_only=True,
+            output_loading_info=True, **made,
+        )  # fmt: skip
     missing = sorted(name for name in report["missing_keys"] if not name.endswith(unused))
     if missing:
         raise FormatError(
@@ -115,6 +120,21 @@ def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = ()) -> A
             f"'{missing[0]}': they are of another model than config.json says"
         )
     return model.float().eval()
+
+
+@contextmanager
+def model_errors(folder: Path, class_name: str) -> Iterator[None]:
+    """Whatever transformers raises for a model that is not sound, as a FormatError."""
+    strict = import_module("huggingface_hub.errors").StrictDataclassError
+    unsound = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError)
+    try:
+        with _quiet():
+            yield
+    except (*unsound, ArithmeticError, strict) as error:
+        raise FormatError(
+            f"{folder}: its settings and weights do not make a {class_name}: {_first_line(error)}. "
+            "Download or convert the model anew"
+        ) from error
 
 
 def load_tokenizer(folder: Path) -> Any:
@@ -125,7 +145,9 @@ def load_tokenizer(folder: Path) -> Any:
             f"{folder}: has no tokenizer, which a query in words needs: copy tokenizer.json (or "
             "vocab.json and merges.txt) of the model into it"
         )
-    kind = model_class("AutoTokenizer")
+    # AutoTokenizer finds the class in one of these; OpenCLIP's folders may have neither
+    told = any((folder / name).is_file() for name in ("config.json", "tokenizer_config.json"))
+    kind = model_class("AutoTokenizer" if told else "CLIPTokenizer")
     try:
         with _quiet():
             return kind.from_pretrained(str(folder), local_files_only=True)
@@ -143,7 +165,11 @@ def _downloaded(name: str) -> Path:
     except ImportError:
         raise MissingExtraError(f"'{name}' is an id of the Hugging Face hub: {INSTALL}") from None
     try:
-        return Path(hub.snapshot_download(name, allow_patterns=_WANTED))
+        folder = Path(hub.snapshot_download(name, allow_patterns=_WANTED))
+        if not any((folder / file).is_file() for file in (WEIGHTS, INDEX)):
+            # asked for second, so that a repository with both is not downloaded twice over
+            folder = Path(hub.snapshot_download(name, allow_patterns=[*_WANTED, OPEN_CLIP]))
+        return folder
     except errors.GatedRepoError as error:
         raise InputError(
             f"{name}: gated. Accept its terms at https://huggingface.co/{name} and log in with "
@@ -176,20 +202,6 @@ def _shards(folder: Path) -> list[Path]:
             "the model again"
         )
     return [folder / name for name in names]
-
-
-def _no_weights(folder: Path) -> str:
-    others = sorted(
-        path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth")
-    )
-    if not others:
-        return f"{folder}: has no {WEIGHTS}: download the model's weights into it"
-    return (
-        f"{folder}: its weights are a pickle ({others[0]}), which can run code when it is loaded. "
-        f'Convert it once, where you trust it: python -c "from transformers import AutoModel; '
-        f"AutoModel.from_pretrained({str(folder)!r}).save_pretrained('converted')\", copy the "
-        "tokenizer's files beside it, and give that folder"
-    )
 
 
 def _check_header(path: Path) -> None:

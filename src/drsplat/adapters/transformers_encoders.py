@@ -15,8 +15,11 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
 from .devices import chosen_device, chosen_dtype
 from .libraries import models_library
+from .open_clip import load_open_clip
+from .open_clip_settings import open_clip_preprocessing
 from .preprocessing import Preprocessing, read_preprocessing
 from .pretrained import load_model, load_tokenizer, model_type, weight_files, weights_hash
+from .weight_names import OPEN_CLIP
 
 BATCH_BYTES = {"cpu": 10 << 20, "mps": 20 << 20, "cuda": 80 << 20}
 """Of input numbers in one pass: 16 images of 224 pixels on a CPU, where more only takes memory."""
@@ -74,9 +77,11 @@ class TransformersEncoder:
         models_library()
         self.device = chosen_device(device)
         self.dtype = chosen_dtype(dtype, self.device)
-        unused = ("mask_token", "logit_scale", "logit_bias")
-        self._model = load_model(self._family.class_name, folder, unused).to(self.device)
-        self.preprocessing = read_preprocessing(folder, _published(self._family, self._vision))
+        self._model = _model(self._family.class_name, folder, files).to(self.device)
+        published = _published(self._family, self._vision)
+        if kind == "clip":
+            published = open_clip_preprocessing(folder, published)
+        self.preprocessing = read_preprocessing(folder, published)
         self._check_side()
         self.batch = max(1, BATCH_BYTES[self.device] // (12 * self.preprocessing.side**2))
         dim = self._model.config.projection_dim if kind == "clip" else self._vision.hidden_size
@@ -200,6 +205,12 @@ class TransformersEncoder:
                 "them: try dtype 'float32'"
             )
         return np.asarray(rows / norms, np.float32)
+
+
+def _model(class_name: str, folder: Path, files: list[Path]) -> Any:
+    if files[0].name == OPEN_CLIP:
+        return load_open_clip(folder)
+    return load_model(class_name, folder, ("mask_token", "logit_scale", "logit_bias"))
 
 
 def _published(family: Family, vision: Any) -> Preprocessing:
