@@ -23,7 +23,7 @@ from world.rooms import Room, make_room, overlap
 from world.things import CATALOGUE, make
 
 SPLITS = (looks.TRAIN, looks.TEST)
-SEEDS = range(3)
+SEEDS = range(2)
 # the longest side of each thing, in metres
 LENGTHS = {
     "kitchen": (0.05, 0.45), "food": (0.05, 0.32), "toys": (0.06, 0.4), "decor": (0.08, 1.3), "furniture": (0.3, 2.1),
@@ -160,7 +160,7 @@ def test_names_of_colours_hold_their_shades_apart() -> None:
             assert min(away, key=lambda w: away[w]) == word
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_rooms_have_no_overlaps_and_nothing_floats(seed: int) -> None:
     made = room(seed)
     assert 8 <= len(made.objects) <= 20
@@ -174,7 +174,7 @@ def test_rooms_have_no_overlaps_and_nothing_floats(seed: int) -> None:
                 assert not overlap(one.footprint, other.footprint, 0.0)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_what_stands_on_a_ledge_lies_within_its_host(seed: int) -> None:
     made = room(seed)
     hosts = [o for o in made.objects if o.thing.ledges]
@@ -208,7 +208,7 @@ def test_the_same_seed_makes_the_same_room() -> None:
     assert [o.position for o in a.objects] != [o.position for o in c.objects]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_cameras_stand_free_and_see_things(seed: int) -> None:
     made = room(seed)
     views = views_of(made, 20, (320, 240), looks.TEST.rng(seed, 300))
@@ -450,3 +450,18 @@ def test_crops_are_deterministic_and_show_their_thing() -> None:
         np.testing.assert_array_equal(a.mask, b.mask)
         assert np.abs(a.image.astype(int) - b.image).max() <= 1
         assert a.mask.mean() > 0.02
+
+
+def test_the_renderers_camera_is_the_views_to_a_fraction_of_a_pixel() -> None:
+    pytest.importorskip("mitsuba", reason="pip install mitsuba==3.9.1 to render the world")
+    from world import engine
+
+    view = look_at(np.array([1.0, 2.0, 1.5]), np.array([0.0, 0.3, 0.2]), (64, 48), 60.0)
+    camera = engine.mitsuba().load_dict(engine.sensor(view, 1))
+    origin, directions = engine.pixel_rays(view)
+    for row, column in ((0, 0), (47, 0), (10, 63), (24, 32)):
+        place = [(column + 0.5) / 64, (row + 0.5) / 48]
+        ray, _ = camera.sample_ray(0.0, 0.5, place, [0.5, 0.5])
+        ours = directions[row, column] / np.linalg.norm(directions[row, column])
+        np.testing.assert_allclose(np.ravel(ray.d), ours, atol=1e-5)  # a pixel is 2e-2
+        assert np.linalg.norm(np.cross(np.ravel(ray.o) - origin, ours)) < 1e-5

@@ -16,7 +16,7 @@ LABEL = 13  # pixels
 
 
 def contact_sheet(
-    path: Path, split: Split, seeds: int = 4, side: int = 88, spp: int = 48, quality: int = 80
+    path: Path, split: Split, seeds: int = 4, side: int = 72, spp: int = 48, quality: int = 72
 ) -> None:
     """Writes a JPEG: a block of `seeds` pictures per kind of thing."""
     rows = []

@@ -21,13 +21,13 @@ from .meshes import Mesh, box
 from .thing import Thing
 from .things import CATALOGUE
 
+AT_WALLS = ("sofa", "shelf")  # nobody sees the backs of these
 SPACING = 60.0  # metres between stages; a thing's longest side on its stage is one metre
 
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """mask: where the thing itself is seen. fraction: how much of it is not hidden by neighbours is
-    not known; `mask.mean()` says how much of the picture it fills."""
+    """mask: where the thing itself is seen, without what its neighbours hide."""
 
     image: UInt8[np.ndarray, "s s 3"]
     mask: Bool[np.ndarray, "s s"]
@@ -64,7 +64,9 @@ def random_stage(split: Split, rng: np.random.Generator, kind: int, side: int) -
     makers = list(CATALOGUE.values())
     star = makers[kind](rng, split)
     azimuth = float(rng.uniform(0, 2 * np.pi))
-    actors = [(star, (0.0, 0.0, float(rng.uniform(0, 360)), _unit(star)))]
+    around = 100 if star.name in AT_WALLS else 180
+    turn = np.degrees(azimuth) + rng.uniform(-around, around)
+    actors = [(star, (0.0, 0.0, float(turn), _unit(star)))]
     for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.3, 0.2]))):
         other = makers[int(rng.integers(len(makers)))](rng, split)
         before = rng.random() < 0.25  # the star, and then it must be small

@@ -116,10 +116,9 @@ def parquet(rng: np.random.Generator) -> Mask:
 
 
 def terrazzo(rng: np.random.Generator) -> Mask:
-    chips = noise(rng, 9, 9, 2.0)
-    return np.asarray(
-        np.clip(0.15 + 0.5 * _soft(chips - 1.0, 0.2) + 0.25 * _soft(-chips - 1.1, 0.2), 0, 1)
-    )
+    chips = noise(rng, 20, 20, 2.0)
+    dark, pale = _soft(chips - 1.2, 0.3), _soft(-chips - 1.2, 0.3)
+    return np.asarray(np.clip(0.25 + 0.35 * dark - 0.25 * pale, 0, 1))
 
 
 def weave(rng: np.random.Generator) -> Mask:
