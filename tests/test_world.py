@@ -172,6 +172,8 @@ def test_rooms_have_no_overlaps_and_nothing_floats(seed: int) -> None:
         for other in made.objects[:k]:
             if one.position[2] == other.position[2]:
                 assert not overlap(one.footprint, other.footprint, 0.0)
+            if one.thing.name == other.thing.name and one.position[2] > 0 < other.position[2]:
+                assert one.thing.color != other.thing.color
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -261,6 +263,8 @@ def test_denoising_keeps_edges_and_averages_noise() -> None:
     out = denoised(noisy, albedo, normals)
     assert np.abs(out - clean).std() < 0.35 * np.abs(noisy - clean).std()
     np.testing.assert_allclose(denoised(clean, albedo, normals), clean, rtol=1e-4)
+    noisy[15, 10] = 50  # a firefly
+    assert np.abs(denoised(noisy, albedo, normals) - clean).max() < 0.2
 
 
 def painted_shots(made: Room, count: int = 6) -> list[Shot]:

@@ -6,6 +6,7 @@ Source: the cross-bilateral filter of Eisemann and Durand (2004), on the feature
 
 import numpy as np
 from jaxtyping import Float32, Float64
+from scipy.ndimage import median_filter
 
 Image = Float64[np.ndarray, "h w 3"]
 RADIUS = 3  # pixels
@@ -18,7 +19,7 @@ def denoised(light: Image, albedo: Image, normals: Image) -> Image:
     """light: linear radiance. albedo, normals: of the surface that each pixel sees."""
     light, albedo, normals = (np.asarray(x, np.float32) for x in (light, albedo, normals))
     base = np.clip(albedo, 0.03, None)
-    falling = light / base
+    falling = _without_fireflies(light / base)
     level = np.log(0.02 + _blurred(falling.mean(2))) / _LIGHT
     features = np.concatenate([albedo / _COLOR, normals / _NORMAL, level[..., None]], axis=2)
     total, weight = falling.copy(), np.ones(falling.shape[:2], np.float32)
@@ -31,6 +32,13 @@ def denoised(light: Image, albedo: Image, normals: Image) -> Image:
         weight[a] += w
         weight[b] += w
     return np.asarray(total / weight[..., None] * base, np.float64)
+
+
+def _without_fireflies(falling: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    """No pixel much brighter than the middling one of its neighbours."""
+    level = falling.mean(2)
+    most = 2.5 * median_filter(level, 3) + 0.05
+    return np.asarray(falling * np.minimum(1, most / np.maximum(level, 1e-6))[..., None])
 
 
 def _overlap(

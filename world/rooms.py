@@ -205,18 +205,27 @@ def _fill(
     used: list[tuple[str, str]], split: Split, rng: Rng,
 ) -> None:  # fmt: skip
     here: list[Placed] = []
-    for kind in rng.permutation(kinds).tolist():
-        if len(here) == count or len(objects) + len(here) >= MOST:
-            break
-        thing = CATALOGUE[kind](rng, split)
-        same = [shade for name, shade in used if name == thing.name]
-        if len(same) == (1 if rng.random() < 0.75 else 2) or thing.color in same:
-            continue
+    wanted = _choice(kinds, min(count, MOST - len(objects)), used, split, rng)
+    for thing in sorted(wanted, key=lambda thing: -float(thing.size[0] * thing.size[1])):
         placed = _somewhere(thing, host, ledge, here, rng)
         if placed is not None:
             here.append(placed)
             used.append((thing.name, thing.color))
     objects.extend(here)
+
+
+def _choice(
+    kinds: tuple[str, ...], count: int, used: list[tuple[str, str]], split: Split, rng: Rng
+) -> list[Thing]:
+    things: list[Thing] = []
+    for kind in rng.permutation(kinds).tolist():
+        if len(things) >= count:
+            break
+        thing = CATALOGUE[kind](rng, split)
+        same = [shade for name, shade in used if name == thing.name]
+        if len(same) < (1 if rng.random() < 0.75 else 2) and thing.color not in same:
+            things.append(thing)
+    return things
 
 
 def _somewhere(
