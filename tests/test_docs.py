@@ -113,7 +113,9 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     lines = "".join(blocks("README.md", "bash")).replace("\\\n", " ").splitlines()
     commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
     assert {command[1] for command in commands} == set(VERBS) - {"demo"}
-    commands = [command[1:] for command in commands if command[1] not in ("train", "embed", "codebook")]
+    commands = [
+        command[1:] for command in commands if command[1] not in ("train", "embed", "codebook")
+    ]
     for file in capture.iterdir():
         (tmp_path / file.name).symlink_to(file)
     monkeypatch.chdir(tmp_path)

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models.add_argument(
         "--segmenter", default=SEGMENTER, metavar="NAME",
         help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder (default: {SEGMENTER}, the paper's; "
-        "on a CPU facebook/sam2.1-hiera-tiny takes seconds for a photo instead of minutes)",
+        "on a CPU take facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
     )  # fmt: skip
     models.add_argument("--encoder", default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
@@ -52,6 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--levels", choices=("four", "large"), default="four",
         help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
         "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four)",
+    )  # fmt: skip
+    method.add_argument(
+        "--points", type=count, default=32, metavar="N",
+        help="ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, LangSplat's)",
+    )  # fmt: skip
+    method.add_argument(
+        "--crop-layers", type=int, choices=range(3), default=1,
+        help="1: look at four enlarged crops as well, for small things, which takes five times as long (default: 1, "
+        "LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--max-height", type=count, default=1080, metavar="PIXELS",
@@ -158,4 +167,7 @@ def _segmenter(arguments: argparse.Namespace) -> Segmenter:
     from ..segments import LEVELS
 
     levels = LEVELS if arguments.levels == "four" else ("large",)
-    return load_segmenter(arguments.segmenter, arguments.device, PointMaskSettings(levels=levels))
+    settings = PointMaskSettings(
+        points_per_side=arguments.points, crop_layers=arguments.crop_layers, levels=levels
+    )
+    return load_segmenter(arguments.segmenter, arguments.device, settings)
