@@ -12,7 +12,7 @@ import drsplat
 
 PUBLIC = {
     "Codebook", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
-    "Gaussians", "ImageEncoder", "InputError", "Instance", "LanguageField", "Masks", "MismatchError", "MissingExtraError",
+    "Gaussians", "ImageEncoder", "InputError", "Instance", "LanguageField", "Masks", "MiniEncoder", "MismatchError", "MissingExtraError",
     "Registration", "Segmenter", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
     "WordEncoder", "__version__", "embed", "embed_query", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
     "locate", "query", "read_faiss_codebook", "read_features", "read_gaussians",

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .formats.vocabulary import read_vocabulary
     from .gaussians import Gaussians
     from .kernels import splat_arrays, topk_contributions, view_weights
+    from .mini import MiniEncoder
     from .photos import load_image
     from .registration import Registration, register
     from .rendering import render
@@ -70,6 +71,7 @@ _HOMES = {
     "formats.vocabulary": ("read_vocabulary",),
     "gaussians": ("Gaussians",),
     "kernels": ("splat_arrays", "topk_contributions", "view_weights"),
+    "mini": ("MiniEncoder",),
     "photos": ("load_image",),
     "registration": ("Registration", "register"),
     "rendering": ("render",),
@@ -96,6 +98,7 @@ __all__ = [
     "Instance",
     "LanguageField",
     "Masks",
+    "MiniEncoder",
     "MismatchError",
     "MissingExtraError",
     "Registration",

@@ -6,6 +6,7 @@ batch, true or not by the lexicon. Batch normalisation is folded into the convol
 
 import argparse
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from .augment import augmented
 from .texts import Label, bank, said_of, truth
 
 CHANNELS = (3, 32, 64, 64, 128, 128, 256, 256)
+LEAST_PIXELS = 70
 ROWS = {word: row for row, word in enumerate(WORDS)}
 
 
@@ -70,14 +72,16 @@ def exported(tower: Tower) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(array.astype(np.float16)) for name, array in tensors.items()}
 
 
-class Crops(torch.utils.data.Dataset[tuple[torch.Tensor, int]]):
-    def __init__(self, path: Path) -> None:
-        stored = np.load(path)
-        self.images, masks = stored["images"], stored["masks"]
+class Crops:
+    def __init__(self, paths: Sequence[Path]) -> None:
+        stored = [np.load(path) for path in paths]
+        self.images = np.concatenate([each["images"] for each in stored])
         side = self.images.shape[1]
-        self.masks = np.unpackbits(masks, axis=1).reshape(-1, side, side).astype(bool)
-        self.labels: list[Label] = [tuple(row) for row in stored["labels"].tolist()]
-        self.seen = [i for i, mask in enumerate(self.masks) if mask.sum() > 120]
+        masks = np.concatenate([np.unpackbits(each["masks"], axis=1) for each in stored])
+        self.masks = masks.reshape(-1, side, side).astype(bool)
+        rows = np.concatenate([each["labels"] for each in stored]).tolist()
+        self.labels: list[Label] = [tuple(row) for row in rows]
+        self.seen = [i for i, mask in enumerate(self.masks) if mask.sum() > LEAST_PIXELS]
 
     def batch(self, rows: np.ndarray, rng: np.random.Generator) -> tuple[torch.Tensor, list[Label]]:
         chosen = [self.seen[row] for row in rows]
@@ -86,9 +90,9 @@ class Crops(torch.utils.data.Dataset[tuple[torch.Tensor, int]]):
         return pixels, [self.labels[i] for i in chosen]
 
 
-def learn(path: Path, epochs: int, size: int, seed: int) -> Tower:
+def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
     torch.manual_seed(seed)
-    rng, crops, tower = np.random.default_rng(seed), Crops(path), Tower()
+    rng, crops, tower = np.random.default_rng(seed), Crops(paths), Tower()
     steps = epochs * (len(crops.seen) // size)
     optimizer = torch.optim.AdamW(tower.parameters(), 2e-3, weight_decay=0.02)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -122,7 +126,7 @@ def learn(path: Path, epochs: int, size: int, seed: int) -> Tower:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--train", type=Path, required=True)
+    parser.add_argument("--train", type=Path, nargs="+", required=True)
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--epochs", type=int, default=24)
     parser.add_argument("--batch", type=int, default=128)

@@ -20,8 +20,8 @@ def bank(size: int, rng: np.random.Generator) -> list[Text]:
         kind = rng.random()
         noun = nouns[rng.integers(37 if rng.random() < 0.6 else len(nouns))]
         words: list[str] = []
-        if kind < 0.75 and rng.random() < 0.45 or kind >= 0.88:
-            words.append(str(rng.choice(paints)) if rng.random() < 0.85 else paints[0])
+        if kind >= 0.88 or (kind < 0.75 and rng.random() < 0.45):
+            words.append(str(rng.choice(paints)))
         if 0.75 <= kind < 0.88 or rng.random() < 0.1:
             words.append(str(rng.choice(stuffs)))
         words += noun if kind < 0.75 else [str(rng.choice(ANYTHING))] if rng.random() < 0.6 else []

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..mini import MiniEncoder
 from ..words import WordEncoder
 from .libraries import models_library
 from .pretrained import model_folder
@@ -18,10 +19,10 @@ OPENCLIP_NAMES = {"ViT-B-16/laion2b_s34b_b88k": DEFAULT_ENCODER}
 
 def load_encoder(
     name: str = DEFAULT_ENCODER, device: str = "auto", dtype: str = "auto"
-) -> "WordEncoder | TransformersEncoder":
-    """The built-in words encoder, or a CLIP, SigLIP, SigLIP 2 or DINOv2 of transformers.
+) -> "WordEncoder | MiniEncoder | TransformersEncoder":
+    """A built-in encoder, or a CLIP, SigLIP, SigLIP 2 or DINOv2 of transformers.
 
-    name: "drsplat-words", a folder as `save_pretrained` writes it, or an id of the Hugging Face hub,
+    name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging Face hub,
     which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
     device: auto, cpu, cuda or mps. dtype of images: auto, float32, bfloat16 or float16; auto is
     float16 on CUDA and bfloat16 on processors that multiply it.
@@ -32,6 +33,8 @@ def load_encoder(
     """
     if name == WordEncoder.identity.name:
         return WordEncoder()
+    if name == MiniEncoder.name:
+        return MiniEncoder()
     models_library()
     folder = model_folder(OPENCLIP_NAMES.get(name, name))
     from .transformers_encoders import TransformersEncoder

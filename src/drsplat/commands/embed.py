@@ -25,7 +25,7 @@ SEGMENTER = "facebook/sam-vit-huge"
 ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
     f"model that embeds, an id of the Hugging Face hub or a folder: CLIP, SigLIP or SigLIP 2, or DINOv2, which knows "
-    f"no words (default: {ENCODER}, the paper's)"
+    f"no words; or drsplat-mini, built in, which knows 37 household things (default: {ENCODER}, the paper's)"
 )
 T = TypeVar("T")
 

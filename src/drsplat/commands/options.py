@@ -123,6 +123,7 @@ def encoder_for(
     """
     from .. import WordEncoder, read_vocabulary
     from ..errors import InputError, MismatchError
+    from ..mini import MiniEncoder
 
     if encoder is not None:
         if vocabulary is not None:
@@ -140,6 +141,8 @@ def encoder_for(
         return words
     if field.encoder.matches(WordEncoder.identity):
         return WordEncoder()
+    if field.encoder.name == MiniEncoder.name:
+        return _loaded_encoder(field, MiniEncoder.name, device)
     raise InputError(
         f"the masks of this field were embedded by '{field.encoder.name}' ({field.encoder.dim}-d), so words must be "
         "too: pass --encoder NAME (its folder, or its id on the Hugging Face hub), --vocabulary FILE (JSON {text: "

@@ -1,0 +1,119 @@
+"""The words that `mini` knows, and which things, colours and materials they stand for."""
+
+import re
+
+NAMES = (
+    "apple", "ball", "banana", "basket", "book", "bottle", "bowl", "box", "bread", "candle", "carrot",
+    "chair", "clock", "cushion", "fork", "knife", "lamp", "laptop", "mug", "orange", "pan", "pear",
+    "picture", "plant", "plate", "pot", "shelf", "sofa", "spoon", "stacking toy", "stool", "table",
+    "teapot", "teddy bear", "toy car", "toy duck", "vase",
+)  # fmt: skip
+COLORS = (
+    "black", "blue", "brown", "green", "grey", "orange", "pink", "purple", "red", "white", "yellow",
+)  # fmt: skip
+MATERIALS = (
+    "cardboard", "ceramic", "fabric", "glass", "leather", "metal", "paper", "plastic", "plush",
+    "rubber", "wax", "wicker", "wood",
+)  # fmt: skip
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "cup": ("mug",),
+    "drink": ("mug", "bottle"),
+    "coffee": ("mug",),
+    "tea": ("mug", "teapot"),
+    "kettle": ("teapot",),
+    "crockery": ("mug", "bowl", "plate", "teapot"),
+    "tableware": ("mug", "bowl", "plate", "teapot"),
+    "dish": ("bowl", "plate"),
+    "cutlery": ("fork", "knife", "spoon"),
+    "cut": ("knife",),
+    "cookware": ("pan", "pot"),
+    "cook": ("pan", "pot"),
+    "skillet": ("pan",),
+    "saucepan": ("pot",),
+    "food": ("apple", "banana", "bread", "carrot", "orange", "pear"),
+    "eat": ("apple", "banana", "bread", "carrot", "orange", "pear"),
+    "fruit": ("apple", "banana", "orange", "pear"),
+    "vegetable": ("carrot",),
+    "loaf": ("bread",),
+    "furniture": ("chair", "shelf", "sofa", "stool", "table"),
+    "seat": ("chair", "sofa", "stool"),
+    "sit": ("chair", "sofa", "stool"),
+    "couch": ("sofa",),
+    "desk": ("table",),
+    "bookcase": ("shelf",),
+    "bookshelf": ("shelf",),
+    "pillow": ("cushion",),
+    "light": ("candle", "lamp"),
+    "toy": ("ball", "stacking toy", "teddy bear", "toy car", "toy duck"),
+    "play": ("ball", "stacking toy", "teddy bear", "toy car", "toy duck"),
+    "teddy": ("teddy bear",),
+    "bear": ("teddy bear",),
+    "car": ("toy car",),
+    "vehicle": ("toy car",),
+    "duck": ("toy duck",),
+    "stacking": ("stacking toy",),
+    "ring": ("stacking toy",),
+    "animal": ("teddy bear", "toy duck"),
+    "computer": ("laptop",),
+    "notebook": ("laptop",),
+    "read": ("book",),
+    "novel": ("book",),
+    "time": ("clock",),
+    "painting": ("picture",),
+    "frame": ("picture",),
+    "flower": ("vase", "plant"),
+    "houseplant": ("plant",),
+    "carton": ("box",),
+    "container": ("basket", "bottle", "bowl", "box", "pot", "vase"),
+}
+"""Words that stand for one or several names: synonyms, kinds, uses."""
+
+TONES = {"gray": "grey", "violet": "purple", "golden": "yellow", "dark": "black", "rose": "pink"}
+STUFFS = {
+    "wooden": "wood", "cloth": "fabric", "textile": "fabric", "metallic": "metal", "steel": "metal",
+    "porcelain": "ceramic", "woven": "wicker", "fluffy": "plush", "soft": "plush",
+}  # fmt: skip
+ANYTHING = ("object", "thing", "stuff", "texture", "item")
+"""What fits everything alike: LERF's negatives, and the noun of "a red thing"."""
+
+IGNORED = frozenset(
+    [
+        "a", "an", "and", "any", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it", "me", "my",
+        "of", "on", "one", "or", "photo", "show", "some", "something", "that", "the", "this", "to", "up", "used",
+        "where", "which", "with", "you", "your",
+    ]
+)  # fmt: skip
+
+WORDS = tuple(
+    sorted(
+        {word for name in NAMES for word in name.split()}
+        | {*COLORS, *MATERIALS, *GROUPS, *TONES, *STUFFS, *ANYTHING}
+    )
+)
+"""Rows of the text tower's table, in this order."""
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a text that say something, in singular; those that nobody taught are included."""
+    found = re.findall(r"[^\W\d_]+", text.lower())
+    return [_singular(word) for word in found if word not in IGNORED]
+
+
+def _singular(word: str) -> str:
+    if word in WORDS or len(word) < 4 or not word.endswith("s"):
+        return word
+    candidates = [word[:-1], word[:-2], f"{word[:-3]}y", f"{word[:-3]}f", f"{word[:-3]}fe"]
+    return next((candidate for candidate in candidates if candidate in WORDS), word)
+
+
+def fits(word: str, name: str, color: str, material: str) -> bool:
+    """Whether a word says something true of a thing. "orange" is a fruit and a colour."""
+    meant = GROUPS.get(word, ())
+    return (
+        word in ANYTHING
+        or word in name.split()
+        or name in meant
+        or TONES.get(word, word) == color
+        or STUFFS.get(word, word) == material
+    )

@@ -1,0 +1,42 @@
+"""The image tower on NumPy: 3x3 convolutions with ReLU, a mean over what is left, a projection."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float32
+
+SIDE = 64  # pixels of what it looks at
+STRIDES = (2, 2, 1, 2, 1, 2, 1)
+"""Of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
+
+Tensors = Mapping[str, np.ndarray]
+
+
+def embed_images(
+    pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors
+) -> Float32[np.ndarray, "n d"]:
+    """Unit vectors. pixels: from -1 to 1, SIDE x SIDE.
+
+    weights: conv<i>.weight (9 * inputs, outputs), rows in the order of row, column, channel; conv<i>.bias;
+    projection (2 * channels, D), of the mean and the largest of each channel.
+    """
+    x = pixels
+    for layer, stride in enumerate(STRIDES):
+        x = _convolve(x, weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"], stride)
+    pooled = np.concatenate([x.mean((1, 2)), x.max((1, 2))], axis=1)
+    out = pooled @ weights["projection"]
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
+def _convolve(
+    x: Float32[np.ndarray, "n h w c"],
+    weight: Float32[np.ndarray, "k o"],
+    bias: Float32[np.ndarray, " o"],
+    stride: int,
+) -> Float32[np.ndarray, "n _ _ o"]:
+    padded = np.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
+    windows = windows[:, ::stride, ::stride].transpose(0, 1, 2, 4, 5, 3)
+    rows = windows.reshape(-1, weight.shape[0]) @ weight + bias
+    out: np.ndarray = np.maximum(rows, 0).reshape(*windows.shape[:3], -1)
+    return out

@@ -1,0 +1,205 @@
+"""The built-in encoder: its words, its network, what it says to strangers."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from drsplat.adapters.loading import load_encoder
+from drsplat.commands.answers import Ask, asked
+from drsplat.crops import crop
+from drsplat.encoders import Encoder, ImageEncoder
+from drsplat.errors import InputError
+from drsplat.field import build_field
+from drsplat.mini import MiniEncoder
+from drsplat.mini.encoder import DIM, _pixels
+from drsplat.mini.lexicon import COLORS, GROUPS, MATERIALS, NAMES, WORDS, fits, words_of
+from drsplat.mini.network import STRIDES, embed_images
+from fields import SCENE, random_evidence
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from world.mini.augment import cut_out
+from world.mini.texts import bank, said_of, truth
+
+
+@pytest.fixture(scope="module")
+def mini() -> MiniEncoder:
+    return MiniEncoder()
+
+
+def test_it_is_an_encoder_of_words_and_images(mini: MiniEncoder) -> None:
+    assert isinstance(mini, Encoder)
+    assert isinstance(mini, ImageEncoder)
+    assert mini.identity.dim == DIM
+    assert mini.identity == MiniEncoder().identity
+    assert -1 < mini.threshold < 1
+
+
+def plain_convolution(
+    x: np.ndarray, weight: np.ndarray, bias: np.ndarray, stride: int
+) -> np.ndarray:
+    """Pixel by pixel, (h, w, c)."""
+    h, w, c = x.shape
+    out = np.zeros((-(-h // stride), -(-w // stride), weight.shape[1]))
+    for i, j in np.ndindex(out.shape[:2]):
+        total = bias.astype(np.float64)
+        for dy, dx in np.ndindex(3, 3):
+            y, column = i * stride + dy - 1, j * stride + dx - 1
+            if 0 <= y < h and 0 <= column < w:
+                rows = weight[(dy * 3 + dx) * c : (dy * 3 + dx + 1) * c]
+                total = total + x[y, column] @ rows
+        out[i, j] = np.maximum(total, 0)
+    return out
+
+
+def test_the_network_is_that_of_plain_loops() -> None:
+    rng = np.random.default_rng(0)
+    channels = (3, 4, 5, 4, 6, 5, 4, 3)
+    weights: dict[str, np.ndarray] = {"projection": rng.normal(size=(6, 7)).astype(np.float32)}
+    for i, (a, b) in enumerate(itertools.pairwise(channels)):
+        weights[f"conv{i}.weight"] = rng.normal(0, 0.4, (9 * a, b)).astype(np.float32)
+        weights[f"conv{i}.bias"] = rng.normal(0, 0.2, b).astype(np.float32)
+    pixels = rng.uniform(-1, 1, (2, 16, 16, 3)).astype(np.float32)
+    for image, found in zip(pixels, embed_images(pixels, weights), strict=True):
+        x = image.astype(np.float64)
+        for i, stride in enumerate(STRIDES):
+            x = plain_convolution(x, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], stride)
+        expected = np.concatenate([x.mean((0, 1)), x.max((0, 1))]) @ weights["projection"]
+        assert_allclose(found, expected / np.linalg.norm(expected), atol=1e-5)
+
+
+def test_images_do_not_depend_on_their_batch(mini: MiniEncoder) -> None:
+    rng = np.random.default_rng(1)
+    images = [rng.integers(0, 256, (side, side, 3), np.uint8) for side in rng.integers(5, 200, 70)]
+    together = mini.encode_images(images)
+    assert_allclose(np.linalg.norm(together, axis=1), 1, atol=1e-5)
+    assert_allclose(together[[0, 69]], mini.encode_images([images[0], images[69]]), atol=1e-5)
+    assert mini.encode_images([]).shape == (0, DIM)
+
+
+def test_images_that_are_not_square_get_black_borders(mini: MiniEncoder) -> None:
+    wide = np.full((20, 60, 3), 200, np.uint8)
+    square = np.zeros((60, 60, 3), np.uint8)
+    square[20:40] = 200
+    assert_allclose(mini.encode_images([wide]), mini.encode_images([square]), atol=1e-6)
+
+
+def test_a_text_is_its_words_in_any_order_and_number(mini: MiniEncoder) -> None:
+    texts = ["a red mug", "Red mugs", "mug, red", "a photo of the red mug"]
+    first, *others = mini.encode_texts(texts)
+    assert_allclose(np.linalg.norm(first), 1, atol=1e-6)
+    for other in others:
+        assert_allclose(other, first, atol=1e-6)
+    assert np.abs(mini.encode_texts(["blue mug"])[0] - first).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("word", "singular"),
+    [("knives", "knife"), ("shelves", "shelf"), ("boxes", "box"), ("candles", "candle"),
+     ("things", "thing"), ("toys", "toy"), ("glass", "glass"), ("bus", "bus"), ("dishes", "dish")],
+)  # fmt: skip
+def test_plurals(word: str, singular: str) -> None:
+    assert words_of(word) == [singular]
+
+
+@pytest.mark.parametrize("text", ["elephant", "red elephant", "the", "", "mug 3 xyzzy"])
+def test_what_it_was_not_taught_is_an_error(mini: MiniEncoder, text: str) -> None:
+    with pytest.raises(InputError, match=r"not taught|no word"):
+        mini.encode_texts([text])
+
+
+def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
+    with pytest.raises(InputError, match=r"'tabel'.*Did you mean table"):
+        mini.encode_texts(["tabel"])
+
+
+def test_the_lexicon_holds_together() -> None:
+    assert {name for names in GROUPS.values() for name in names} <= set(NAMES)
+    assert {word for name in NAMES for word in name.split()} <= set(WORDS)
+    assert fits("orange", "orange", "orange", "peel")
+    assert fits("orange", "mug", "orange", "ceramic")
+    assert fits("drink", "mug", "red", "ceramic")
+    assert not fits("mug", "bowl", "red", "ceramic")
+    assert fits("wooden", "chair", "brown", "wood")
+    assert fits("thing", "chair", "brown", "wood")
+
+
+@given(st.sampled_from(NAMES), st.sampled_from(COLORS), st.sampled_from(MATERIALS))
+def test_every_thing_is_what_its_words_say(name: str, color: str, material: str) -> None:
+    assert all(fits(word, name, color, material) for word in [*name.split(), color, material])
+
+
+def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> None:
+    evidence = random_evidence(np.random.default_rng(0), dim=DIM)
+    field = build_field(evidence, SCENE, mini.identity)
+    answer = asked(field, Ask(text="red mugs"))
+    assert (answer.measure, answer.threshold) == ("cosine", mini.threshold)
+    assert_allclose(answer.values, field.scores(mini.encode_texts(["red mug"])[0]), atol=1e-6)
+    assert isinstance(load_encoder("drsplat-mini"), MiniEncoder)
+
+
+def test_it_tells_painted_shapes_apart(mini: MiniEncoder) -> None:
+    """Not of its world, but near enough: an orange disc on black, and a blue one."""
+    y, x = np.mgrid[:80, :80] - 40
+    disc = (x**2 + y**2 < 35**2)[..., None]
+    shaded = disc * (1 - 0.3 * (x + y)[..., None] / 80)
+    images = [
+        np.clip(shaded * color, 0, 255).astype(np.uint8)
+        for color in ([235, 120, 25], [30, 80, 180])
+    ]
+    scores = mini.encode_images(images) @ mini.encode_texts(["orange thing", "blue thing"]).T
+    assert scores.argmax(1).tolist() == [0, 1]
+
+
+# --- how it is learned -------------------------------------------------------------------------------
+
+
+def test_what_is_said_of_a_thing_is_true() -> None:
+    rng = np.random.default_rng(2)
+    for name in NAMES:
+        label = (name, COLORS[rng.integers(len(COLORS))], MATERIALS[rng.integers(len(MATERIALS))])
+        assert truth([label], [said_of(label, rng) for _ in range(40)]).all()
+
+
+def test_most_random_texts_are_not_true_of_a_thing() -> None:
+    rng = np.random.default_rng(3)
+    texts = bank(2_000, rng)
+    assert {word for text in texts for word in text} <= set(WORDS)
+    assert 0.01 < truth([("mug", "red", "ceramic")], texts).mean() < 0.2
+
+
+def test_learned_crops_are_cut_as_masks_are_embedded() -> None:
+    rng = np.random.default_rng(4)
+    image = rng.integers(0, 256, (96, 96, 3), np.uint8)
+    mask = np.zeros((96, 96), bool)
+    mask[10:50, 30:93] = rng.random((40, 63)) < 0.7
+    mask[10, 30:93] = mask[49, 30:93] = mask[10:50, 30] = mask[10:50, 92] = True
+    square = crop(image, mask[10:50, 30:93], (30, 10, 93, 50))
+    shown = _pixels([square])[0]
+    learned = cut_out(image, mask).astype(np.float32) / 127.5 - 1
+    assert (
+        np.abs(shown - learned).mean() < 0.05
+    )  # the odd pixel of padding may lie on the other side
+
+
+def test_the_exported_network_is_the_learned_one() -> None:
+    torch = pytest.importorskip("torch", reason="learning needs torch")
+    from world.mini.learning import Tower, exported
+
+    torch.manual_seed(0)
+    tower = Tower()
+    pixels = torch.rand(4, 3, 64, 64) * 2 - 1
+    with torch.no_grad():
+        for _ in range(3):
+            tower.images(pixels)  # statistics of the batch normalisation
+        expected = tower.eval().images(pixels).numpy()
+    weights = {name: array.astype(np.float32) for name, array in exported(tower).items()}
+    found = embed_images(pixels.permute(0, 2, 3, 1).numpy(), weights)
+    assert_allclose((found * expected).sum(1), 1, atol=1e-3)
+    assert np.abs(expected[0] - expected[1]).max() > 1e-3
