@@ -145,16 +145,17 @@ def test_the_size_of_batches_makes_no_difference(
 
 def test_batches_are_bounded_by_bytes(folders: dict[str, Path]) -> None:
     encoder = tiny(folders["clip"])
-    assert encoder.batch == (10 << 20) // (3 * 4 * SIDE**2)
+    assert encoder.batch == (5 << 20) // (3 * 4 * SIDE**2)
 
 
-def test_half_precision_is_close_to_single(folders: dict[str, Path]) -> None:
-    encoder = tiny(folders["clip"], "bfloat16")
-    exact = tiny(folders["clip"]).encode_images(IMAGES)
-    rows = encoder.encode_images(IMAGES)
+@pytest.mark.parametrize("kind", ["clip", "siglip", "siglip2", "dinov2"])
+def test_half_precision_is_close_to_single(kind: str, folders: dict[str, Path]) -> None:
+    encoder, single = tiny(folders[kind], "bfloat16"), tiny(folders[kind])
+    exact, rows = single.encode_images(IMAGES), encoder.encode_images(IMAGES)
     assert rows.dtype == np.float32
     assert 0 < np.abs(rows - exact).max() < 0.03
-    assert_array_equal(encoder.encode_texts(TEXTS), tiny(folders["clip"]).encode_texts(TEXTS))
+    if kind != "dinov2":
+        assert_array_equal(encoder.encode_texts(TEXTS), single.encode_texts(TEXTS))
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip", "siglip2"])

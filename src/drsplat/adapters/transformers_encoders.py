@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
 from importlib import import_module
 from math import isqrt
 from pathlib import Path
@@ -21,8 +20,8 @@ from .preprocessing import Preprocessing, read_preprocessing
 from .pretrained import load_model, load_tokenizer, model_type, weight_files, weights_hash
 from .weight_names import OPEN_CLIP
 
-BATCH_BYTES = {"cpu": 10 << 20, "mps": 20 << 20, "cuda": 80 << 20}
-"""Of input numbers in one pass: 16 images of 224 pixels on a CPU, where more only takes memory."""
+BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
+"""Of input numbers in one pass: 8 images of 224 pixels on a CPU, where more leave its caches."""
 TEXT_BATCH, TEXTS_KEPT = 64, 4096
 _HALF = ((0.5,) * 3, (0.5,) * 3)
 _OPENAI = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
@@ -78,6 +77,7 @@ class TransformersEncoder:
         self.device = chosen_device(device)
         self.dtype = chosen_dtype(dtype, self.device)
         self._model = _model(self._family.class_name, folder, files).to(self.device)
+        self._cast_vision()
         published = _published(self._family, self._vision)
         if kind == "clip":
             published = open_clip_preprocessing(folder, published)
@@ -134,14 +134,19 @@ class TransformersEncoder:
         torch = import_module("torch")
         values = torch.from_numpy(np.stack([self.preprocessing.pixel_values(i) for i in images]))
         inputs = self._patches(values) if self._family.patches else {"pixel_values": values}
+        inputs["pixel_values"] = inputs["pixel_values"].to(getattr(torch, self.dtype))
         inputs = {name: value.to(self.device) for name, value in inputs.items()}
         images_to_output = self._model.get_image_features if self._family.texts else self._model
-        with torch.inference_mode(), self._precision(torch):
+        with torch.inference_mode():
             return _rows(images_to_output(**inputs))
 
-    def _precision(self, torch: Any) -> AbstractContextManager[Any]:
-        dtype = getattr(torch, self.dtype)
-        return torch.autocast(self.device, dtype=dtype, enabled=self.dtype != "float32")  # type: ignore[no-any-return]
+    def _cast_vision(self) -> None:
+        """Once: autocast would cast every weight again for every batch, a tenth of the time."""
+        parts = ("vision_model", "visual_projection") if self._family.texts else ()
+        dtype = getattr(import_module("torch"), self.dtype)
+        for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
+            if part is not None:
+                part.to(dtype)
 
     def _patches(self, values: Any) -> dict[str, Any]:
         """(b, 3, s, s) cut into squares, row by row; within one by row, column, channel."""
