@@ -5,21 +5,17 @@ from jaxtyping import Bool, UInt8
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion
 
+from drsplat.crops import crop
 from drsplat.mini.network import SIDE
+from drsplat.segments import tight_box
 
 
 def cut_out(
     image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
 ) -> UInt8[np.ndarray, "s s 3"]:
-    """The mask's box, black around the mask and to a square, as `drsplat.crops` does it; SIDE pixels."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    part = image[box] * mask[box][..., None]
-    h, w = part.shape[:2]
-    side = max(h, w)
-    square = np.zeros((side, side, 3), np.uint8)
-    top, left = (side - h) // 2, (side - w) // 2
-    square[top : top + h, left : left + w] = part
+    """What `mini` sees of a mask: its crop as `drsplat.crops` makes it, SIDE pixels."""
+    x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
+    square = crop(image, mask[y0:y1, x0:x1], (x0, y0, x1, y1))
     return np.asarray(Image.fromarray(square).resize((SIDE, SIDE), Image.Resampling.BILINEAR))
 
 

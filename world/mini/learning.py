@@ -98,7 +98,7 @@ def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, 3e-3, total_steps=steps, pct_start=0.15
     )
-    start, step = time.monotonic(), 0
+    start = time.monotonic()
     for epoch in range(epochs):
         order = rng.permutation(len(crops.seen))
         losses = []
@@ -115,8 +115,7 @@ def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
             loss.backward()
             optimizer.step()
             schedule.step()
-            losses.append(float(loss))
-            step += 1
+            losses.append(loss.item())
         print(
             f"epoch {epoch + 1}: loss {np.mean(losses):.3f}, {time.monotonic() - start:.0f} s",
             flush=True,

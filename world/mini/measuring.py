@@ -6,6 +6,7 @@ test differ in seeds, arrangements and textures.
 
 import argparse
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -69,12 +70,14 @@ def main() -> None:
     seen = np.flatnonzero(masks.mean((1, 2)) >= SEEN)
     labels = stored["labels"][seen]
     crops = [cut_out(stored["images"][i], masks[i]) for i in seen]
+    start = time.perf_counter()
     embeddings = encoder.encode_images(crops)
+    rate = len(crops) / (time.perf_counter() - start)
     names = confusion(embeddings, labels[:, 0].tolist(), NAMES, encoder)
     colors = confusion(embeddings, labels[:, 1].tolist(), COLORS, encoder)
     wrong = [(int(n), NAMES[i], NAMES[j]) for (i, j), n in np.ndenumerate(names) if i != j and n]
     report = {
-        "crops": len(seen), "left_out": len(masks) - len(seen), "names": len(NAMES),
+        "crops": len(seen), "crops_per_second": round(rate), "left_out": len(masks) - len(seen), "names": len(NAMES),
         "name_top1": right(names), "color_top1": right(colors),
         "worst": [f"{truth} taken for {guess}: {n}" for n, truth, guess in sorted(wrong, reverse=True)[:10]],
     }  # fmt: skip
