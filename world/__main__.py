@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from .cameras import views_of
+from .cameras import PATHS, views_of
 from .contact_sheet import contact_sheet
 from .layouts import write_lerf, write_scannet, write_truth
 from .looks import SPLITS, Split
@@ -31,36 +31,35 @@ def main() -> None:
     output.parent.mkdir(parents=True, exist_ok=True)
     temporary = output.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
-        write_scene(
-            temporary, split, arguments.seed, arguments.views, arguments.size, arguments.spp
-        )
+        write_scene(temporary, arguments)
         temporary.rename(output)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def write_scene(
-    folder: Path, split: Split, seed: int, views: int, size: tuple[int, int], spp: int
-) -> None:
+def write_scene(folder: Path, plan: argparse.Namespace) -> None:
     """One room in all layouts (see `layouts`)."""
+    split, seed = SPLITS[plan.split], plan.seed
     room = make_room(split, seed)
-    cameras = views_of(room, views, size, split.rng(seed, 300))
+    cameras = views_of(room, plan.views, plan.size, split.rng(seed, 300), plan.cameras)
     shots = []
     started = time.perf_counter()
-    for shot in shoot(room, cameras, spp, seed):
+    for shot in shoot(room, cameras, plan.spp, seed):
         shots.append(shot)
-        print(
-            f"\r{len(shots)}/{views} views, {time.perf_counter() - started:.0f} s",
-            end="",
-            flush=True,
-        )
+        passed = time.perf_counter() - started
+        print(f"\r{len(shots)}/{plan.views} views, {passed:.0f} s", end="", flush=True)
     print()
     rng, scene = split.rng(seed, 400), f"{split.name}_{seed:04d}"
-    about = {"world": VERSION, "split": split.name, "seed": seed, "spp": spp, "scene": scene}
-    write_truth(folder, room, shots, about)
-    write_lerf(
-        folder / "lerf_ovs", scene, room, shots, from_depth(shots, 20_000, rng), max(4, views // 6)
-    )
+    about = {
+        "world": VERSION,
+        "split": split.name,
+        "seed": seed,
+        "cameras": plan.cameras,
+        "spp": plan.spp,
+    }
+    write_truth(folder, room, shots, {**about, "scene": scene})
+    cloud, labelled = from_depth(shots, 20_000, rng), max(4, plan.views // 6)
+    write_lerf(folder / "lerf_ovs", scene, room, shots, cloud, labelled)
     write_scannet(folder / "scannet", scene, room, shots, of_surfaces(room, shots, rng))
 
 
@@ -71,6 +70,12 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--output", type=Path, metavar="DIR")
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=_size, default=(640, 480), metavar="WIDTHxHEIGHT")
+    parser.add_argument(
+        "--cameras",
+        choices=PATHS,
+        default="both",
+        help="round the table, through the room, or both",
+    )
     parser.add_argument("--spp", type=int, default=16, help="samples per pixel")
     parser.add_argument("--contact-sheet", type=Path, metavar="FILE.jpg")
     arguments = parser.parse_args()

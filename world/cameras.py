@@ -11,6 +11,7 @@ from .meshes import turn
 from .rooms import Placed, Room
 
 Vec = Float64[np.ndarray, " 3"]
+PATHS = ("both", "orbit", "walk")
 
 
 def look_at(eye: Vec, target: Vec, size: tuple[int, int], across: float, name: str = "") -> View:
@@ -111,8 +112,10 @@ def _distance(placed: Placed, eye: Vec) -> float:
     return float(np.linalg.norm(np.maximum(0, np.maximum(low - local, local - high))))
 
 
-def views_of(room: Room, count: int, size: tuple[int, int], rng: np.random.Generator) -> list[View]:
-    """Three in five in orbit, the rest walking; frame_00001.jpg and so on."""
-    around = -(-3 * count // 5)
+def views_of(
+    room: Room, count: int, size: tuple[int, int], rng: np.random.Generator, path: str = "both"
+) -> list[View]:
+    """frame_00001.jpg and so on. path: one of PATHS; "both" is three in five in orbit, the rest walking."""
+    around = {"orbit": count, "walk": 0, "both": -(-3 * count // 5)}[path]
     views = orbit(room, around, size, rng) + walk(room, count - around, size, rng)
     return [replace(view, name=f"frame_{k:05d}.jpg") for k, view in enumerate(views, 1)]
