@@ -1,0 +1,1 @@
+"""Named and versioned protocols: predict to disk, score from disk, report."""

@@ -1,0 +1,169 @@
+"""LERF-OVS labels: JSON with a polygon per object, filled as OpenCV's `fillPoly` fills them.
+
+    LABEL_FOLDER/frame_00041.json
+    {"info": {"name", "width", "height"}, "objects": [{"category", "bbox", "segmentation"}, ...]}
+
+Polygons are in pixels, (x, y); (0, 0) is the centre of the top left one. Numbers lose their fraction.
+Source: Kerr et al. 2023 (LERF); the annotations of Qin et al. 2024 (LangSplat).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from ..errors import FormatError, InputError
+from .json_files import as_count, as_vector, read_json, shown
+from .photo_files import safe_name
+
+MAX_SIDE = 16384
+MAX_CORNERS = 1 << 16
+Polygon = Int64[np.ndarray, "_ 2"]
+Box = Float64[np.ndarray, "4"]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """What people drew on one photo.
+
+    name: the photo's, without suffix. polygons, boxes: by category, one or more of each; boxes are
+    (x1, y1, x2, y2).
+    """
+
+    name: str
+    width: int
+    height: int
+    polygons: Mapping[str, tuple[Polygon, ...]]
+    boxes: Mapping[str, tuple[Box, ...]]
+
+    @cached_property
+    def categories(self) -> tuple[str, ...]:
+        return tuple(sorted(self.polygons))
+
+    def mask(self, category: str) -> Bool[np.ndarray, "h w"]:
+        """All objects of the category in one."""
+        united = np.zeros((self.height, self.width), bool)
+        for polygon in self.polygons[category]:
+            united |= fill_polygon(polygon, self.width, self.height)
+        return united
+
+
+def read_lerf_labels(folder: Path) -> list[LabelledFrame]:
+    """The labelled frames of a scene, by name.
+
+    Raises: InputError: no such folder, or no label in it. FormatError: as `read_lerf_frame`.
+    """
+    paths = sorted(folder.glob("*.json")) if folder.is_dir() else []
+    if not paths:
+        raise InputError(f"{folder}: expected a folder of LERF-OVS labels, frame_XXXXX.json")
+    return [read_lerf_frame(path) for path in paths]
+
+
+def read_lerf_frame(path: Path) -> LabelledFrame:
+    """One file of labels.
+
+    Raises: InputError: there is no such file. FormatError: damaged; the message names file, object
+    and field.
+    """
+    document = read_json(path)
+    if not isinstance(document, dict) or not isinstance(document.get("info"), dict):
+        raise FormatError(f'{path}: expected a JSON object with "info" and "objects"')
+    info, objects = document["info"], document.get("objects")
+    width, height = (_side(info.get(key), f"{path}: info.{key}") for key in ("width", "height"))
+    name = info.get("name", path.name)
+    if not isinstance(name, str) or Path(safe_name(name, f"{path}: info.name")).stem != path.stem:
+        raise FormatError(f"{path}: info.name: expected '{path.stem}', got {shown(name)}")
+    if not isinstance(objects, list):
+        raise FormatError(f"{path}: objects: expected a list, got {shown(objects)}")
+    read = [
+        _object(entry, (width, height), f"{path}: object {index}")
+        for index, entry in enumerate(objects)
+    ]
+    return LabelledFrame(
+        path.stem,
+        width,
+        height,
+        _grouped((category, polygon) for category, polygon, _ in read),
+        _grouped((category, box) for category, _, box in read),
+    )
+
+
+def fill_polygon(polygon: Polygon, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels inside (even-odd) or on the edge of a polygon of whole corners.
+
+    Source: OpenCV `fillPoly` with 8-connected edges.
+    """
+    filled = np.zeros((height, width), bool)
+    starts, ends = polygon, np.roll(polygon, -1, axis=0)
+    rows = np.arange(max(0, polygon[:, 1].min()), min(height, polygon[:, 1].max() + 1))
+    for row in rows.tolist():
+        _fill_row(filled[row], row, starts, ends)
+    for start, end in zip(starts, ends, strict=True):
+        x, y = _line(start, end)
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        filled[y[inside], x[inside]] = True
+    return filled
+
+
+def _fill_row(line: Bool[np.ndarray, " w"], row: int, starts: Polygon, ends: Polygon) -> None:
+    """Between each two crossings; an edge has its upper end and not its lower one."""
+    low, high = np.minimum(starts[:, 1], ends[:, 1]), np.maximum(starts[:, 1], ends[:, 1])
+    crossed = (low <= row) & (row < high)
+    (x1, y1), (x2, y2) = starts[crossed].T, ends[crossed].T
+    x = np.sort(x1 + (row - y1) * (x2 - x1) / (y2 - y1))
+    for left, right in zip(x[::2], x[1::2], strict=True):
+        line[max(0, int(np.ceil(left))) : max(0, int(np.floor(right)) + 1)] = True
+
+
+def _line(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bresenham's pixels from left to right."""
+    if end[0] < start[0]:
+        start, end = end, start
+    dx, dy = (int(v) for v in end - start)
+    steps = max(dx, abs(dy))
+    minor = min(dx, abs(dy))
+    along = np.arange(steps + 1)
+    across = -((steps - 2 * along * minor) // (2 * steps)) if steps else along
+    x, y = (along, across) if dx >= abs(dy) else (across, along)
+    return start[0] + x, start[1] + (y if dy >= 0 else -y)
+
+
+def _side(value: object, where: str) -> int:
+    side = as_count(value, where)
+    if not 1 <= side <= MAX_SIDE:
+        raise FormatError(f"{where}: expected 1 to {MAX_SIDE} pixels, got {side}")
+    return side
+
+
+def _object(entry: object, size: tuple[int, int], where: str) -> tuple[str, Polygon, Box]:
+    if not isinstance(entry, dict):
+        raise FormatError(f"{where}: expected an object, got {shown(entry)}")
+    category = entry.get("category")
+    if not isinstance(category, str) or not category.strip() or not category.isprintable():
+        raise FormatError(f"{where}: category: expected a text, got {shown(category)}")
+    where = f"{where} ({category[:60]!a})"
+    polygon = _polygon(entry.get("segmentation"), size, f"{where}: segmentation")
+    if "bbox" not in entry:
+        return category, polygon, np.concatenate([polygon.min(0), polygon.max(0)]).astype(float)
+    return category, polygon, as_vector(entry["bbox"], 4, f"{where}: bbox")
+
+
+def _polygon(value: object, size: tuple[int, int], where: str) -> Polygon:
+    if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
+        raise FormatError(f"{where}: expected three or more corners [x, y], got {shown(value)}")
+    corners = np.stack([as_vector(corner, 2, where) for corner in value])
+    if (corners < -np.array(size)).any() or (corners > 2 * np.array(size)).any():
+        raise FormatError(f"{where}: corners far outside of the {size[0]}x{size[1]} frame")
+    return corners.astype(np.int64)
+
+
+def _grouped(pairs: Iterable[tuple[str, T]]) -> dict[str, tuple[T, ...]]:
+    groups: dict[str, list[T]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return {key: tuple(values) for key, values in groups.items()}

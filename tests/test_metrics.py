@@ -1,0 +1,126 @@
+"""Metrics: their own examples, cases worked out by hand, and laws."""
+
+import doctest
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from drsplat.evaluation import metrics
+
+few = settings(derandomize=True, deadline=None, max_examples=50)
+TRUTH = np.array([1, 1, 1, 2, 2, 3, 0, 0])
+PREDICTED = np.array([1, 1, 2, 2, 2, 1, 3, 0])
+
+
+def test_examples() -> None:
+    result = doctest.testmod(metrics, extraglobs={"np": np})
+    assert result.attempted > 15
+    assert result.failed == 0
+
+
+def test_class_ious_by_hand() -> None:
+    # class 1: 2 of {3 true, 3 predicted}; class 2: 2 of {2, 3}; class 3: found nowhere that counts
+    assert_allclose(metrics.class_ious(PREDICTED, TRUTH, 3), [2 / 4, 2 / 3, 0])
+    assert_allclose(metrics.class_accuracies(PREDICTED, TRUTH, 3), [2 / 3, 1, 0])
+
+
+def test_class_ious_are_jaccard_scores() -> None:
+    sklearn = pytest.importorskip("sklearn.metrics")
+    rng = np.random.default_rng(0)
+    truth, predicted = rng.integers(1, 6, (2, 500))
+    weights = rng.random(500)
+    expected = sklearn.jaccard_score(
+        truth, predicted, average=None, labels=[1, 2, 3, 4, 5], sample_weight=weights
+    )
+    assert_allclose(metrics.class_ious(predicted, truth, 5, weights), expected)
+
+
+# sklearn.metrics.jaccard_score(truth, predicted, average=None) of these, worked out as fractions
+JACCARD = [
+    (
+        [1, 2, 3, 1, 2, 3, 3],
+        [1, 2, 1, 1, 3, 3, 3],
+        [Fraction(2, 3), Fraction(1, 2), Fraction(1, 2)],
+    ),
+    ([1, 1, 2, 2], [2, 2, 1, 1], [Fraction(0), Fraction(0)]),
+    ([1, 1, 1, 2], [1, 1, 1, 1], [Fraction(3, 4), Fraction(0)]),
+]
+
+
+@pytest.mark.parametrize(("truth", "predicted", "expected"), JACCARD)
+def test_class_ious_by_fractions(truth, predicted, expected) -> None:
+    got = metrics.class_ious(np.array(predicted), np.array(truth), len(expected))
+    assert_allclose(got, [float(x) for x in expected])
+
+
+labels = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(1, 9)), min_size=1)
+
+
+@few
+@given(labels)
+def test_whole_weights_count_as_copies(rows) -> None:
+    predicted, truth, weights = (np.array(column) for column in zip(*rows, strict=True))
+    repeated = metrics.class_ious(np.repeat(predicted, weights), np.repeat(truth, weights), 4)
+    assert_allclose(metrics.class_ious(predicted, truth, 4, weights), repeated)
+
+
+@few
+@given(labels, st.randoms())
+def test_order_and_scale_of_weights_do_not_matter(rows, random) -> None:
+    shuffled = list(rows)
+    random.shuffle(shuffled)
+    one, other = np.array(rows), np.array(shuffled)
+    assert_allclose(
+        metrics.class_ious(one[:, 0], one[:, 1], 4, one[:, 2]),
+        metrics.class_ious(other[:, 0], other[:, 1], 4, 37.0 * other[:, 2]),
+    )
+
+
+@few
+@given(labels)
+def test_class_iou_is_the_weighted_iou_of_its_masks(rows) -> None:
+    predicted, truth, weights = (np.array(column) for column in zip(*rows, strict=True))
+    counted = truth > 0
+    got = metrics.class_ious(predicted, truth, 4, weights)
+    for label in range(1, 5):
+        alone = metrics.weighted_iou(
+            (predicted == label) & counted, truth == label, weights.astype(float)
+        )
+        if (truth == label).any():
+            assert got[label - 1] == pytest.approx(alone)
+        else:
+            assert np.isnan(got[label - 1])
+
+
+def test_perfect_is_one_and_empty_is_zero() -> None:
+    present = metrics.class_ious(TRUTH, TRUTH, 3)
+    assert_allclose(present, 1)
+    assert_allclose(metrics.class_ious(np.zeros_like(TRUTH), TRUTH, 3), 0)
+
+
+@few
+@given(st.lists(st.floats(-5, 5), min_size=3, max_size=9), st.floats(0.1, 9), st.floats(-9, 9))
+def test_correlations_ignore_scale_and_offset(values, scale, offset) -> None:
+    if np.ptp(values) < 0.1:
+        return
+    moved = [scale * value + offset for value in values]
+    assert metrics.pearson(values, moved) == pytest.approx(1)
+    assert metrics.spearman(values, [-v for v in values]) == pytest.approx(-1)
+
+
+def test_spearman_is_scipys() -> None:
+    from scipy.stats import spearmanr
+
+    a, b = np.random.default_rng(0).integers(0, 6, (2, 20)).tolist()
+    assert metrics.spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
+
+
+def test_interval_holds_the_mean_and_narrows() -> None:
+    values = np.random.default_rng(1).normal(0.5, 0.1, 40).tolist()
+    low, high = metrics.mean_interval(values)
+    assert low < np.mean(values) < high
+    assert high - low < np.subtract(*metrics.mean_interval(values[:8])[::-1])
