@@ -1,0 +1,273 @@
+"""Labels of free Gaussians from labelled points, by a spatial index and never by all pairs.
+
+`density_labels` is the vote that the protocols use. `printed_labels` is Eq. 2 as the paper prints it.
+
+Source: Dr. Splat Sec. C, Eq. 1-2.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Int64
+
+from ..errors import InputError
+from ..gaussians import Gaussians
+
+CUT_OFF = 3.0  # standard deviations
+MOST_CANDIDATES = 8192
+KEPT_SHARE = 4  # one in this many points, for Gaussians with more candidates than that
+PAIRS = 1 << 19  # looked at at once: their arrays stay in the cache of a core
+BLOCK = 8192
+MAX_CELLS_ALONG = 1 << 16
+FINEST = 1024  # boxes smaller than this part of the scene are looked up like one of that size
+
+
+class LabelledPoints(NamedTuple):
+    """World positions and a label >= 0 of each; 0 is a label like the others here."""
+
+    positions: Float32[np.ndarray, "m 3"]
+    labels: Int32[np.ndarray, " m"]
+
+
+class _Sources(NamedTuple):
+    """Gaussians as the vote needs them: rows of `whiten` take offsets to standard deviations.
+
+    reach: half sides of the box that holds the cut-off. size: its longest, up to a power of two.
+    """
+
+    ids: Int64[np.ndarray, " n"]
+    means: Float32[np.ndarray, "n 3"]
+    whiten: Float32[np.ndarray, "n 9"]
+    reach: Float32[np.ndarray, "n 3"]
+    size: Float64[np.ndarray, " n"]
+
+    def rows(self, index: np.ndarray | slice) -> "_Sources":
+        return _Sources(*(column[index] for column in self))
+
+
+class _Runs(NamedTuple):
+    """Slices of the sorted points, by source."""
+
+    owner: Int64[np.ndarray, " k"]
+    starts: Int64[np.ndarray, " k"]
+    counts: Int64[np.ndarray, " k"]
+
+
+def density_labels(
+    gaussians: Gaussians, points: LabelledPoints, *, cut_off: float = CUT_OFF, threads: int = 0
+) -> Int32[np.ndarray, " n"]:
+    """argmax over labels s of the sum of exp(-d^2 / 2) over the points of s nearer than `cut_off`.
+
+    d is the Mahalanobis distance of a point to the Gaussian. -1 where no point is that near; ties go
+    to the lowest label. A Gaussian with more than 8192 points in its box is judged by an even
+    sample of at least 2048 of them. The same to the bit for any number of threads.
+
+    Raises: InputError: no points, labels below 0, numbers that are not finite.
+    Source: Dr. Splat Sec. C. The paper prints a sum of distances: see `printed_labels`.
+    Twin: evaluation.reference.density_labels.
+    """
+    _check(gaussians, points)
+    present, dense = np.unique(points.labels, return_inverse=True)
+    names = np.append(present, -1).astype(np.int32)  # found is -1 until there is a vote
+    found = np.full(len(gaussians), -1, np.int32)
+    shuffled = np.random.default_rng(0).permutation(len(dense))
+    extent = float(np.ptp(points.positions.astype(np.float64), axis=0).max())
+    left = _sources(gaussians, cut_off, extent / FINEST)
+    while len(left.ids):
+        kept = LabelledPoints(points.positions[shuffled], dense[shuffled].astype(np.int32))
+        left = _vote_round(left, kept, cut_off, found, threads)
+        shuffled = shuffled[: -(-len(shuffled) // KEPT_SHARE)]
+    return names[found]
+
+
+def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.ndarray, " n"]:
+    """argmax over labels s of the *sum of squared Mahalanobis distances* to the points of s.
+
+    This is Eq. 2 as printed, which favours far and frequent labels; for comparison only. The sum
+    over points is trace(inv(cov) (scatter_s + m_s (mean_s - mu)(mean_s - mu)^T)): no pairs at all.
+
+    Raises: InputError: as `density_labels`.
+    Source: Dr. Splat Eq. 2.  Twin: evaluation.reference.printed_labels.
+    """
+    _check(gaussians, points)
+    whiten = _whitening(gaussians).astype(np.float64)
+    means = gaussians.means.astype(np.float64)
+    present = np.unique(points.labels)
+    best, found = np.full(len(gaussians), -np.inf), np.full(len(gaussians), -1, np.int32)
+    for label in present.tolist():
+        members = points.positions[points.labels == label].astype(np.float64)
+        center = members.mean(0)
+        scatter = (members - center).T @ (members - center)
+        spread = np.einsum("nij,jk,nik->n", whiten, scatter, whiten)
+        away = ((whiten @ (center - means)[:, :, None]) ** 2).sum((1, 2))
+        total = spread + len(members) * away
+        found[total > best] = label
+        np.maximum(best, total, out=best)
+    return found
+
+
+def _check(gaussians: Gaussians, points: LabelledPoints) -> None:
+    if not len(points.labels) or len(points.labels) != len(points.positions):
+        raise InputError(
+            f"expected one label per point; got {len(points.positions)} points, {len(points.labels)} labels"
+        )
+    if points.labels.min() < 0:
+        raise InputError(f"labels: expected 0 or more, got {points.labels.min()}")
+    for name, array in (("points", points.positions), ("means", gaussians.means)):
+        if not np.isfinite(array).all():
+            raise InputError(f"{name}: expected finite positions")
+
+
+def _whitening(gaussians: Gaussians) -> Float32[np.ndarray, "n 3 3"]:
+    """inv(S) R^T of each Gaussian."""
+    w, x, y, z = gaussians.quats.astype(np.float64).T
+    columns = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    turned = np.stack([np.stack(row, 1) for row in columns], 1)
+    return (turned / gaussians.scales.astype(np.float64)[:, :, None]).astype(np.float32)
+
+
+def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
+    """In order of size, then of place, so that a block of them shares cells."""
+    covariances = gaussians.covariances()
+    reach = cut_off * np.sqrt(covariances[:, [0, 3, 5]])
+    reach = (reach * (1 + 1e-6)).astype(np.float32)
+    longest = np.maximum(reach.max(1).astype(np.float64), max(finest, 1e-12))
+    size = np.exp2(np.ceil(np.log2(longest)))
+    x, y, z = np.floor(gaussians.means.astype(np.float64) / size[:, None]).T
+    order = np.lexsort((x, y, z, size))
+    whiten = _whitening(gaussians).reshape(-1, 9)
+    return _Sources(order, gaussians.means[order], whiten[order], reach[order], size[order])
+
+
+class _Grid:
+    """Points sorted by cells of a cubic grid, x fastest: a run of cells along x is one slice."""
+
+    def __init__(
+        self, points: LabelledPoints, bounds: Float64[np.ndarray, "2 3"], cell: float
+    ) -> None:
+        self.origin, extent = bounds[0], bounds[1] - bounds[0]
+        self.cell = max(cell, float(extent.max()) / MAX_CELLS_ALONG, 1e-12)
+        self.shape = (extent / self.cell).astype(np.int64) + 1
+        at = ((points.positions - self.origin) / self.cell).astype(np.int64)
+        keys = (at[:, 2] * self.shape[1] + at[:, 1]) * self.shape[0] + at[:, 0]
+        order = np.argsort(keys, kind="stable")
+        self.keys = keys[order]
+        self.columns = [np.ascontiguousarray(points.positions[order, k]) for k in range(3)]
+        self.labels = points.labels[order].astype(np.int64)
+        self.num_labels = int(self.labels.max()) + 1
+
+    def runs(self, sources: _Sources) -> _Runs:
+        """The slices of points whose cells a source's box touches."""
+        low, high = (
+            np.floor(
+                (sources.means.astype(np.float64) + sign * sources.reach - self.origin) / self.cell
+            )
+            for sign in (-1, 1)
+        )
+        low, high = np.maximum(low, 0), np.minimum(high, self.shape - 1)
+        spans = np.maximum(high - low + 1, 0).astype(np.int64)
+        rows = np.where(spans[:, 0] > 0, spans[:, 1] * spans[:, 2], 0)
+        owner = np.repeat(np.arange(len(rows)), rows)
+        nth = np.arange(len(owner)) - np.repeat(np.cumsum(rows) - rows, rows)
+        corner = low.astype(np.int64)[owner]
+        y, z = corner[:, 1] + nth % spans[owner, 1], corner[:, 2] + nth // spans[owner, 1]
+        first = (z * self.shape[1] + y) * self.shape[0] + corner[:, 0]
+        starts = np.searchsorted(self.keys, first)
+        counts = np.searchsorted(self.keys, first + spans[owner, 0]) - starts
+        filled = counts > 0
+        return _Runs(owner[filled], starts[filled], counts[filled])
+
+
+def _vote_round(
+    sources: _Sources,
+    points: LabelledPoints,
+    cut_off: float,
+    found: Int32[np.ndarray, " n"],
+    threads: int,
+) -> _Sources:
+    """Writes the labels of Gaussians with few candidates; returns the others."""
+    corners = (points.positions.min(0), points.positions.max(0))
+    bounds = np.stack(corners).astype(np.float64)
+    bands = np.split(np.arange(len(sources.ids)), np.flatnonzero(np.diff(sources.size)) + 1)
+    crowded = []
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        for band in bands:
+            grid = _Grid(points, bounds, float(sources.size[band[0]]) / 2)
+            blocks = [band[at : at + BLOCK] for at in range(0, len(band), BLOCK)]
+            vote = partial(_vote_block, sources, grid, cut_off, found)
+            crowded += list(pool.map(vote, blocks))
+    return sources.rows(np.concatenate(crowded))
+
+
+def _vote_block(
+    sources: _Sources,
+    grid: _Grid,
+    cut_off: float,
+    found: Int32[np.ndarray, " n"],
+    block: Int64[np.ndarray, " b"],
+) -> Int64[np.ndarray, " c"]:
+    """The rows of a block that have too many candidates."""
+    inside = sources.rows(slice(block[0], block[-1] + 1))
+    runs = grid.runs(inside)
+    candidates = np.bincount(runs.owner, runs.counts, len(block)).astype(np.int64)
+    few = candidates <= MOST_CANDIDATES
+    runs = _Runs(*(column[few[runs.owner]] for column in runs))
+    ends = np.cumsum(runs.counts)
+    cuts = np.searchsorted(ends, np.arange(PAIRS, ends[-1] if len(ends) else 0, PAIRS))
+    # a batch never divides a source's runs
+    cuts = np.unique(np.searchsorted(runs.owner, runs.owner[cuts]))
+    for begin, end in pairwise([0, *cuts.tolist(), len(runs.owner)]):
+        if end > begin:
+            _vote_batch(inside, grid, cut_off, found, _Runs(*(c[begin:end] for c in runs)))
+    return block[~few]
+
+
+def _vote_batch(
+    sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.ndarray, " n"], runs: _Runs
+) -> None:
+    total = int(runs.counts.sum())
+    shifts = runs.starts - (np.cumsum(runs.counts) - runs.counts)
+    points = np.repeat(shifts, runs.counts) + np.arange(total)
+    first, last = int(runs.owner[0]), int(runs.owner[-1]) + 1
+    per_source = np.bincount(runs.owner - first, runs.counts, last - first).astype(np.int64)
+    owner = np.repeat(np.arange(last - first, dtype=np.int32), per_source)
+    means, whiten = sources.means[first:last], sources.whiten[first:last]
+    offsets = [
+        column[points] - np.repeat(mean, per_source)
+        for column, mean in zip(grid.columns, means.T, strict=True)
+    ]
+    squared = np.zeros(total, np.float32)
+    for axis in range(3):
+        along = np.repeat(whiten[:, 3 * axis], per_source) * offsets[0]
+        along += np.repeat(whiten[:, 3 * axis + 1], per_source) * offsets[1]
+        along += np.repeat(whiten[:, 3 * axis + 2], per_source) * offsets[2]
+        along *= along
+        squared += along
+    near = np.flatnonzero(squared <= np.float32(cut_off**2))
+    labels = grid.labels[points[near]]
+    votes = np.exp(np.float32(-0.5) * squared[near])
+    ids = sources.ids[first:last]
+    _write_winners(found, ids, owner[near], labels, votes, grid.num_labels)
+
+
+def _write_winners(
+    found: Int32[np.ndarray, " n"],
+    ids: Int64[np.ndarray, " b"],
+    owner: Int32[np.ndarray, " e"],
+    labels: Int64[np.ndarray, " e"],
+    votes: Float32[np.ndarray, " e"],
+    num_labels: int,
+) -> None:
+    """The label with most votes of each owner that has any."""
+    sums = np.bincount(owner * num_labels + labels, votes, len(ids) * num_labels)
+    sums = sums.reshape(len(ids), num_labels)
+    voted = sums.any(1)
+    found[ids[voted]] = sums[voted].argmax(1)

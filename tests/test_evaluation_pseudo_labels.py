@@ -1,0 +1,170 @@
+"""Pseudo labels: closed forms, the all-pairs twin, and laws."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from drsplat.errors import InputError
+from drsplat.evaluation import pseudo_labels, reference
+from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels
+from drsplat.gaussians import Gaussians
+from scenes import random_gaussians
+
+few = settings(derandomize=True, deadline=None, max_examples=25)
+
+
+def random_points(
+    count: int, num_labels: int, seed: int = 0, extent: float = 2.0
+) -> LabelledPoints:
+    """Labels in clumps, as things are."""
+    rng = np.random.default_rng(seed)
+    positions = rng.uniform(-extent, extent, (count, 3)).astype(np.float32)
+    seeds = rng.uniform(-extent, extent, (3 * num_labels, 3))
+    nearest = ((positions[:, None] - seeds) ** 2).sum(2).argmin(1)
+    return LabelledPoints(positions, (nearest % num_labels).astype(np.int32))
+
+
+def one_gaussian(mean=(0, 0, 0), scales=(1, 1, 1), quat=(1, 0, 0, 0)) -> Gaussians:
+    columns = ([mean], [quat], [scales], [1.0], np.zeros((1, 1, 3)))
+    return Gaussians(*(np.array(column, np.float32) for column in columns))
+
+
+def cloud(rows: list[tuple[float, float, float, int]]) -> LabelledPoints:
+    table = np.array(rows)
+    return LabelledPoints(table[:, :3].astype(np.float32), table[:, 3].astype(np.int32))
+
+
+def test_a_near_point_outvotes_two_far_ones() -> None:
+    # exp(-0.5) = 0.61 against 2 exp(-2) = 0.27
+    points = cloud([(1, 0, 0, 7), (0, 2, 0, 4), (0, -2, 0, 4)])
+    assert density_labels(one_gaussian(), points)[0] == 7
+    # the sums of squared distances are 1 and 8
+    assert printed_labels(one_gaussian(), points)[0] == 4
+
+
+def test_shape_and_turn_count() -> None:
+    points = cloud([(1.5, 0, 0, 1), (0, 1.2, 0, 2)])
+    assert density_labels(one_gaussian(scales=(1, 0.5, 1)), points)[0] == 1  # 1.5 against 2.4
+    quarter = np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)  # about z
+    assert density_labels(one_gaussian(scales=(1, 0.5, 1), quat=quarter), points)[0] == 2
+
+
+@pytest.mark.parametrize(("x", "expected"), [(2.99, 5), (3.01, -1)])
+def test_what_is_beyond_the_cut_off_has_no_vote(x: float, expected: int) -> None:
+    assert density_labels(one_gaussian(), cloud([(x, 0, 0, 5)]))[0] == expected
+
+
+def decided(votes: np.ndarray, margin: float = 1e-4) -> np.ndarray:
+    """Rows whose winner leads by more than rounding."""
+    first, second = -np.sort(-votes, axis=1)[:, :2].T
+    return first > second * (1 + margin) + 1e-9
+
+
+@few
+@given(st.integers(0, 1000), st.sampled_from([0.08, 0.3, 1.5]), st.integers(2, 6))
+def test_density_labels_are_the_twins(seed: int, size: float, num_labels: int) -> None:
+    gaussians = random_gaussians(200, seed, size=size)
+    points = random_points(1500, num_labels, seed)
+    got = density_labels(gaussians, points)
+    votes = reference.density_votes(
+        gaussians, points.positions.astype(np.float64), points.labels, pseudo_labels.CUT_OFF
+    )
+    clear = decided(votes)
+    assert clear.any()
+    assert_array_equal(got[clear], votes.argmax(1)[clear])
+    border = votes.sum(1) < 0.02  # exp(-4.5) = 0.011: one point on the very edge
+    assert_array_equal(got[~border] == -1, ~votes.any(1)[~border])
+
+
+@few
+@given(st.integers(0, 1000))
+def test_printed_labels_are_the_twins(seed: int) -> None:
+    gaussians = random_gaussians(150, seed)
+    points = random_points(400, 5, seed)
+    positions = points.positions.astype(np.float64)
+    squared = reference.squared_distances(gaussians, positions)
+    sums = np.stack([squared[:, points.labels == s].sum(1) for s in range(5)], axis=1)
+    clear = decided(sums)
+    expected = reference.printed_labels(gaussians, positions, points.labels)
+    assert_array_equal(printed_labels(gaussians, points)[clear], expected[clear])
+    assert clear.mean() > 0.9
+
+
+def test_crowded_gaussians_are_judged_by_a_sample() -> None:
+    """Wide Gaussians have all 40,000 points in their box; a clear majority stays one."""
+    gaussians = random_gaussians(60, 3, size=2.0)
+    points = random_points(40_000, 3, 1)
+    assert len(points.labels) > pseudo_labels.MOST_CANDIDATES
+    votes = reference.density_votes(
+        gaussians, points.positions.astype(np.float64), points.labels, 3.0
+    )
+    clear = decided(votes, margin=0.3)
+    assert clear.sum() > 10
+    assert_array_equal(density_labels(gaussians, points)[clear], votes.argmax(1)[clear])
+
+
+def test_threads_and_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    gaussians, points = random_gaussians(3000, 5), random_points(20_000, 9)
+    expected = density_labels(gaussians, points, threads=1)
+    assert len(np.unique(expected)) > 5
+    monkeypatch.setattr(pseudo_labels, "BLOCK", 100)
+    monkeypatch.setattr(pseudo_labels, "PAIRS", 5000)
+    assert_array_equal(density_labels(gaussians, points, threads=3), expected)
+
+
+def moved(gaussians: Gaussians, turn: Rotation, scale: float, shift: np.ndarray) -> Gaussians:
+    x, y, z, w = (turn * Rotation.from_quat(gaussians.quats[:, [1, 2, 3, 0]])).as_quat().T
+    columns = (
+        scale * turn.apply(gaussians.means) + shift,
+        np.stack([w, x, y, z], 1),
+        scale * gaussians.scales,
+        gaussians.opacities,
+        gaussians.sh,
+    )
+    return Gaussians(*(np.asarray(column, np.float32) for column in columns))
+
+
+@few
+@given(st.integers(0, 1000), st.floats(0.05, 40))
+def test_rigid_motion_and_scale_change_nothing(seed: int, scale: float) -> None:
+    gaussians, points = random_gaussians(200, seed), random_points(2000, 4, seed)
+    votes = reference.density_votes(
+        gaussians, points.positions.astype(np.float64), points.labels, 3.0
+    )
+    turn = Rotation.random(rng=np.random.default_rng(seed))
+    shift = np.array([1.0, -2.0, 0.5]) * scale
+    there = LabelledPoints(
+        (scale * turn.apply(points.positions) + shift).astype(np.float32), points.labels
+    )
+    clear = decided(votes, 1e-3)
+    one, other = (
+        density_labels(gaussians, points),
+        density_labels(moved(gaussians, turn, scale, shift), there),
+    )
+    assert_array_equal(one[clear], other[clear])
+
+
+def test_order_of_gaussians_changes_nothing() -> None:
+    gaussians, points = random_gaussians(500, 2), random_points(3000, 4)
+    order = np.random.default_rng(0).permutation(500)
+    assert_array_equal(
+        density_labels(gaussians.subset(order), points), density_labels(gaussians, points)[order]
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"), [([(0, 0, np.nan, 1)], "finite"), ([(0, 0, 0, -1)], "0 or more")]
+)
+def test_bad_points_are_refused(rows: list, message: str) -> None:
+    for run in (density_labels, printed_labels):
+        with pytest.raises(InputError, match=message):
+            run(one_gaussian(), cloud(rows))
+
+
+def test_no_points_are_refused() -> None:
+    empty = LabelledPoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32))
+    with pytest.raises(InputError, match="one label per point"):
+        density_labels(one_gaussian(), empty)
