@@ -1,0 +1,94 @@
+"""Gates: which views see a Gaussian well enough to have a say about it.
+
+A gate looks at one view at a time, at the weights of all Gaussians in it.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ..evidence import Evidence
+from .by_view import ViewSums, view_sums
+from .entries import with_weights
+
+
+@runtime_checkable
+class Gate(Protocol):
+    """Which Gaussians of one view pass, by their weights in it."""
+
+    def passes(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]: ...
+
+
+@dataclass(frozen=True)
+class MassGate:
+    """The heaviest Gaussians that together hold `share` of the view, if of weight `floor` or more.
+
+    Source: VALA (3DV 2026), Stage A.
+    """
+
+    share: float = 0.75
+    floor: float = 0.13  # of one pixel
+
+    def passes(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        order = np.argsort(-weights, kind="stable")
+        held = np.cumsum(weights[order])
+        enough = int(np.searchsorted(held, self.share * held[-1])) + 1
+        passed = np.zeros(len(weights), np.bool_)
+        passed[order[:enough]] = True
+        return passed & (weights >= self.floor)
+
+
+@dataclass(frozen=True)
+class QuantileGate:
+    """The Gaussians heavier than a quantile of the view's, and than `floor`.
+
+    Source: VALA (3DV 2026), Stage B.
+    """
+
+    quantile: float = 0.85
+    floor: float = 0.15  # of one pixel
+
+    def passes(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        return np.asarray(weights > max(self.floor, float(np.quantile(weights, self.quantile))))
+
+
+@dataclass(frozen=True)
+class Gated:
+    """Keep an entry of W where its Gaussian passes every gate in its view.
+
+    Each gate sees the weights as they were before any gate.
+    """
+
+    gates: tuple[Gate, ...] = (MassGate(), QuantileGate())
+
+    def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
+        sums = view_sums(evidence)
+        kept = sums.per_entry(passing(sums, self.gates))
+        return with_weights(evidence, np.where(kept, evidence.weights.data, np.float32(0)))
+
+
+@dataclass(frozen=True)
+class Spared:
+    """Gates that leave a Gaussian all its views where none would pass: nothing is pruned."""
+
+    gated: Gated = Gated()
+
+    def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
+        sums = view_sums(evidence)
+        passed = passing(sums, self.gated.gates)
+        any_passed = np.bincount(sums.rows[passed], minlength=len(evidence)) > 0
+        kept = sums.per_entry(passed | ~any_passed[sums.rows])
+        return with_weights(evidence, np.where(kept, evidence.weights.data, np.float32(0)))
+
+
+def passing(sums: ViewSums, gates: tuple[Gate, ...]) -> Bool[np.ndarray, " g"]:
+    """Which pairs of Gaussian and view pass all gates."""
+    passed = np.ones(len(sums.views), np.bool_)
+    order = np.argsort(sums.views, kind="stable")
+    bounds = np.flatnonzero(np.diff(sums.views[order])) + 1
+    for members in np.split(order, bounds) if len(order) else ():
+        for gate in gates:
+            passed[members] &= gate.passes(sums.weights[members])
+    return passed
