@@ -11,7 +11,7 @@ from pathlib import Path
 from .cameras import PATHS, views_of
 from .contact_sheet import contact_sheet
 from .layouts import write_lerf, write_scannet, write_truth
-from .looks import SPLITS, Split
+from .looks import SPLITS
 from .render import shoot
 from .rooms import make_room
 from .scan import from_depth, of_surfaces
@@ -58,8 +58,7 @@ def write_scene(folder: Path, plan: argparse.Namespace) -> None:
         "spp": plan.spp,
     }
     write_truth(folder, room, shots, {**about, "scene": scene})
-    cloud, labelled = from_depth(shots, 20_000, rng), max(4, plan.views // 6)
-    write_lerf(folder / "lerf_ovs", scene, room, shots, cloud, labelled)
+    write_lerf(folder / "lerf_ovs", scene, room, shots, from_depth(shots, 20_000, rng))
     write_scannet(folder / "scannet", scene, room, shots, of_surfaces(room, shots, rng))
 
 

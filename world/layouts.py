@@ -20,6 +20,7 @@ from .render import Shot
 from .rooms import Room
 from .scan import Points
 
+HELD_OUT = 8  # every so many photos are for testing, as in `drsplat train` and COLMAP-based 3DGS
 LEAST_SEEN = 60  # pixels of a labelled frame that a category must have to be labelled
 NYU40 = {
     "wall": 1, "floor": 2, "chair": 5, "sofa": 6, "table": 7, "window": 9, "shelf": 10, "cushion": 18,
@@ -80,10 +81,8 @@ def _view(view: View) -> dict[str, Any]:
     }
 
 
-def write_lerf(
-    folder: Path, scene: str, room: Room, shots: list[Shot], points: Points, labelled: int
-) -> None:
-    """COLMAP in text, photos, and polygons for evenly spread frames."""
+def write_lerf(folder: Path, scene: str, room: Room, shots: list[Shot], points: Points) -> None:
+    """COLMAP in text, photos, and polygons for those photos that training holds out."""
     images, sparse = folder / scene / "images", folder / scene / "sparse" / "0"
     labels = folder / "label" / scene
     for place in (images, sparse, labels):
@@ -91,8 +90,7 @@ def write_lerf(
     for shot in shots:
         _save_photo(shot, images / shot.view.name)
     _write_colmap(sparse, [shot.view for shot in shots], points)
-    for k in np.linspace(0, len(shots) - 1, min(labelled, len(shots))).round().astype(int):
-        shot = shots[k]
+    for shot in shots[::HELD_OUT]:
         _save_photo(shot, labels / shot.view.name)
         _write_json(labels / Path(shot.view.name).with_suffix(".json").name, label(room, shot))
 
@@ -160,9 +158,10 @@ def write_scannet(folder: Path, scene: str, room: Room, shots: list[Shot], point
         _save_photo(shot, place / "color" / shot.view.name)
     views = [shot.view for shot in shots]
     _write_json(
-        place / "transforms_train.json", _transforms([v for k, v in enumerate(views) if k % 8])
+        place / "transforms_train.json",
+        _transforms([v for k, v in enumerate(views) if k % HELD_OUT]),
     )
-    _write_json(place / "transforms_test.json", _transforms(views[::8]))
+    _write_json(place / "transforms_test.json", _transforms(views[::HELD_OUT]))
     _write_json(
         place / f"{scene}_vh_clean_2.0.010000.segs.json",
         {"sceneId": scene, "segIndices": points.ids.tolist()},

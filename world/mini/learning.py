@@ -90,9 +90,18 @@ class Crops:
         return pixels, [self.labels[i] for i in chosen]
 
 
+def doubt(logits: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """The sigmoid loss, summed over all pairs whose truth is known (not NaN)."""
+    known = ~torch.isnan(wanted)
+    return nn.functional.binary_cross_entropy_with_logits(
+        logits[known], wanted[known], reduction="sum"
+    )
+
+
 def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
     torch.manual_seed(seed)
     rng, crops, tower = np.random.default_rng(seed), Crops(paths), Tower()
+    print(f"{len(crops.seen)} crops", flush=True)
     steps = epochs * (len(crops.seen) // size)
     optimizer = torch.optim.AdamW(tower.parameters(), 2e-3, weight_decay=0.02)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -105,12 +114,7 @@ def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
         for at in range(0, len(order) - size + 1, size):
             pixels, labels = crops.batch(order[at : at + size], rng)
             texts = [said_of(label, rng) for label in labels] + bank(2 * size, rng)
-            wanted = torch.from_numpy(truth(labels, texts)).float()
-            logits = tower.logits(pixels, texts)
-            loss = (
-                nn.functional.binary_cross_entropy_with_logits(logits, wanted, reduction="sum")
-                / size
-            )
+            loss = doubt(tower.logits(pixels, texts), torch.from_numpy(truth(labels, texts))) / size
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

@@ -1,7 +1,7 @@
 """How well `mini` knows things it never saw: python -m world.mini.measuring --test TEST.npz [--picture FILE.png]
 
-Of each crop, cut out by its true mask: the nearest of all names, and the nearest of all colours. Training and
-test differ in seeds, arrangements and textures.
+Of each crop of a thing (structures are left out): the nearest of all names, and the nearest of all colours.
+Training and test differ in seeds, arrangements and textures.
 """
 
 import argparse
@@ -26,10 +26,10 @@ def confusion(
     embeddings: Float32[np.ndarray, "n d"],
     truths: list[str],
     names: tuple[str, ...],
-    encoder: MiniEncoder,
+    texts: Float32[np.ndarray, "c d"],
 ) -> Int64[np.ndarray, "c c"]:
-    """Rows: what it is; columns: what it was taken for."""
-    guesses = np.argmax(embeddings @ encoder.encode_texts(names).T, axis=1)
+    """Rows: what it is; columns: the name whose text is nearest."""
+    guesses = np.argmax(embeddings @ texts.T, axis=1)
     table = np.zeros((len(names), len(names)), np.int64)
     for truth, guess in zip(truths, guesses, strict=True):
         table[names.index(truth), guess] += 1
@@ -67,17 +67,20 @@ def main() -> None:
     stored, encoder = np.load(arguments.test), MiniEncoder()
     side = stored["images"].shape[1]
     masks = np.unpackbits(stored["masks"], axis=1).reshape(-1, side, side).astype(bool)
-    seen = np.flatnonzero(masks.mean((1, 2)) >= SEEN)
+    things = np.isin(stored["labels"][:, 0], NAMES)
+    seen = np.flatnonzero(things & (masks.mean((1, 2)) >= SEEN))
     labels = stored["labels"][seen]
     crops = [cut_out(stored["images"][i], masks[i]) for i in seen]
     start = time.perf_counter()
     embeddings = encoder.encode_images(crops)
     rate = len(crops) / (time.perf_counter() - start)
-    names = confusion(embeddings, labels[:, 0].tolist(), NAMES, encoder)
-    colors = confusion(embeddings, labels[:, 1].tolist(), COLORS, encoder)
+    called = encoder.encode_texts(NAMES)
+    names = confusion(embeddings, labels[:, 0].tolist(), NAMES, called)
+    painted = encoder.encode_texts([f"something {color}" for color in COLORS])
+    colors = confusion(embeddings, labels[:, 1].tolist(), COLORS, painted)
     wrong = [(int(n), NAMES[i], NAMES[j]) for (i, j), n in np.ndenumerate(names) if i != j and n]
     report = {
-        "crops": len(seen), "crops_per_second": round(rate), "left_out": len(masks) - len(seen), "names": len(NAMES),
+        "crops": len(seen), "crops_per_second": round(rate), "left_out": int(things.sum()) - len(seen), "names": len(NAMES),
         "name_top1": right(names), "color_top1": right(colors),
         "worst": [f"{truth} taken for {guess}: {n}" for n, truth, guess in sorted(wrong, reverse=True)[:10]],
     }  # fmt: skip

@@ -1,19 +1,31 @@
 """What can be said of a thing, truly or not."""
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float32
 
-from drsplat.mini.lexicon import ANYTHING, COLORS, GROUPS, MATERIALS, NAMES, STUFFS, TONES, fits
+from drsplat.mini.lexicon import (
+    ANYTHING,
+    COLORS,
+    GROUPS,
+    MATERIALS,
+    NAMES,
+    PAINTS,
+    STRUCTURES,
+    STUFFS,
+    TONES,
+    fits,
+)
 
-Label = tuple[str, str, str]  # name, colour, material
+from ..truth import Label
+
 Text = tuple[str, ...]  # words
 
 
 def bank(size: int, rng: np.random.Generator) -> list[Text]:
     """Random texts: a noun, at times with a colour, a material or both; or these alone."""
     nouns = [tuple(name.split()) for name in NAMES]
-    nouns += [(word,) for word in GROUPS]
-    paints = [*COLORS, *TONES]
+    nouns += [(word,) for word in (*GROUPS, *STRUCTURES)]
+    paints = [*PAINTS, *TONES]
     stuffs = [*MATERIALS, *STUFFS]
     texts = []
     for _ in range(size):
@@ -35,8 +47,10 @@ def said_of(label: Label, rng: np.random.Generator) -> Text:
     nouns: list[Text] = [tuple(name.split())] * 3
     nouns += [(word,) for word, meant in GROUPS.items() if name in meant]
     words: list[str] = []
-    if rng.random() < 0.5:
-        tones = [color] * 3 + [tone for tone, meant in TONES.items() if meant == color]
+    if color and rng.random() < 0.5:
+        tones = [PAINTS[COLORS.index(color)]] * 3 + [
+            tone for tone, meant in TONES.items() if meant == color
+        ]
         words.append(str(rng.choice(tones)))
     if rng.random() < 0.15 and material in MATERIALS:
         words.append(material)
@@ -47,9 +61,16 @@ def said_of(label: Label, rng: np.random.Generator) -> Text:
     return tuple(words)
 
 
-def truth(labels: list[Label], texts: list[Text]) -> Bool[np.ndarray, "n t"]:
-    """Whether every word of a text fits a thing."""
+def truth(labels: list[Label], texts: list[Text]) -> Float32[np.ndarray, "n t"]:
+    """1 where every word of a text fits a thing, 0 where one does not, NaN where nobody knows."""
     words = sorted({word for text in texts for word in text})
     column = {word: i for i, word in enumerate(words)}
-    known = np.array([[fits(word, *label) for word in words] for label in labels])
-    return np.stack([known[:, [column[word] for word in text]].all(1) for text in texts], axis=1)
+    value = {True: 1.0, False: 0.0, None: np.nan}
+    known = np.array(
+        [[value[fits(word, *label)] for word in words] for label in labels], np.float32
+    )
+    return np.stack([_all(known[:, [column[word] for word in text]]) for text in texts], axis=1)
+
+
+def _all(known: Float32[np.ndarray, "n w"]) -> Float32[np.ndarray, " n"]:
+    return np.where((known == 0).any(1), np.float32(0), known.min(1))  # the least of any NaN is NaN
