@@ -287,15 +287,15 @@ def test_register_takes_the_names_that_others_use(
 
 KILLED_AFTER = """
 import os, signal
-from drsplat import columns
+from drsplat.aggregation import sampling
 from drsplat.cli import main
-whole, done = columns.view_weights, []
+whole, done = sampling.view_weights, []
 def weights(*args, **options):
     if len(done) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
     done.append(1)
     return whole(*args, **options)
-columns.view_weights = weights
+sampling.view_weights = weights
 main({argv})
 """
 

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.sparse import csr_array
 
+from .aggregation import Sampling
 from .errors import FormatError
 from .features import ViewFeatures
 from .formats.tensors import map_tensors, write_tensors
-from .kernels import SplatArrays, Triples, default_isa, view_weights
+from .kernels import SplatArrays, Triples, default_isa
 from .photos import undistort_ids
 from .views import View
 
@@ -39,8 +40,7 @@ class ColumnMaker:
 
     splats: SplatArrays
     folder: Path
-    topk: int | None
-    first_hits: int | None
+    sampling: Sampling
     threads: int
 
     def columns(self, view: View, features: ViewFeatures) -> Columns:
@@ -51,14 +51,7 @@ class ColumnMaker:
         name = hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()
         path = self.folder / f"{name}.columns.safetensors"
         if not _is_finished(path, key):
-            triples = view_weights(
-                self.splats,
-                view,
-                segment_ids,
-                self.topk,
-                first_hits=self.first_hits,
-                threads=self.threads,
-            )
+            triples = self.sampling.triples(self.splats, view, segment_ids, self.threads)
             self.folder.mkdir(parents=True, exist_ok=True)
             write_tensors(path, triples._asdict(), {"key": key, "view": view.name}, overwrite=True)
         return Columns(view.name, path, features.embeddings)
@@ -66,8 +59,11 @@ class ColumnMaker:
     @cached_property
     def _settings(self) -> str:
         """Of all that every view shares: another instruction set changes the last bits."""
-        scene = _digest(*self.splats)
-        return f"{COLUMNS_VERSION} {self.topk} {self.first_hits} {default_isa()} {scene}"
+        scene, sampling = _digest(*self.splats), self.sampling
+        counted = f"{sampling.topk} {sampling.first_hits}"
+        if sampling.pixels != "all":
+            counted = f"{counted} {sampling.pixels}"
+        return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
 
 
 def _digest(*arrays: np.ndarray, salt: str = "") -> str:

@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.sparse import csr_array, hstack
 
+from .aggregation import Aggregator, Sampling
+from .aggregation import aggregator as named
 from .codes import Track, untracked
 from .columns import ColumnMaker, Columns, stack_columns
 from .encoders import EncoderIdentity
@@ -39,12 +41,14 @@ class Registration:
     """W, its columns and their embeddings: all that was learnt from the photos.
 
     evidence: the weights (N, M), the view and segment behind each column, one embedding per column.
-    scene: fingerprint of the Gaussians. encoder: who made the embeddings.
+    scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
+    looked at; None: unknown.
     """
 
     evidence: Evidence
     scene: str
     encoder: EncoderIdentity
+    sampling: Sampling | None = None
 
     @classmethod
     def from_field(cls, field: LanguageField) -> "Registration":
@@ -60,7 +64,8 @@ class Registration:
         shape = (field.num_gaussians, kept.shape[1])
         indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
         weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
-        return cls(replace(field.evidence, weights=weights), field.scene, field.encoder)
+        evidence = replace(field.evidence, weights=weights)
+        return cls(evidence, field.scene, field.encoder, field.aggregator.sampling)
 
     @property
     def weights(self) -> csr_array:
@@ -81,15 +86,42 @@ class Registration:
         return int((np.diff(self.weights.indptr) > 0).sum())
 
     def to_field(
-        self, codebook: "Codebook | None" = None, *, threads: int = 0, track: Track = untracked
+        self,
+        codebook: "Codebook | None" = None,
+        *,
+        num_subvectors: int | None = None,
+        aggregator: str | Aggregator = "mean",
+        gaussians: Gaussians | None = None,
+        threads: int = 0,
+        track: Track = untracked,
     ) -> LanguageField:
-        """Mean embedding per Gaussian, normalised, product-quantised; unseen Gaussians are pruned.
+        """One feature per Gaussian, product-quantised; unseen Gaussians are pruned.
 
-        codebook None trains one on this scene's features. track: shows progress.
+        codebook None trains one of `num_subvectors` on this scene's features. aggregator: how a Gaussian's
+        votes become its feature, the paper's weighted mean or another of docs/aggregators.md; those that
+        look at neighbours need the `gaussians` that were registered. track: shows progress.
+
+        Raises: InputError: no aggregator of that name, or it needs the Gaussians. MismatchError: other
+        Gaussians, or an aggregator for photos looked at in another way.
         """
+        how = named(aggregator) if isinstance(aggregator, str) else aggregator
+        self._check(how, gaussians)
         return build_field(
-            self.evidence, self.scene, self.encoder, codebook, threads=threads, track=track
-        )
+            self.evidence, self.scene, self.encoder, codebook, num_subvectors, threads,
+            aggregated=how(self.evidence, gaussians, threads=threads), record=how.record(self.sampling),
+            track=track,
+        )  # fmt: skip
+
+    def _check(self, how: Aggregator, gaussians: Gaussians | None) -> None:
+        if how.sampling not in (None, self.sampling):
+            raise MismatchError(
+                f"aggregator '{how.name}' is for {how.sampling}, this registration is of "
+                f"{self.sampling or 'unknown sampling'}: pass sampling=aggregator('{how.name}').sampling to register"
+            )
+        if gaussians is not None and gaussians.fingerprint != self.scene:
+            raise MismatchError(
+                f"these Gaussians are {gaussians.fingerprint}, registered was {self.scene}: pass those registered"
+            )
 
     def with_embeddings(
         self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity
@@ -111,6 +143,10 @@ class Registration:
 
         Raises: MismatchError: another scene or encoder. InputError: a view in both.
         """
+        if None not in (self.sampling, other.sampling) and self.sampling != other.sampling:
+            raise MismatchError(
+                f"cannot merge {self.sampling} with {other.sampling}: register both in the same way"
+            )
         if self.scene != other.scene or not self.encoder.matches(other.encoder):
             raise MismatchError(
                 f"cannot merge: one is of scene {self.scene} with {self.encoder.name}, the other of "
@@ -131,6 +167,7 @@ def register(
     topk: int | None = 40,
     *,
     first_hits: int | None = None,
+    sampling: Sampling | None = None,
     parts: Path | None = None,
     threads: int = 0,
     track: Track = untracked,
@@ -140,6 +177,7 @@ def register(
     features: by view name, with or without suffix; views without features are left out with a warning.
     Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
     on them too. For maps made on what `load_image` returned, pass views with distortion None.
+    sampling: topk and first_hits in one, as an aggregator may want them; they are not looked at then.
     parts: folder for each view's finished columns; a run that finds them there does not redo them, so
     a killed run loses at most one view. None uses a temporary folder.
     track: shows progress.
@@ -150,7 +188,8 @@ def register(
     chosen = _views_with_features(views, features)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        maker = ColumnMaker(splat_arrays(gaussians), folder, topk, first_hits, threads)
+        sampling = sampling or Sampling(topk, first_hits)
+        maker = ColumnMaker(splat_arrays(gaussians), folder, sampling, threads)
         followed = track(chosen, "registering views")
         columns = [maker.columns(view, features[key]) for view, key in followed]
         _check_one_size(columns)
@@ -158,9 +197,8 @@ def register(
     evidence = Evidence(
         weights, _segments_of(columns), np.concatenate([c.embeddings for c in columns])
     )
-    return Registration(
-        evidence, gaussians.fingerprint, _encoder_of(features, evidence.embeddings.shape[1])
-    )
+    encoder = _encoder_of(features, evidence.embeddings.shape[1])
+    return Registration(evidence, gaussians.fingerprint, encoder, sampling)
 
 
 def _views_with_features(

@@ -158,6 +158,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "dim": field.encoder.dim,
         **_codebook_facts(field.codebook),
         "scene": field.scene,
+        "aggregator": field.aggregator.name,
         "num_views": None if evidence is None else len(evidence.segments.view_names),
         "num_segments": None if evidence is None else len(evidence.segments),
         "num_weights": None if evidence is None else int(evidence.weights.nnz),

@@ -16,10 +16,12 @@ from .options import (
 )
 
 if TYPE_CHECKING:
+    from ..aggregation import Aggregator, Sampling
     from ..codes import Codebook
     from ..encoders import EncoderIdentity
     from ..field import LanguageField
 
+DEFAULT_TOPK = 40
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
 EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --output scene.field
@@ -60,12 +62,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=LEVEL_HELP,
     )
     method.add_argument(
-        "--topk", "--top-k", "-k", type=_count_or_all, default=40, metavar="K",
-        help="Gaussians per pixel that are kept, by weight: a number or 'all' (default: 40)",
+        "--topk", "--top-k", "-k", type=_count_or_all, default=argparse.SUPPRESS, metavar="K",
+        help="Gaussians per pixel that are kept, by weight: a number or 'all' (default: 40, or the aggregator's)",
     )  # fmt: skip
     method.add_argument(
         "--first-hits", type=count, metavar="N",
         help="take the top K only among the first N of each ray; the published code has 100 (default: no limit)",
+    )  # fmt: skip
+    method.add_argument(
+        "--aggregator", default="mean", metavar="NAME",
+        help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
+        "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
     )  # fmt: skip
     method.add_argument(
         "--codebook", metavar="FILE",
@@ -90,12 +97,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_features, read_gaussians, register
-    from ..field import build_field
+    from ..aggregation import aggregator
     from ..formats.field_folder import refuse_to_replace_others
     from ..progress import Stopwatch, peak_memory_bytes
 
     output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
     refuse_to_replace_others(output)
+    how = aggregator(arguments.aggregator)
+    sampling = _sampling(arguments, how)
     gaussians = read_gaussians(arguments.scene)
     views = views_of(arguments, arguments.capture)
     codebook = _codebook(arguments)
@@ -105,13 +114,12 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     parts = Path(arguments.parts or f"{output}.parts")
     before = _finished(parts)
     registration = register(
-        gaussians, views, features, arguments.topk, first_hits=arguments.first_hits,
-        parts=parts, threads=arguments.threads, track=tracker(arguments),
+        gaussians, views, features, sampling=sampling, parts=parts, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
     watch.lap("register")
-    field = build_field(
-        registration.evidence, registration.scene, registration.encoder, codebook,
-        num_subvectors=arguments.subvectors, threads=arguments.threads, track=tracker(arguments),
+    field = registration.to_field(
+        codebook, num_subvectors=arguments.subvectors, aggregator=how, gaussians=gaussians,
+        threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)
@@ -128,7 +136,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_segments": len(registration.segments),
         "num_weights": int(registration.weights.nnz),
         **_coding(field),
-        "topk": arguments.topk,
+        "aggregator": how.name,
+        "topk": sampling.topk,
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
         "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
@@ -172,6 +181,24 @@ def show(answer: dict[str, Any]) -> None:
 def _finished(parts: Path) -> dict[str, int]:
     """Time of writing of each finished view's file."""
     return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.safetensors")}
+
+
+def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
+    """The aggregator's own where it has one; --topk and --first-hits may not contradict it."""
+    from ..aggregation import Sampling
+    from ..errors import InputError
+
+    given = {} if arguments.first_hits is None else {"first_hits": arguments.first_hits}
+    given |= {"topk": arguments.topk} if hasattr(arguments, "topk") else {}
+    own = how.sampling
+    if own is None:
+        return Sampling(**({"topk": DEFAULT_TOPK} | given))
+    for name, value in given.items():
+        if value != getattr(own, name):
+            raise InputError(
+                f"--aggregator {how.name} has its own --{name.replace('_', '-')}: drop that option"
+            )
+    return own
 
 
 def _count_or_all(text: str) -> int | None:

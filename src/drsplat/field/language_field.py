@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Integer, UInt8, UInt16, UInt32
 
+from ..aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..codes import Codebook, Codes
 from ..encoders import EncoderIdentity, identity_json
 from ..errors import InputError, MismatchError
@@ -48,7 +49,8 @@ class LanguageField:
 
     gaussian_ids: rows of the scene, ascending. codes, coarse_ids: features, as coded by `codebook`.
     inverse_norms: 1 / norm of each decoded feature. scene: fingerprint of the N Gaussians.
-    evidence: rows aligned with gaussian_ids, or None where it was not kept.
+    evidence: rows aligned with gaussian_ids, or None where it was not kept: all that the photos said, also
+    what the aggregator left out. aggregator: how a row of it became a feature.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -64,6 +66,7 @@ class LanguageField:
     num_gaussians: int
     evidence: Evidence | None = None
     negatives: Negatives | None = None
+    aggregator: AggregatorRecord = MEAN_RECORD
 
     def __post_init__(self) -> None:
         ids, rows = self.gaussian_ids, len(self.gaussian_ids)
@@ -289,6 +292,7 @@ class LanguageField:
                 "hash": self.codebook.hash,
                 "encoder": identity_json(self.codebook.encoder),
             },
+            "aggregator": record_json(self.aggregator),
             "negatives": list(self.negatives.texts) if self.negatives else [],
         }
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..aggregation import record_from_json
 from ..codes import codebook_from_tensors, encoder_from_json
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
@@ -75,6 +76,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             count,
             _evidence(path, manifest),
             _negatives(path, manifest, codebook.dim),
+            record_from_json(manifest.get("aggregator"), str(path)),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
