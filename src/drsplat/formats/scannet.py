@@ -1,0 +1,210 @@
+"""ScanNet's files: a labelled cloud, instances by segments, and the table of raw categories.
+
+    SCENE/SCENE_vh_clean_2.labels.ply             vertex: x y z, ..., label (NYU40)
+    SCENE/SCENE_vh_clean_2.0.010000.segs.json     {"segIndices": [segment of each vertex]}
+    SCENE/SCENE.aggregation.json                  {"segGroups": [{"objectId", "segments", "label"}]}
+    scannetv2-labels.combined.tsv                 id, raw_category, nyu40id, ...
+
+Source: Dai et al. 2017 (ScanNet), its README; Rozenberszki et al. 2022 (ScanNet200).
+"""
+
+import mmap
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from ..errors import FormatError, InputError, MismatchError
+from .json_files import read_json, shown
+from .ply import gather, read_elements
+from .ply_header import read_header
+
+MAX_LABEL = 1 << 20
+MAX_TABLE_BYTES = 1 << 26
+TABLE_NAME = "scannetv2-labels.combined.tsv"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledCloud:
+    """World positions in metres and a label of each, 0 for none."""
+
+    positions: Float32[np.ndarray, "n 3"]
+    labels: Int32[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """Annotated objects of a scan. objects: index into `names` of each vertex, or -1.
+
+    names: the raw category of each object.
+    """
+
+    objects: Int32[np.ndarray, " n"]
+    names: tuple[str, ...]
+
+
+def scene_file(scene: Path, ending: str) -> Path:
+    """SCENE/SCENE_ending or the only file of that ending.
+
+    Raises: InputError: there is none, or several and none is named after the folder.
+    """
+    if not scene.is_dir():
+        raise InputError(f"{scene}: expected the folder of a ScanNet scene")
+    found = sorted(scene.glob(f"*{ending}"))
+    named = [path for path in found if path.name == f"{scene.resolve().name}{ending}"]
+    if len(named or found) != 1:
+        listed = ", ".join(path.name for path in found[:4]) or "none"
+        raise InputError(
+            f"{scene}: expected one file {scene.resolve().name}{ending}, found {listed}"
+        )
+    return (named or found)[0]
+
+
+def read_scannet_labels(path: Path) -> LabelledCloud:
+    """The vertices of a `_vh_clean_2.labels.ply`.
+
+    Raises: InputError: there is no such file. FormatError: damaged, no `label`, positions that are
+    not finite.
+    """
+    rows = _vertices(path)
+    if "label" not in (rows.dtype.names or ()):
+        raise FormatError(
+            f"{path}: vertex has no property 'label': expected *_vh_clean_2.labels.ply"
+        )
+    if rows.dtype["label"].kind not in "iu":
+        raise FormatError(f"{path}: label: expected whole numbers, got {rows.dtype['label']}")
+    labels = rows["label"].astype(np.int64)
+    if len(labels) and not 0 <= labels.min() <= labels.max() <= MAX_LABEL:
+        raise FormatError(
+            f"{path}: label: expected 0 to {MAX_LABEL}, got {labels.min()} to {labels.max()}"
+        )
+    return LabelledCloud(_positions(rows, path), labels.astype(np.int32))
+
+
+def read_scannet_points(path: Path) -> Float32[np.ndarray, "n 3"]:
+    """The positions of a `points3d.ply`, in its order.
+
+    Raises: InputError: there is no such file. FormatError: damaged.
+    """
+    return _positions(_vertices(path), path)
+
+
+def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
+    """The object of each vertex, from `.segs.json` and `.aggregation.json`.
+
+    Raises: InputError: there is no such file. FormatError: damaged; the message names the group and
+    the field.
+    """
+    of_vertex = _segment_ids(segments)
+    document = read_json(aggregation)
+    groups = document.get("segGroups") if isinstance(document, dict) else None
+    if not isinstance(groups, list):
+        raise FormatError(f'{aggregation}: expected a JSON object with a list "segGroups"')
+    present, inverse = np.unique(of_vertex, return_inverse=True)
+    owner = np.full(len(present), -1, np.int32)
+    names = []
+    for index, group in enumerate(groups):
+        name, members = _group(group, f"{aggregation}: segGroups {index}")
+        owner[np.isin(present, members)] = index
+        names.append(name)
+    return Instances(owner[inverse.reshape(-1)], tuple(names))
+
+
+def read_label_table(path: Path) -> dict[str, int]:
+    """Category id of each raw category of `scannetv2-labels.combined.tsv`.
+
+    Raises: InputError: there is no such file. FormatError: no such table; the message names the line.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file: it comes with ScanNet's annotations")
+    if path.stat().st_size > MAX_TABLE_BYTES:
+        raise FormatError(f"{path}: too large for a table of categories")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: expected UTF-8: {error}") from error
+    heading = lines[0].split("\t") if lines else []
+    if "id" not in heading or "raw_category" not in heading:
+        raise FormatError(f"{path}: line 1: expected columns 'id' and 'raw_category'")
+    at, named = heading.index("id"), heading.index("raw_category")
+    table: dict[str, int] = {}
+    for number, line in enumerate(lines[1:], 2):
+        cells = line.split("\t")
+        if len(cells) <= max(at, named) or not (cells[at].isdecimal() and cells[at].isascii()):
+            raise FormatError(
+                f"{path}: line {number}: id: expected a whole number in column {at + 1}"
+            )
+        if len(cells[at]) > 7 or int(cells[at]) > MAX_LABEL:
+            raise FormatError(f"{path}: line {number}: id: expected at most {MAX_LABEL}")
+        table.setdefault(cells[named], int(cells[at]))
+    return table
+
+
+def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Int32[np.ndarray, " n"]:
+    """The category id of each vertex's object; 0 without one, or where the table has no such name."""
+    ids = np.array([table.get(name, 0) for name in instances.names] + [0], np.int32)
+    labels: np.ndarray = ids[instances.objects]
+    return labels
+
+
+def check_vertices(cloud: LabelledCloud, instances: Instances, where: str) -> None:
+    """Refuse segments of another mesh.
+
+    Raises: MismatchError.
+    """
+    if len(cloud.labels) != len(instances.objects):
+        raise MismatchError(
+            f"{where}: {len(cloud.labels)} labelled vertices but segments of {len(instances.objects)}: "
+            "take both files from one scan, of the mesh vh_clean_2"
+        )
+
+
+def _vertices(path: Path) -> np.ndarray:
+    try:
+        with path.open("rb") as file:
+            data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except ValueError:
+        raise FormatError(f"{path}: the file is empty") from None
+    try:
+        return read_elements(data, read_header(data), {"vertex"})["vertex"]
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def _positions(rows: np.ndarray, path: Path) -> Float32[np.ndarray, "n 3"]:
+    missing = [name for name in "xyz" if name not in (rows.dtype.names or ())]
+    if missing:
+        raise FormatError(f"{path}: vertex has no {', '.join(missing)}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        positions = gather(rows, ["x", "y", "z"])
+    bad = np.flatnonzero(~np.isfinite(positions).all(1))
+    if len(bad):
+        raise FormatError(f"{path}: vertex {bad[0]}: expected a finite position")
+    return positions
+
+
+def _segment_ids(path: Path) -> np.ndarray:
+    document = read_json(path)
+    ids = document.get("segIndices") if isinstance(document, dict) else None
+    if not isinstance(ids, list) or not all(type(item) is int for item in ids):
+        raise FormatError(f"{path}: segIndices: expected a list of whole numbers")
+    if any(abs(item) >= 1 << 62 for item in ids):
+        raise FormatError(f"{path}: segIndices: a number that no segment has")
+    return np.array(ids, np.int64)
+
+
+def _group(group: object, where: str) -> tuple[str, np.ndarray]:
+    if not isinstance(group, dict):
+        raise FormatError(f"{where}: expected an object, got {shown(group)}")
+    name, members = group.get("label"), group.get("segments")
+    if not isinstance(name, str):
+        raise FormatError(f"{where}: label: expected a text, got {shown(name)}")
+    if not isinstance(members, list) or not all(
+        type(item) is int and abs(item) < 1 << 62 for item in members
+    ):
+        raise FormatError(f"{where} ({name[:60]!a}): segments: expected a list of whole numbers")
+    return name, np.array(members, np.int64)
