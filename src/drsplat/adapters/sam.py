@@ -1,4 +1,4 @@
-"""SAM and SAM 2 of transformers as segmenters; no torchvision, none of their processors."""
+"""A segmenter by its name; SAM and SAM 2 of transformers as such: no torchvision, none of their processors."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from PIL import Image
 
 from ..errors import FormatError, InputError
 from ..formats.json_files import as_vector, read_json, shown
+from ..graph import GraphSegmenter
 from .devices import chosen_device
 from .libraries import models_library
 from .point_masks import Found, PointMaskSettings, PointSegmenter
@@ -160,20 +161,24 @@ def load_segmenter(
     name: str = DEFAULT_SEGMENTER,
     device: str = "auto",
     settings: PointMaskSettings | None = None,
-) -> PointSegmenter:
-    """SAM or SAM 2 (also 2.1) with a grid of points.
+) -> PointSegmenter | GraphSegmenter:
+    """The built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
 
-    name: a folder as `save_pretrained` writes it, or an id of the Hugging Face hub, which is
+    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it, or an id of the Hugging Face hub, which is
     downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are loaded,
     never pickles. device: auto, cpu, cuda or mps.
 
-    identity: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
+    identity of SAM: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
     pixels, and the settings. The device is not part of it, although it may change single pixels.
 
-    Raises: InputError: no such model, a gated one, another architecture, no weights. FormatError:
-    damaged or incomplete ones. MissingExtraError: torch, transformers or the device is absent.
-    DrSplatError: no network.
+    Raises: InputError: no such model, a gated one, another architecture, no weights; settings for
+    `graph`. FormatError: damaged or incomplete ones. MissingExtraError: torch, transformers or the
+    device is absent. DrSplatError: no network.
     """
+    if name == GraphSegmenter.name:
+        if settings is not None:
+            raise InputError("the segmenter graph asks no points: load it without settings")
+        return GraphSegmenter()
     models_library()
     device = chosen_device(device)
     folder = model_folder(name)

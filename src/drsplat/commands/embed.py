@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from .options import add_capture_options, add_overwrite, count, views_of
 
 if TYPE_CHECKING:
+    from ..adapters.point_masks import PointMaskSettings
     from ..codes import Track
     from ..encoders import ImageEncoder
     from ..segments import Segmenter
@@ -18,6 +19,7 @@ SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat 
 EXAMPLES = """\
   drsplat embed capture
   drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --levels large
+  drsplat embed capture --segmenter graph --encoder drsplat-mini
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
 
 A run that was stopped goes on where it was when the same command is given again, without --overwrite."""
@@ -27,6 +29,7 @@ ENCODER_HELP = (
     f"model that embeds, an id of the Hugging Face hub or a folder: CLIP, SigLIP or SigLIP 2, or DINOv2, which knows "
     f"no words; or drsplat-mini, built in, which knows 37 household things (default: {ENCODER}, the paper's)"
 )
+_LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 T = TypeVar("T")
 
 
@@ -42,24 +45,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models = parser.add_argument_group("models")
     models.add_argument(
         "--segmenter", default=SEGMENTER, metavar="NAME",
-        help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder (default: {SEGMENTER}, the paper's; "
-        "on a CPU take facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
+        help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder; or graph, built in, no model to "
+        f"download, half a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on a CPU take "
+        "graph, or facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
     )  # fmt: skip
     models.add_argument("--encoder", default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
     method = parser.add_argument_group("method")
     method.add_argument(
-        "--levels", choices=("four", "large"), default="four",
+        "--levels", choices=tuple(_LEVELS),
         help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
-        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four)",
+        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four; graph has only these)",
     )  # fmt: skip
     method.add_argument(
-        "--points", type=count, default=32, metavar="N",
-        help="ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, LangSplat's)",
+        "--points", type=count, metavar="N",
+        help="SAM: ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, LangSplat's)",
     )  # fmt: skip
     method.add_argument(
-        "--crop-layers", type=int, choices=range(3), default=1,
-        help="1: look at four enlarged crops as well, for small things, which takes five times as long (default: 1, "
+        "--crop-layers", type=int, choices=range(3),
+        help="SAM, 1: look at four enlarged crops as well, for small things, which takes five times as long (default: 1, "
         "LangSplat's)",
     )  # fmt: skip
     method.add_argument(
@@ -162,12 +166,24 @@ def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
 
 
 def _segmenter(arguments: argparse.Namespace) -> Segmenter:
-    from ..adapters.point_masks import PointMaskSettings
     from ..adapters.sam import load_segmenter
-    from ..segments import LEVELS
 
-    levels = LEVELS if arguments.levels == "four" else ("large",)
-    settings = PointMaskSettings(
-        points_per_side=arguments.points, crop_layers=arguments.crop_layers, levels=levels
-    )
-    return load_segmenter(arguments.segmenter, arguments.device, settings)
+    return load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
+
+
+def _point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
+    """Those of SAM; None for `graph`. InputError: options of SAM for `graph`."""
+    from ..adapters.point_masks import PointMaskSettings
+    from ..errors import InputError
+    from ..graph import GraphSegmenter
+
+    asked = {"points_per_side": arguments.points, "crop_layers": arguments.crop_layers}
+    given = {name: value for name, value in asked.items() if value is not None}
+    if arguments.segmenter != GraphSegmenter.name:
+        return PointMaskSettings(**given, levels=_LEVELS[arguments.levels or "four"])
+    if given or arguments.levels == "four":
+        raise InputError(
+            "--segmenter graph has masks of one level and asks no points: leave out --points, "
+            "--crop-layers and --levels four"
+        )
+    return None

@@ -1,0 +1,111 @@
+"""What is known of regions and of the borders between them: sums, so that those of a union are their sums."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64
+
+from .regions import LAB_STEPS
+
+BINS = 12  # of each channel's histogram
+AREA, MEAN, SQUARE, FRAME, AROUND, TEXTURE = 0, slice(1, 4), slice(4, 7), 7, 8, 9
+HISTOGRAM = slice(10, 10 + 3 * BINS)
+COLUMNS = HISTOGRAM.stop
+LENGTH, STEP, STEP_CHROMA = 0, 1, 2
+_RANGES = ((0.0, 100.0), (-60.0, 60.0), (-60.0, 60.0))
+
+
+@dataclass(frozen=True, eq=False)
+class RegionGraph:
+    """Regions of an image and which of them touch. All numbers are whole, so sums do not depend on order.
+
+    sums: columns as named above: pixels, colours and their squares, pixels at the image's frame, length
+    of the border to other regions, texture, histograms; colours in steps of CIELAB. boxes: x0, y0, -x1, -y1.
+    pairs: first below second. borders: length in pixel sides, sum of colour steps across, of chroma alone.
+    """
+
+    pixels: int
+    sums: Float64[np.ndarray, "n c"]
+    boxes: Float64[np.ndarray, "n 4"]
+    pairs: Int64[np.ndarray, "e 2"]
+    borders: Float64[np.ndarray, "e 3"]
+
+
+def region_graph(labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"]) -> RegionGraph:
+    count = int(labels.max()) + 1
+    pairs, borders = _borders(labels, lab)
+    sums = np.zeros((count, COLUMNS))
+    flat, colors = labels.ravel(), lab.reshape(-1, 3)
+    sums[:, AREA] = np.bincount(flat, minlength=count)
+    for channel in range(3):
+        values = colors[:, channel].astype(np.float64)
+        sums[:, MEAN.start + channel] = np.bincount(flat, values, count)
+        sums[:, SQUARE.start + channel] = np.bincount(flat, values**2, count)
+        sums[:, _histogram_columns(channel)] = _histograms(flat, values, channel, count)
+    sums[:, FRAME] = np.bincount(_frame(labels), minlength=count)
+    for side in (0, 1):
+        sums[:, AROUND] += np.bincount(pairs[:, side], borders[:, LENGTH], count)
+    sums[:, TEXTURE] = np.bincount(flat, _texture(lab[..., 0]).ravel(), count)
+    return RegionGraph(labels.size, sums, _boxes(labels, count), pairs, borders)
+
+
+def _histogram_columns(channel: int) -> slice:
+    return slice(HISTOGRAM.start + channel * BINS, HISTOGRAM.start + (channel + 1) * BINS)
+
+
+def _histograms(
+    flat: Int64[np.ndarray, " p"], values: Float64[np.ndarray, " p"], channel: int, count: int
+) -> Int64[np.ndarray, "n b"]:
+    low, high = _RANGES[channel]
+    places = (values / LAB_STEPS - low) * (BINS / (high - low))
+    bins = np.clip(places.astype(np.int64), 0, BINS - 1)
+    return np.bincount(flat * BINS + bins, minlength=count * BINS).reshape(count, BINS)
+
+
+def _frame(labels: Int64[np.ndarray, "h w"]) -> Int64[np.ndarray, " p"]:
+    return np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+
+
+def _texture(lightness: Int32[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
+    """How unlike its left and upper neighbours a pixel is, in steps of CIELAB."""
+    texture = np.zeros(lightness.shape)
+    texture[:, 1:] += np.abs(np.diff(lightness, axis=1))
+    texture[1:] += np.abs(np.diff(lightness, axis=0))
+    return texture
+
+
+def _boxes(labels: Int64[np.ndarray, "h w"], count: int) -> Float64[np.ndarray, "n 4"]:
+    from scipy.ndimage import find_objects
+
+    boxes = np.zeros((count, 4))
+    for i, (rows, columns) in enumerate(find_objects(labels + 1)):
+        boxes[i] = columns.start, rows.start, -columns.stop, -rows.stop
+    return boxes
+
+
+def _borders(
+    labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"]
+) -> tuple[Int64[np.ndarray, "e 2"], Float64[np.ndarray, "e 3"]]:
+    """Touching regions and the sums over their border: see RegionGraph."""
+    across, down = _sides(labels, lab), _sides(labels.T, lab.transpose(1, 0, 2))
+    ends = np.concatenate([across[0], down[0]])
+    steps = np.concatenate([across[1], down[1]])
+    count = int(labels.max()) + 1
+    keys, owner = np.unique(ends.min(1) * count + ends.max(1), return_inverse=True)
+    sums = [np.bincount(owner, column, len(keys)) for column in steps.T]
+    return np.stack([keys // count, keys % count], 1), np.stack(sums, 1)
+
+
+def _sides(
+    labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"]
+) -> tuple[Int64[np.ndarray, "s 2"], Float64[np.ndarray, "s 3"]]:
+    """Pixel sides between two columns where regions meet: both regions, and 1, colour step, chroma step.
+
+    The step is taken one pixel farther out on both sides, since an edge is blurred over two pixels.
+    """
+    y, x = np.nonzero(labels[:, 1:] != labels[:, :-1])
+    ends = np.stack([labels[y, x], labels[y, x + 1]], 1)
+    inner, outer = np.maximum(x - 1, 0), np.minimum(x + 2, labels.shape[1] - 1)
+    square = (lab[y, inner] - lab[y, outer]).astype(np.float64) ** 2
+    step, chroma = np.rint(np.sqrt(square.sum(1))), np.rint(np.sqrt(square[:, 1:].sum(1)))
+    return ends, np.stack([np.ones(len(y)), step, chroma], 1)

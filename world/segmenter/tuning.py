@@ -1,0 +1,146 @@
+"""Learn the rule of `graph`: python -m world.segmenter.tuning SCENE... --output rule.safetensors
+
+The rule merges the photos of made scenes; every pair that it meets on the way, with whether both regions
+show the same thing, is learned from together with all pairs of earlier rounds. The threshold is then the
+one of the best mean IoU.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from safetensors.numpy import save_file
+
+from drsplat.graph.merging import Likelihood, Merging
+from drsplat.graph.regions import lab_colors, small_regions, working_image
+from drsplat.graph.rule import MergeRule
+from drsplat.graph.segmenter import GraphSettings
+from drsplat.graph.statistics import AREA, RegionGraph, region_graph
+
+from .network import learn_rule
+from .scenes import Photo, photos
+from .scores import score, shared_pixels
+
+KEPT = 0.25  # of the pairs that are met
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A photo's regions. shown: pixels of each region that show each thing."""
+
+    photo: Photo
+    graph: RegionGraph
+    shown: Int64[np.ndarray, "n k"]
+
+
+def case(photo: Photo) -> Case:
+    lab = lab_colors(working_image(photo.image))
+    labels = small_regions(lab)
+    shown = shared_pixels(labels, photo.truth, len(photo.is_object))
+    return Case(photo, region_graph(labels, lab), shown)
+
+
+class Watched(Merging):
+    """Notes pairs that are scored, whether they belong together, and how much that matters."""
+
+    def __init__(self, case: Case, likelihood: Likelihood, rng: np.random.Generator) -> None:
+        self.shown, self._objects, self._rng = case.shown.copy(), case.photo.is_object, rng
+        self.features_met: list[np.ndarray] = []
+        self.together: list[np.ndarray] = []
+        self.weights: list[np.ndarray] = []
+        super().__init__(case.graph, likelihood)
+
+    def _features(self, ends: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        found = super()._features(ends, rows)
+        kept = self._rng.random(len(found)) < KEPT
+        a, b = ends[:, kept]
+        main_a, main_b = self.shown[a].argmax(1), self.shown[b].argmax(1)
+        smaller = np.minimum(self.sums[a, AREA], self.sums[b, AREA])
+        matters = np.where(self._objects[main_a] | self._objects[main_b], 1.0, 0.3)
+        self.features_met.append(found[kept])
+        self.together.append(main_a == main_b)
+        self.weights.append(matters * np.sqrt(np.minimum(smaller, 5000)))
+        return found
+
+    def _union(self, a: int, b: int) -> None:
+        self.shown[a] += self.shown[b]
+        self.shown[b] = 0
+        super()._union(a, b)
+
+
+def by_color(features: Float64[np.ndarray, "e f"]) -> Float64[np.ndarray, " e"]:
+    """The rule to begin with."""
+    return np.exp(-(features[:, 0] ** 2 + features[:, 6] ** 2) / 20)
+
+
+def mean_score(cases: Sequence[Case], rule: MergeRule) -> Float64[np.ndarray, " 4"]:
+    """Mean IoU of things, of structures, masks per photo, purity, over all photos."""
+    found = []
+    for one in cases:
+        merging = Merging(one.graph, rule.likelihood)
+        merging.merge_above(float(rule.threshold[0]))
+        merging.merge_small(GraphSettings().least_area * one.graph.pixels / (640 * 480))
+        owner = merging.labels()
+        shown = np.zeros((owner.max() + 1, one.shown.shape[1]), np.int64)
+        np.add.at(shown, owner, one.shown)
+        found.append(score(shown, one.photo.is_object))
+    best = np.concatenate([s.best for s in found])
+    objects = np.concatenate([s.is_object for s in found])
+    others = [np.mean([s.masks for s in found]), np.mean([s.purity for s in found])]
+    return np.array([best[objects].mean(), best[~objects].mean(), *others])
+
+
+def learned(cases: Sequence[Case], rounds: int, hidden: int) -> MergeRule:
+    rng = np.random.default_rng(0)
+    likelihood: Likelihood = by_color
+    met: list[tuple[np.ndarray, ...]] = []
+    for turn in range(rounds):
+        start = time.monotonic()
+        for one in cases:
+            watched = Watched(one, likelihood, rng)
+            watched.merge_above(0.3 if turn else 0.1)
+            met.append(
+                tuple(
+                    map(np.concatenate, (watched.features_met, watched.together, watched.weights))
+                )
+            )
+        features, together, weights = map(np.concatenate, zip(*met, strict=True))
+        walked = time.monotonic()
+        rule = learn_rule(features, together, weights, hidden)
+        likelihood = rule.likelihood
+        print(f"round {turn}: {len(features)} pairs, walk {walked - start:.0f} s, learn {time.monotonic() - walked:.0f} s,"
+              f" scores {np.round(mean_score(cases[::5], rule), 3)}", flush=True)  # fmt: skip
+    return rule
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--hidden", type=int, default=24)
+    parser.add_argument(
+        "--each", type=int, default=1, metavar="N", help="every Nth photo (default: 1)"
+    )
+    arguments = parser.parse_args()
+    cases = [case(photo) for photo in photos(arguments.scenes, arguments.each)]
+    rule = learned(cases, arguments.rounds, arguments.hidden)
+    rule = best_threshold(cases[::3], rule)
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    save_file({k: v.astype(np.float32) for k, v in vars(rule).items()}, arguments.output)
+
+
+def best_threshold(cases: Sequence[Case], rule: MergeRule) -> MergeRule:
+    tried = [replace(rule, threshold=np.array([t])) for t in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)]
+    scores = [mean_score(cases, r) for r in tried]
+    for r, s in zip(tried, scores, strict=True):
+        print(r.threshold, np.round(s, 3), flush=True)
+    return tried[int(np.argmax([s[0] for s in scores]))]
+
+
+if __name__ == "__main__":
+    main()
