@@ -1,0 +1,329 @@
+"""lerf-ovs@1: 3D object selection as OpenGaussian measures it, on labelled photos.
+
+A text selects Gaussians; only these are rendered from each labelled photo's place; where their alpha
+exceeds 0.7 is the predicted mask. mIoU is the mean over all pairs of a photo and a category labelled
+on it. A pair without prediction counts 0; categories that a photo does not show are not asked.
+
+Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+from scipy.ndimage import uniform_filter
+
+from ..codes import Track, untracked
+from ..errors import FormatError, InputError, MismatchError
+from ..formats.captures import read_views
+from ..formats.json_files import as_vector, read_json, shown
+from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
+from ..formats.replacing import replacing
+from ..gaussians import Gaussians
+from ..kernels import SplatArrays, render_channels, splat_arrays
+from ..views import View
+from . import metrics
+from .predictions import (
+    FIXED,
+    Chooser,
+    Manifest,
+    is_sweep,
+    mask_path,
+    read_manifest,
+    read_mask,
+    sweep_column,
+    write_mask,
+)
+from .scorers import Scorer
+from .thresholds import best_sweep
+
+PROTOCOL = "lerf-ovs@1"
+SILHOUETTE = 0.7  # alpha of the selected Gaussians
+PEAK_WINDOW = 1 / 33  # of the width; LangSplat smooths over 30 pixels of photos about 990 wide
+PEAKS = "peaks.json"
+ACCURACIES = (0.25, 0.5)
+MAX_THRESHOLD = 2.0  # above all cosines and relevancies
+
+
+@dataclass(frozen=True, eq=False)
+class LerfScene:
+    """A scene's labelled photos and where they were taken, on the labels' raster."""
+
+    name: str
+    frames: Sequence[LabelledFrame]
+    views: Mapping[str, View]
+
+    @property
+    def pairs(self) -> list[tuple[LabelledFrame, str]]:
+        return [(frame, category) for frame in self.frames for category in frame.categories]
+
+    @property
+    def categories(self) -> list[str]:
+        return sorted({category for _, category in self.pairs})
+
+
+def read_lerf_scene(data: Path, name: str) -> LerfScene:
+    """DATA/NAME is the capture, DATA/label/NAME its labels.
+
+    Raises: InputError: no such folders, a labelled photo without pose, or with a lens that is not a
+    pinhole. MismatchError: a label of another shape than its photo.
+    """
+    frames = read_lerf_labels(data / "label" / name)
+    by_stem = {Path(view.name).stem: view for view in read_views(data / name)}
+    missing = [frame.name for frame in frames if frame.name not in by_stem]
+    if missing:
+        raise InputError(
+            f"{data / name}: {len(missing)} labelled photos have no pose, first '{missing[0]}'"
+        )
+    return LerfScene(name, frames, {f.name: _on_labels(by_stem[f.name], f) for f in frames})
+
+
+def predict(
+    scene: LerfScene,
+    gaussians: Gaussians,
+    scorer: Scorer,
+    folder: Path,
+    *,
+    choosers: Mapping[str, tuple[Chooser, str]] | None = None,
+    threads: int = 0,
+    track: Track = untracked,
+) -> None:
+    """Write masks for the fixed threshold, for every threshold of the sweep and for each chooser.
+
+    choosers: by column, a function that finds a query's threshold from its scores, and what it does
+    in words.
+
+    Raises: MismatchError: a scorer of another scene.
+    """
+    if scorer.num_gaussians != len(gaussians):
+        raise MismatchError(
+            f"'{scorer.name}' scores {scorer.num_gaussians} Gaussians, the scene has {len(gaussians)}"
+        )
+    chosen = choosers or {}
+    columns = {
+        FIXED: f"{scorer.threshold:g} for all queries, chosen without these scenes",
+        **{name: how for name, (_, how) in chosen.items()},
+        **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
+    }
+    splats = splat_arrays(gaussians)
+    peaks: dict[str, dict[str, list[float] | None]] = {}
+    picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
+    for category in track(scene.categories, f"{scene.name}: queries"):
+        scores = scorer.scores(category)
+        at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
+        for name, (choose, _) in chosen.items():
+            picked[name][category] = at[name] = _finite(choose(scores))
+        for frame in (f for f in scene.frames if category in f.polygons):
+            view = scene.views[frame.name]
+            for column, mask in _masks(splats, view, scores, at, threads):
+                write_mask(mask_path(folder, scene.name, column, frame.name, category), mask)
+            peaks.setdefault(frame.name, {})[category] = _peak(splats, view, scores, threads)
+    inputs = {
+        "gaussians": gaussians.fingerprint,
+        "scorer": dict(scorer.about),
+        "silhouette": SILHOUETTE,
+        "peak_window": PEAK_WINDOW,
+        "chosen": picked,
+    }
+    Manifest(
+        PROTOCOL, scorer.name, scene.name, columns, inputs, leaked_frames(scene, scorer)
+    ).write(folder)
+    with replacing(folder / scene.name / PEAKS, overwrite=True) as file:
+        file.write(json.dumps(peaks, indent=1).encode() + b"\n")
+
+
+def without_labelled(views: Sequence[View], scene: LerfScene) -> list[View]:
+    """The views that a method may be made from without having seen what is asked of it."""
+    labelled = {frame.name for frame in scene.frames}
+    return [view for view in views if Path(view.name).stem not in labelled]
+
+
+def leaked_frames(scene: LerfScene, scorer: Scorer) -> tuple[str, ...] | None:
+    """Labelled photos that the method was made from; None where the scorer does not say."""
+    if scorer.views is None:
+        return None
+    known = {Path(name).stem for name in scorer.views}
+    return tuple(frame.name for frame in scene.frames if frame.name in known)
+
+
+def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
+    """Numbers of what is in the folder; reads labels and predictions and nothing else.
+
+    columns: by choice of threshold. Of the sweep, the one threshold with the best mean over scenes
+    becomes "tuned on test", and says so.
+
+    Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
+    """
+    if not scenes:
+        raise InputError("expected at least one scene to score")
+    manifests = [read_manifest(folder, scene.name, PROTOCOL) for scene in scenes]
+    columns = _common_columns(manifests)
+    ious = {column: [_ious(scene, folder, column) for scene in scenes] for column in columns}
+    peaks = [_peak_hits(scene, folder) for scene in scenes]
+    means = {column: metrics.scene_macro(values) for column, values in ious.items()}
+    tuned = best_sweep(means)
+    shown_columns = {c: c for c in columns if not is_sweep(c)}
+    if tuned is not None:
+        shown_columns["tuned on test"] = tuned
+    return {
+        "protocol": PROTOCOL,
+        "method": manifests[0].method,
+        "scenes": [_scene_record(*pair) for pair in zip(scenes, manifests, strict=True)],
+        "thresholds": {name: columns[source] for name, source in shown_columns.items()},
+        "columns": {
+            name: _summary(scenes, ious[source], peaks) for name, source in shown_columns.items()
+        },
+        "sweep": {column: means[column] for column in columns if is_sweep(column)},
+        "queries": _queries(scenes, {name: ious[c] for name, c in shown_columns.items()}, peaks),
+    }
+
+
+def _on_labels(view: View, frame: LabelledFrame) -> View:
+    if view.distortion is not None:
+        raise InputError(
+            f"'{view.name}': the photo has a lens distortion and the labels lie on it: undistort the "
+            "capture first, with `colmap image_undistorter`"
+        )
+    if abs(view.height * frame.width / view.width - frame.height) > 1:
+        raise MismatchError(
+            f"'{view.name}' is {view.width}x{view.height}, its labels are {frame.width}x{frame.height}"
+        )
+    return view.resized(frame.width, frame.height)
+
+
+def _finite(threshold: float) -> float:
+    """A query that no threshold suits selects nothing."""
+    return threshold if np.isfinite(threshold) else MAX_THRESHOLD
+
+
+def _masks(
+    splats: SplatArrays,
+    view: View,
+    scores: Float32[np.ndarray, " N"],
+    thresholds: Mapping[str, float],
+    threads: int,
+) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
+    """Each column's mask; equal selections are rendered once."""
+    count, mask = -1, np.zeros((view.height, view.width), bool)
+    for column, threshold in sorted(thresholds.items(), key=lambda item: item[1]):
+        selected = np.flatnonzero(scores > np.float32(threshold))  # NaN is not
+        if len(selected) != count:  # selections by threshold are nested
+            count, mask = len(selected), silhouette(splats, view, selected, threads)
+        yield column, mask
+
+
+def silhouette(
+    splats: SplatArrays, view: View, selected: Int64[np.ndarray, " m"], threads: int = 0
+) -> Bool[np.ndarray, "h w"]:
+    """Where the selected Gaussians, alone in the world, are more opaque than 0.7."""
+    if not len(selected):
+        return np.zeros((view.height, view.width), bool)
+    alone = SplatArrays(*(np.ascontiguousarray(array[..., selected]) for array in splats))
+    drawn = render_channels(alone, view, np.zeros((len(selected), 1), np.float32), threads=threads)
+    mask: np.ndarray = drawn.alpha > SILHOUETTE
+    return mask
+
+
+def _peak(
+    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int
+) -> list[float] | None:
+    """(x, y) of the highest smoothed score map; None where nothing scores above 0.
+
+    The map is sum_i w_i max(s_i, 0) of the whole scene: what no Gaussian covers is 0.
+    """
+    values = np.nan_to_num(np.maximum(scores, 0), nan=0.0)[:, None]
+    drawn = render_channels(splats, view, values, threads=threads).channels[..., 0]
+    window = round(view.width * PEAK_WINDOW) | 1  # odd: centred on a pixel
+    smooth = uniform_filter(drawn.astype(np.float64), window, mode="constant")
+    if not smooth.max() > 0:
+        return None
+    y, x = np.unravel_index(int(smooth.argmax()), smooth.shape)
+    return [float(x), float(y)]
+
+
+def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
+    first = manifests[0]
+    for other in manifests[1:]:
+        if set(other.columns) != set(first.columns) or other.method != first.method:
+            raise MismatchError(
+                f"'{other.scene}' was predicted by '{other.method}' with other thresholds than "
+                f"'{first.scene}' by '{first.method}': predict all scenes in one way"
+            )
+    return dict(first.columns)
+
+
+def _ious(scene: LerfScene, folder: Path, column: str) -> list[float]:
+    found = []
+    for frame, category in scene.pairs:
+        path = mask_path(folder, scene.name, column, frame.name, category)
+        mask = read_mask(path, frame.width, frame.height)
+        found.append(0.0 if mask is None else metrics.mask_iou(mask, frame.mask(category)))
+    return found
+
+
+def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
+    """1 where the peak lies in a box of the category, else 0; without a peak 0."""
+    path = folder / scene.name / PEAKS
+    document = read_json(path) if path.is_file() else {}
+    if not isinstance(document, dict):
+        raise FormatError(f"{path}: expected a JSON object, got {shown(document)}")
+    hits = []
+    for frame, category in scene.pairs:
+        of_frame = document.get(frame.name, {})
+        peak = of_frame.get(category) if isinstance(of_frame, dict) else None
+        if peak is None:
+            hits.append(0.0)
+            continue
+        x, y = as_vector(peak, 2, f"{path}: {frame.name}: {category[:60]!a}").tolist()
+        hits.append(float(metrics.in_any_box(x, y, frame.boxes[category])))
+    return hits
+
+
+def _summary(
+    scenes: Sequence[LerfScene], ious: Sequence[list[float]], hits: Sequence[list[float]]
+) -> dict[str, Any]:
+    by_scene = [_numbers(values, found) for values, found in zip(ious, hits, strict=True)]
+    every = [value for values in ious for value in values]
+    return {
+        "scene_macro": {
+            key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]
+        },
+        "query_micro": _numbers(every, [hit for found in hits for hit in found]),
+        "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
+    }
+
+
+def _numbers(ious: list[float], hits: list[float]) -> dict[str, float]:
+    accuracies = {f"acc@{t:g}": metrics.share_above(ious, t) for t in ACCURACIES}
+    return {"miou": metrics.mean(ious), **accuracies, "localization": metrics.mean(hits)}
+
+
+def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:
+    leaked = manifest.leaked
+    return {
+        "name": scene.name,
+        "frames": len(scene.frames),
+        "pairs": len(scene.pairs),
+        "leaked": None if leaked is None else list(leaked),
+        "inputs": dict(manifest.inputs),
+    }
+
+
+def _queries(
+    scenes: Sequence[LerfScene],
+    ious: Mapping[str, Sequence[list[float]]],
+    hits: Sequence[list[float]],
+) -> list[dict[str, Any]]:
+    rows = []
+    for s, scene in enumerate(scenes):
+        for p, (frame, category) in enumerate(scene.pairs):
+            values = {column: by_scene[s][p] for column, by_scene in ious.items()}
+            rows.append(
+                {"scene": scene.name, "frame": frame.name, "category": category}
+                | {"iou": values, "localized": bool(hits[s][p])}
+            )
+    return rows

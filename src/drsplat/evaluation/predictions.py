@@ -1,0 +1,139 @@
+"""Predictions on disk: what a protocol's first half writes and its second half reads.
+
+FOLDER/SCENE/predictions.json    protocol, method, thresholds and how they were chosen, inputs
+FOLDER/SCENE/COLUMN/...          masks of one choice of thresholds
+FOLDER/SCENE/*.npy               labels and scores
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from PIL import Image
+
+from ..errors import FormatError, InputError, MismatchError
+from ..formats.json_files import read_json, shown
+from ..formats.replacing import replacing
+
+MANIFEST = "predictions.json"
+OCCUPIED = 10  # a pixel above this is inside, as OpenGaussian reads its masks
+FIXED, TUNED, SWEEP = "fixed", "tuned on test", "sweep"
+
+Chooser = Callable[[Float32[np.ndarray, " N"]], float]
+"""A threshold from a query's scores alone, NaN where there is none; never from the truth."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What was predicted for one scene, by whom and how.
+
+    columns: each choice of thresholds, and in words how it was made. inputs: hashes and settings.
+    leaked: labelled photos that the method was made from, None where nobody knows.
+    """
+
+    protocol: str
+    method: str
+    scene: str
+    columns: Mapping[str, str]
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    leaked: tuple[str, ...] | None = None
+
+    def write(self, folder: Path) -> None:
+        (folder / self.scene).mkdir(parents=True, exist_ok=True)
+        with replacing(folder / self.scene / MANIFEST, overwrite=True) as file:
+            file.write(json.dumps(asdict(self), indent=1, default=str).encode() + b"\n")
+
+
+def read_manifest(folder: Path, scene: str, protocol: str) -> Manifest:
+    """What `Manifest.write` wrote.
+
+    Raises: InputError: nothing was predicted for the scene. FormatError: damaged. MismatchError: of
+    another protocol or scene.
+    """
+    path = folder / scene / MANIFEST
+    if not path.is_file():
+        raise InputError(f"{path}: there are no predictions of '{scene}': predict before scoring")
+    document = read_json(path)
+    if not isinstance(document, dict):
+        raise FormatError(f"{path}: expected a JSON object, got {shown(document)}")
+    if document.get("protocol") != protocol or document.get("scene") != scene:
+        raise MismatchError(
+            f"{path}: expected predictions of {protocol} for '{scene}', got "
+            f"{shown(document.get('protocol'))} for {shown(document.get('scene'))}"
+        )
+    columns, leaked = document.get("columns"), document.get("leaked")
+    if not isinstance(columns, dict) or not all(isinstance(how, str) for how in columns.values()):
+        raise FormatError(f"{path}: columns: expected texts by name, got {shown(columns)}")
+    if leaked is not None and not isinstance(leaked, list):
+        raise FormatError(f"{path}: leaked: expected a list or null, got {shown(leaked)}")
+    inputs = document.get("inputs")
+    return Manifest(
+        protocol,
+        str(document.get("method")),
+        scene,
+        columns,
+        inputs if isinstance(inputs, dict) else {},
+        None if leaked is None else tuple(map(str, leaked)),
+    )
+
+
+def sweep_column(threshold: float) -> str:
+    return f"{SWEEP} {threshold:.3f}"
+
+
+def is_sweep(column: str) -> bool:
+    return column.startswith(f"{SWEEP} ")
+
+
+def mask_path(folder: Path, scene: str, column: str, frame: str, category: str) -> Path:
+    """FOLDER/SCENE/COLUMN/frame_00041_category.png, as OpenGaussian names its files."""
+    safe = quote(category, safe=" '(),&+!-._")
+    return folder / scene / column / f"{frame}_{safe}.png"
+
+
+def write_mask(path: Path, mask: Bool[np.ndarray, "h w"]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, overwrite=True) as file:
+        Image.fromarray(mask.astype(np.uint8) * 255).save(file, "PNG", compress_level=1)
+
+
+def read_mask(path: Path, width: int, height: int) -> Bool[np.ndarray, "h w"] | None:
+    """None where nothing was predicted.
+
+    Raises: FormatError: not a picture, or of another size: predictions are never resized.
+    """
+    if not path.is_file():
+        return None
+    try:
+        with Image.open(path, formats=("PNG",)) as picture:
+            size = picture.size
+            if size == (width, height):
+                pixels = np.asarray(picture.convert("L"))
+    except Exception as error:  # decoders of damaged files raise anything
+        raise FormatError(f"{path}: cannot be read as a PNG: {error}") from error
+    if size != (width, height):
+        raise FormatError(
+            f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}"
+        )
+    occupied: np.ndarray = pixels > OCCUPIED
+    return occupied
+
+
+def read_array(path: Path, count: int, kinds: str) -> np.ndarray | None:
+    """One value per Gaussian or point; None where nothing was predicted.
+
+    Raises: FormatError: damaged, or another shape or type.
+    """
+    from ..formats.npy import map_npy
+
+    if not path.is_file():
+        return None
+    array = map_npy(path)
+    if array.shape != (count,) or array.dtype.kind not in kinds:
+        raise FormatError(f"{path}: expected {count} values, got {array.dtype} {array.shape}")
+    return array

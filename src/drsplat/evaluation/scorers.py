@@ -1,0 +1,157 @@
+"""What a protocol asks: a text, and one number per Gaussian of the scene."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from ..encoders import Encoder
+from ..errors import InputError, MismatchError
+from ..field import LanguageField
+from ..formats.npy import map_npy
+from ..search import NEGATIVES, embed_query, relevancy_from_scores
+
+BLOCK = 1 << 16
+COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
+# of CLIP, texts and photos are at cosines of 0.15 to 0.35; of the built-in encoders up to 1
+COSINES = tuple(k / 100 for k in (*range(14, 36), *range(40, 95, 5)))
+RELEVANCIES = tuple(k / 100 for k in range(40, 92, 2))
+
+Scores = Float32[np.ndarray, " N"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scorer:
+    """A method on one scene.
+
+    scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in
+    tables. threshold: the fixed one, chosen without the scenes that are scored. sweep: thresholds
+    that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of
+    the photos that it was made from, None where nobody knows.
+    """
+
+    name: str
+    num_gaussians: int
+    scores: Callable[[str], Scores]
+    threshold: float
+    sweep: tuple[float, ...]
+    about: Mapping[str, object] = field(default_factory=dict)
+    views: tuple[str, ...] | None = None
+
+
+def cosine_scorer(
+    known: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0
+) -> Scorer:
+    """Cosines of the field. threshold: the encoder's own where it has one, else 0.5.
+
+    Raises: MismatchError: another encoder than the field's.
+    """
+    known.check_encoder(encoder.identity)
+
+    def scores(text: str) -> Scores:
+        found = known.scores(embed_query(encoder, known, text), threads=threads)
+        return known.dense(found, fill=float("nan"))
+
+    about = {
+        "field": known.fingerprint,
+        "scene": known.scene,
+        "encoder": known.encoder.name,
+        "registered": len(known),
+        "measure": "cosine",
+    }
+    views = None if known.evidence is None else known.evidence.segments.view_names
+    return Scorer(name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views)
+
+
+def feature_scorer(
+    features: Float[np.ndarray, "N D"], encoder: Encoder, name: str = "features"
+) -> Scorer:
+    """Cosines with features made by any system; rows without direction are absent.
+
+    features: float16 or float32, of any length, may be a memory map: read a block at a time.
+
+    Raises: MismatchError: features and texts of different dimensions.
+    """
+    if features.shape[1] != encoder.identity.dim:
+        raise MismatchError(
+            f"features: expected (N, {encoder.identity.dim}) as the texts have it, got {features.shape}"
+        )
+
+    def scores(text: str) -> Scores:
+        return _cosines(features, np.asarray(encoder.encode_texts([text])[0], np.float32))
+
+    about = {
+        "features": hashed(features),
+        "encoder": encoder.identity.name,
+        "measure": "cosine",
+    }
+    return Scorer(name, len(features), scores, _fixed(encoder), COSINES, about)
+
+
+def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
+    """LERF's relevancy of any scorer of cosines; its fixed threshold is 0.5, "as well as a negative".
+
+    The negatives "object", "things", "stuff" and "texture" are scored once, at the first text.
+
+    Source: Kerr et al. 2023 (LERF) Sec. 3.3.
+    """
+
+    @cache
+    def best_negative() -> Scores:
+        best = cosines.scores(NEGATIVES[0])
+        for text in NEGATIVES[1:]:
+            best = np.maximum(best, cosines.scores(text))
+        return best
+
+    def scores(text: str) -> Scores:
+        return relevancy_from_scores(cosines.scores(text), best_negative())
+
+    about = {**cosines.about, "measure": "relevancy", "negatives": list(NEGATIVES)}
+    return replace(
+        cosines,
+        name=name,
+        scores=scores,
+        threshold=RELEVANCY_THRESHOLD,
+        sweep=RELEVANCIES,
+        about=about,
+    )
+
+
+def read_features(path: Path) -> Float[np.ndarray, "N D"]:
+    """Features of another system: .npy of (N, D) float16 or float32, mapped and not loaded.
+
+    Raises: InputError: there is no such file. FormatError: damaged. InputError: another shape or type.
+    """
+    features = map_npy(path)
+    if features.ndim != 2 or features.dtype not in (np.float16, np.float32):
+        raise InputError(
+            f"{path}: expected float16 or float32 (N, D), one row per Gaussian; got {features.dtype} "
+            f"{features.shape}"
+        )
+    return features
+
+
+def hashed(array: np.ndarray) -> str:
+    """Of type, shape and content."""
+    digest = hashlib.blake2b(f"{array.dtype.str} {array.shape}".encode(), digest_size=16)
+    for start in range(0, len(array), BLOCK):
+        digest.update(np.ascontiguousarray(array[start : start + BLOCK]).data)
+    return digest.hexdigest()
+
+
+def _cosines(features: Float[np.ndarray, "N D"], unit: Float32[np.ndarray, " D"]) -> Scores:
+    scores = np.empty(len(features), np.float32)
+    for start in range(0, len(features), BLOCK):
+        block = features[start : start + BLOCK].astype(np.float32)
+        norms = np.linalg.norm(block, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scores[start : start + BLOCK] = block @ unit / np.where(norms > 0, norms, np.nan)
+    return scores
+
+
+def _fixed(encoder: Encoder) -> float:
+    return float(getattr(encoder, "threshold", COSINE_THRESHOLD))
