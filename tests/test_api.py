@@ -25,9 +25,9 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 # A module imports only from those before it, or from its own package.
 ORDER = (
     "errors", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
-    "formats", "kernels", "codes", "evidence", "field", "columns", "registration", "rendering", "search",
-    "tasks", "words", "mini", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
-    "demo", "commands", "cli", "__main__",
+    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "search",
+    "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
+    "evaluation", "demo", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent
 
