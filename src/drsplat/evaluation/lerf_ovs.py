@@ -29,6 +29,7 @@ from ..views import View
 from . import metrics
 from .predictions import (
     FIXED,
+    TUNED,
     Chooser,
     Manifest,
     is_sweep,
@@ -160,7 +161,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
     """
     if not scenes:
         raise InputError("expected at least one scene to score")
-    manifests = [read_manifest(folder, scene.name, PROTOCOL) for scene in scenes]
+    manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
     columns = _common_columns(manifests)
     ious = {column: [_ious(scene, folder, column) for scene in scenes] for column in columns}
     peaks = [_peak_hits(scene, folder) for scene in scenes]
@@ -168,7 +169,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
     tuned = best_sweep(means)
     shown_columns = {c: c for c in columns if not is_sweep(c)}
     if tuned is not None:
-        shown_columns["tuned on test"] = tuned
+        shown_columns[TUNED] = tuned
     return {
         "protocol": PROTOCOL,
         "method": manifests[0].method,

@@ -6,7 +6,7 @@ FOLDER/SCENE/*.npy               labels and scores
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,7 @@ class Manifest:
             file.write(json.dumps(asdict(self), indent=1, default=str).encode() + b"\n")
 
 
-def read_manifest(folder: Path, scene: str, protocol: str) -> Manifest:
+def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifest:
     """What `Manifest.write` wrote.
 
     Raises: InputError: nothing was predicted for the scene. FormatError: damaged. MismatchError: of
@@ -61,9 +61,9 @@ def read_manifest(folder: Path, scene: str, protocol: str) -> Manifest:
     document = read_json(path)
     if not isinstance(document, dict):
         raise FormatError(f"{path}: expected a JSON object, got {shown(document)}")
-    if document.get("protocol") != protocol or document.get("scene") != scene:
+    if document.get("protocol") not in protocols or document.get("scene") != scene:
         raise MismatchError(
-            f"{path}: expected predictions of {protocol} for '{scene}', got "
+            f"{path}: expected predictions of {' or '.join(protocols)} for '{scene}', got "
             f"{shown(document.get('protocol'))} for {shown(document.get('scene'))}"
         )
     columns, leaked = document.get("columns"), document.get("leaked")
@@ -73,7 +73,7 @@ def read_manifest(folder: Path, scene: str, protocol: str) -> Manifest:
         raise FormatError(f"{path}: leaked: expected a list or null, got {shown(leaked)}")
     inputs = document.get("inputs")
     return Manifest(
-        protocol,
+        str(document["protocol"]),
         str(document.get("method")),
         scene,
         columns,

@@ -94,7 +94,7 @@ def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.nda
     Source: Dr. Splat Eq. 2.  Twin: evaluation.reference.printed_labels.
     """
     _check(gaussians, points)
-    whiten = _whitening(gaussians).astype(np.float64)
+    whiten = whitening(gaussians).astype(np.float64)
     means = gaussians.means.astype(np.float64)
     present = np.unique(points.labels)
     best, found = np.full(len(gaussians), -np.inf), np.full(len(gaussians), -1, np.int32)
@@ -122,7 +122,7 @@ def _check(gaussians: Gaussians, points: LabelledPoints) -> None:
             raise InputError(f"{name}: expected finite positions")
 
 
-def _whitening(gaussians: Gaussians) -> Float32[np.ndarray, "n 3 3"]:
+def whitening(gaussians: Gaussians) -> Float32[np.ndarray, "n 3 3"]:
     """inv(S) R^T of each Gaussian."""
     w, x, y, z = gaussians.quats.astype(np.float64).T
     columns = [
@@ -143,7 +143,7 @@ def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
     size = np.exp2(np.ceil(np.log2(longest)))
     x, y, z = np.floor(gaussians.means.astype(np.float64) / size[:, None]).T
     order = np.lexsort((x, y, z, size))
-    whiten = _whitening(gaussians).reshape(-1, 9)
+    whiten = whitening(gaussians).reshape(-1, 9)
     return _Sources(order, gaussians.means[order], whiten[order], reach[order], size[order])
 
 

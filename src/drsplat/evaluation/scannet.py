@@ -1,0 +1,199 @@
+"""What the ScanNet protocols share: labelled scenes, and predicting a class for every Gaussian."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+
+from ..codes import Track, untracked
+from ..errors import FormatError, MismatchError
+from ..formats.npy import write_npy
+from ..formats.scannet import (
+    TABLE_NAME,
+    check_vertices,
+    raw_category_labels,
+    read_label_table,
+    read_scannet_instances,
+    read_scannet_labels,
+    scene_file,
+)
+from ..gaussians import Gaussians
+from . import metrics
+from .label_sets import LabelSet
+from .predictions import FIXED, Chooser, Manifest, read_array, sweep_column
+from .pseudo_labels import LabelledPoints, density_labels
+from .scorers import Scorer, hashed
+
+LABELS = "labels.npy"
+ACCURACIES = (0.15, 0.30, 0.45)
+
+
+@dataclass(frozen=True, eq=False)
+class ScannetScene:
+    """Labelled points, classes 1 to C of the label set and 0 for all others, and the Gaussians."""
+
+    name: str
+    points: LabelledPoints
+    labels: LabelSet
+    gaussians: Gaussians
+
+    @cached_property
+    def significance(self) -> Float64[np.ndarray, " n"]:
+        """d_i = s_x s_y s_z alpha_i.  Source: Dr. Splat Sec. C."""
+        volumes = self.gaussians.scales.astype(np.float64).prod(1)
+        return np.asarray(volumes * self.gaussians.opacities)
+
+    @cached_property
+    def pseudo_labels(self) -> Int32[np.ndarray, " n"]:
+        """A class per Gaussian by the density vote; 0 where other classes win or no point is near."""
+        return np.asarray(np.maximum(density_labels(self.gaussians, self.points), 0), np.int32)
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Hashes of what is scored."""
+        return {
+            "gaussians": self.gaussians.fingerprint,
+            "points": hashed(self.points.positions),
+            "classes": hashed(self.points.labels),
+        }
+
+
+def read_nyu40_scene(folder: Path, labels: LabelSet, gaussians: Gaussians) -> ScannetScene:
+    """A scene whose classes are the NYU40 ids of `*_vh_clean_2.labels.ply`.
+
+    Raises: InputError: no such folder or file. FormatError: damaged.
+    """
+    cloud = read_scannet_labels(scene_file(folder, "_vh_clean_2.labels.ply"))
+    points = LabelledPoints(cloud.positions, labels.classes(cloud.labels))
+    return ScannetScene(folder.resolve().name, points, labels, gaussians)
+
+
+def read_raw_category_scene(
+    folder: Path, labels: LabelSet, gaussians: Gaussians, table: Path | None = None
+) -> ScannetScene:
+    """A scene whose classes are raw category ids (ScanNet-200), by segments and their annotation.
+
+    table: scannetv2-labels.combined.tsv; None looks in the folder, then in the one above.
+
+    Raises: InputError: no such folder or file. FormatError: damaged. MismatchError: segments of
+    another mesh than the labelled points.
+    """
+    cloud = read_scannet_labels(scene_file(folder, "_vh_clean_2.labels.ply"))
+    segments, groups = scene_file(folder, ".segs.json"), scene_file(folder, ".aggregation.json")
+    instances = read_scannet_instances(segments, groups)
+    check_vertices(cloud, instances, str(folder))
+    beside = folder / TABLE_NAME
+    known = read_label_table(
+        table or (beside if beside.is_file() else folder.resolve().parent / TABLE_NAME)
+    )
+    ids = raw_category_labels(instances, known)
+    points = LabelledPoints(cloud.positions, labels.classes(ids))
+    return ScannetScene(folder.resolve().name, points, labels, gaussians)
+
+
+def predict_classes(
+    scene: ScannetScene,
+    scorer: Scorer,
+    folder: Path,
+    protocol: str,
+    *,
+    choosers: Mapping[str, tuple[Chooser, str]] | None = None,
+    keep_scores: bool = False,
+    track: Track = untracked,
+) -> None:
+    """Write the class of the highest score of every Gaussian, 0 without a feature; ties to the first.
+
+    keep_scores: also the scores of each class, and thresholds for them.
+
+    Raises: MismatchError: a scorer of another scene.
+    """
+    if scorer.num_gaussians != len(scene.gaussians):
+        raise MismatchError(
+            f"'{scorer.name}' scores {scorer.num_gaussians} Gaussians, the scene has {len(scene.gaussians)}"
+        )
+    place = folder / scene.name
+    place.mkdir(parents=True, exist_ok=True)
+    count = len(scene.gaussians)
+    best, found = np.full(count, -np.inf, np.float32), np.zeros(count, np.int32)
+    chosen = choosers or {}
+    picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
+    for number, prompt in track(list(enumerate(scene.labels.prompts, 1)), f"{scene.name}: classes"):
+        scores = scorer.scores(prompt)
+        higher = scores > best  # NaN is not
+        found[higher], best[higher] = number, scores[higher]
+        if keep_scores:
+            write_npy(scores_path(folder, scene.name, number), scores, overwrite=True)
+            for name, (choose, _) in chosen.items():
+                picked[name][str(number)] = choose(scores)
+    write_npy(place / LABELS, found, overwrite=True)
+    columns = {"argmax": "the class of the highest score; no threshold"}
+    if keep_scores:
+        columns = {
+            FIXED: f"{scorer.threshold:g} for all queries, chosen without these scenes",
+            **{name: how for name, (_, how) in chosen.items()},
+            **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
+        }
+    inputs = {
+        **scene.inputs,
+        "scorer": dict(scorer.about),
+        "label_set": scene.labels.name,
+        "prompts": list(scene.labels.prompts),
+        "thresholds": {
+            FIXED: scorer.threshold,
+            **{sweep_column(t): t for t in scorer.sweep},
+            **picked,
+        },
+    }
+    Manifest(protocol, scorer.name, scene.name, columns, inputs).write(folder)
+
+
+def scores_path(folder: Path, scene: str, number: int) -> Path:
+    return folder / scene / f"scores_{number:03d}.npy"
+
+
+def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " n"]:
+    """What `predict_classes` wrote; all 0 where it is missing.
+
+    Raises: FormatError: damaged, or not one class of the label set per Gaussian.
+    """
+    path = folder / scene.name / LABELS
+    found = read_array(path, len(scene.gaussians), "iu")
+    if found is None:
+        return np.zeros(len(scene.gaussians), np.int32)
+    if len(found) and not 0 <= found.min() <= found.max() <= len(scene.labels):
+        raise FormatError(
+            f"{path}: expected classes 0 to {len(scene.labels)}, got {found.min()} to {found.max()}"
+        )
+    return found.astype(np.int32)
+
+
+def predicted_scores(
+    scene: ScannetScene, folder: Path, number: int
+) -> Float32[np.ndarray, " n"] | None:
+    scores = read_array(scores_path(folder, scene.name, number), len(scene.gaussians), "f")
+    return None if scores is None else scores.astype(np.float32)
+
+
+def segmentation_record(
+    ious: Float64[np.ndarray, " c"], accuracies: Float64[np.ndarray, " c"], labels: LabelSet
+) -> dict[str, Any]:
+    """Means over the classes of the scene, and each of them."""
+    present = ~np.isnan(ious)
+    names = [name for name, there in zip(labels.names, present, strict=True) if there]
+    return {
+        "miou": metrics.mean_present(ious),
+        "macc": metrics.mean_present(accuracies),
+        "classes": {
+            name: {"iou": float(iou), "acc": float(acc)}
+            for name, iou, acc in zip(names, ious[present], accuracies[present], strict=True)
+        },
+    }
+
+
+def over_scenes(records: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> dict[str, float]:
+    """Means over scenes: each scene counts alike."""
+    return {key: metrics.mean([record[key] for record in records]) for key in keys}

@@ -1,0 +1,89 @@
+"""scannet-points@1: semantic segmentation as OpenGaussian measures it.
+
+Gaussians are frozen at the labelled points, one each and in their order. The class of each is the one
+whose text it is most similar to; IoU and accuracy count Gaussians. Points of other classes and
+Gaussians fainter than 0.1 are left out. Means are over the classes of a scene, then over scenes.
+
+Source: OpenGaussian (Wu et al. 2024), its evaluation on ScanNet.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int32
+
+from ..codes import Track, untracked
+from ..errors import InputError, MismatchError
+from . import metrics
+from .predictions import read_manifest
+from .scannet import (
+    ScannetScene,
+    over_scenes,
+    predict_classes,
+    predicted_classes,
+    segmentation_record,
+)
+from .scorers import Scorer
+
+PROTOCOL = "scannet-points@1"
+FAINT = 0.1
+TOLERANCE = 1e-3  # of the scene's extent
+
+
+def predict(scene: ScannetScene, scorer: Scorer, folder: Path, *, track: Track = untracked) -> None:
+    """Write a class per Gaussian.  Raises: MismatchError: a scorer of another scene."""
+    predict_classes(scene, scorer, folder, PROTOCOL, track=track)
+
+
+def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
+    """Numbers of what is in the folder. A scene whose labels are missing scores 0.
+
+    Raises: InputError: no scene, or one without predictions. MismatchError: Gaussians that are not
+    at the points. FormatError: damaged predictions.
+    """
+    if not scenes:
+        raise InputError("expected at least one scene to score")
+    manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
+    by_scene = {scene.name: _record(scene, folder) for scene in scenes}
+    return {
+        "protocol": PROTOCOL,
+        "method": manifests[0].method,
+        "label_set": scenes[0].labels.name,
+        "thresholds": {"argmax": "the class of the highest score; no threshold"},
+        "segmentation": {
+            "scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")),
+            "by_scene": by_scene,
+        },
+        "scenes": [{"name": m.scene, "inputs": dict(m.inputs)} for m in manifests],
+    }
+
+
+def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
+    """The class of each Gaussian is that of its point; 0 for faint ones.
+
+    Raises: MismatchError: not one Gaussian per point, or not at its place.
+    """
+    means, positions = scene.gaussians.means, scene.points.positions
+    if len(means) != len(positions):
+        raise MismatchError(
+            f"'{scene.name}': {len(means)} Gaussians for {len(positions)} labelled points: this protocol needs a "
+            "scene trained with Gaussians frozen at the points; for free ones use scannet-volume@1"
+        )
+    moved = float(np.abs(means.astype(np.float64) - positions).max(initial=0))
+    if moved > TOLERANCE * float(np.ptp(positions, axis=0).max(initial=0)):
+        raise MismatchError(
+            f"'{scene.name}': Gaussians are up to {moved:.3g} away from their points: they were not frozen, or "
+            "are in another order; for free ones use scannet-volume@1"
+        )
+    return np.where(scene.gaussians.opacities < FAINT, 0, scene.points.labels).astype(np.int32)
+
+
+def _record(scene: ScannetScene, folder: Path) -> dict[str, Any]:
+    truth, found, count = frozen_truth(scene), predicted_classes(scene, folder), len(scene.labels)
+    return segmentation_record(
+        metrics.class_ious(found, truth, count),
+        metrics.class_accuracies(found, truth, count),
+        scene.labels,
+    )

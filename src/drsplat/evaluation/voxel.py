@@ -1,0 +1,261 @@
+"""voxel@1: Eq. 4's volumes, the reference that significance stands in for.
+
+A voxel's score for a label is the sum of alpha_i N(v | mu_i, Sigma_i) over the Gaussians that have it, v
+the voxel's centre. Voxels with too little in all are empty; the others have the label of the highest
+score. Truth and prediction are compared voxel by voxel. `study` is Fig. S3.
+
+Source: Dr. Splat Sec. C "Volume awareness of the proposed metric".
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64
+
+from ..codes import Track, untracked
+from ..errors import InputError
+from ..gaussians import Gaussians
+from . import metrics, scannet_volume
+from .predictions import read_manifest
+from .pseudo_labels import whitening
+from .scannet import (
+    ScannetScene,
+    over_scenes,
+    predict_classes,
+    predicted_classes,
+    segmentation_record,
+)
+from .scorers import Scorer
+
+PROTOCOL = "voxel@1"
+SIDE = 0.05  # scene units: ScanNet's are metres
+EMPTY = 1e-3  # least sum of alpha N(v) times the volume of a voxel
+CUT_OFF = 3.0
+MAX_VOXELS = 1 << 27
+SLAB_SCORES = 1 << 22
+PAIRS = 1 << 19
+MIN_SCENES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelGrid:
+    """Cubes of one side; `origin` is the low corner of the first."""
+
+    origin: Float64[np.ndarray, " 3"]
+    side: float
+    shape: tuple[int, int, int]
+
+    @property
+    def centers(self) -> Float64[np.ndarray, "v 3"]:
+        """x slowest, as `voxel_labels` has them."""
+        at = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 3)
+        return np.asarray(self.origin + (at + 0.5) * self.side)
+
+
+def grid_over(positions: np.ndarray, side: float = SIDE) -> VoxelGrid:
+    """Voxels that cover some points.
+
+    Raises: InputError: no positive side, or more voxels than memory is for.
+    """
+    if not side > 0:
+        raise InputError(f"voxel side: expected a positive length, got {side}")
+    low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
+    shape = np.floor((high - low) / side) + 1
+    if shape.prod() > MAX_VOXELS:
+        raise InputError(
+            f"voxels of {side:g} would be {shape.prod():.3g}: give a longer side than "
+            f"{side * (shape.prod() / MAX_VOXELS) ** (1 / 3):.3g}"
+        )
+    return VoxelGrid(low, side, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def voxel_labels(
+    gaussians: Gaussians,
+    labellings: Sequence[Int32[np.ndarray, " n"]],
+    num_labels: int,
+    grid: VoxelGrid,
+    *,
+    threads: int = 0,
+) -> list[Int32[np.ndarray, " v"]]:
+    """For each labelling the label of every voxel, 0 to num_labels - 1; -1 where the voxel is empty.
+
+    Ties go to the lowest label. Each Gaussian is looked at within three standard deviations. Memory is
+    bounded: slabs of voxels are worked on in turn, and are the same for any number of threads.
+
+    Source: Dr. Splat Eq. 4.  Twin: evaluation.reference.voxel_scores.
+    """
+    sources = _Sources(gaussians, grid)
+    rows = max(1, SLAB_SCORES // (grid.shape[1] * grid.shape[2] * num_labels))
+    slabs = [(x, min(x + rows, grid.shape[0])) for x in range(0, grid.shape[0], rows)]
+    work = partial(_slab, sources, labellings, num_labels)
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        parts = list(pool.map(work, slabs))
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def predict(scene: ScannetScene, scorer: Scorer, folder: Path, *, track: Track = untracked) -> None:
+    """Write a class per Gaussian.  Raises: MismatchError: a scorer of another scene."""
+    predict_classes(scene, scorer, folder, PROTOCOL, track=track)
+
+
+def score(
+    scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, threads: int = 0
+) -> dict[str, Any]:
+    """Voxel against voxel, and beside it Eq. 3 with and without significance.
+
+    Predictions of scannet-volume@1 are read, too. The study's correlations are NaN below 3 scenes.
+
+    Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
+    """
+    if not scenes:
+        raise InputError("expected at least one scene to score")
+    known = (PROTOCOL, scannet_volume.PROTOCOL)
+    manifests = [read_manifest(folder, scene.name, known) for scene in scenes]
+    by_scene = {
+        scene.name: voxel_record(scene, folder, side=side, threads=threads) for scene in scenes
+    }
+    compared = [
+        {
+            "scene": scene.name,
+            "voxel": by_scene[scene.name]["miou"],
+            "weighted": scannet_volume.segmentation(scene, folder)["miou"],
+            "unweighted": scannet_volume.segmentation(scene, folder, weighted=False)["miou"],
+        }
+        for scene in scenes
+    ]
+    return {
+        "protocol": PROTOCOL,
+        "method": manifests[0].method,
+        "label_set": scenes[0].labels.name,
+        "thresholds": {"argmax": "the class of the highest score; no threshold"},
+        "voxel_side": side,
+        "segmentation": {
+            "scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")),
+            "by_scene": by_scene,
+        },
+        "study": study(compared),
+        "scenes": [{"name": m.scene, "inputs": dict(m.inputs)} for m in manifests],
+    }
+
+
+def voxel_record(
+    scene: ScannetScene, folder: Path, *, side: float = SIDE, threads: int = 0
+) -> dict[str, Any]:
+    """IoU and accuracy of the classes of one scene, in voxels."""
+    found, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
+    kept = np.flatnonzero(truth > 0)
+    grid = grid_over(scene.points.positions, side)
+    both = [truth[kept], found[kept]]
+    true, predicted = voxel_labels(
+        scene.gaussians.subset(kept), both, count + 1, grid, threads=threads
+    )
+    filled = true >= 0
+    predicted, true = predicted[filled], true[filled]
+    return {
+        **segmentation_record(
+            metrics.class_ious(predicted, true, count),
+            metrics.class_accuracies(predicted, true, count),
+            scene.labels,
+        ),
+        "voxels": int(filled.sum()),
+    }
+
+
+def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """How mIoU by Gaussians, with and without significance, follows mIoU by voxels over scenes.
+
+    compared: scene, voxel, weighted and unweighted mIoU of each.
+
+    Source: Dr. Splat Fig. S3, which has eight scenes.
+    """
+    reference = [float(row["voxel"]) for row in compared]
+    correlations = {
+        kind: {
+            "pearson": metrics.pearson(reference, [float(row[kind]) for row in compared]),
+            "spearman": metrics.spearman(reference, [float(row[kind]) for row in compared]),
+        }
+        for kind in ("weighted", "unweighted")
+        if len(compared) > 2
+    }
+    return {
+        "scenes": [dict(row) for row in compared],
+        "correlations": correlations,
+        "enough_scenes": len(compared) >= MIN_SCENES,
+    }
+
+
+class _Sources:
+    """Gaussians in voxel terms: the box of voxels that each reaches."""
+
+    def __init__(self, gaussians: Gaussians, grid: VoxelGrid) -> None:
+        self.grid, self.means = grid, gaussians.means.astype(np.float64)
+        self.whiten = whitening(gaussians).astype(np.float64)
+        scales = gaussians.scales.astype(np.float64)
+        self.peaks = gaussians.opacities / ((2 * np.pi) ** 1.5 * scales.prod(1))
+        reach = CUT_OFF * np.sqrt(gaussians.covariances()[:, [0, 3, 5]])
+        low, high = (
+            (self.means + sign * reach - grid.origin) / grid.side - 0.5 for sign in (-1, 1)
+        )
+        self.low = np.maximum(np.ceil(low), 0).astype(np.int64)
+        self.high = np.minimum(np.floor(high), np.array(grid.shape) - 1).astype(np.int64)
+
+
+def _slab(
+    sources: _Sources,
+    labellings: Sequence[Int32[np.ndarray, " n"]],
+    num_labels: int,
+    slab: tuple[int, int],
+) -> list[Int32[np.ndarray, " v"]]:
+    """Labels of the voxels with x in [slab[0], slab[1])."""
+    low, high = sources.low.copy(), sources.high.copy()
+    low[:, 0], high[:, 0] = np.maximum(low[:, 0], slab[0]), np.minimum(high[:, 0], slab[1] - 1)
+    spans = np.maximum(high - low + 1, 0)
+    ids = np.flatnonzero(spans.prod(1))
+    _, ny, nz = sources.grid.shape
+    voxels = (slab[1] - slab[0]) * ny * nz
+    sums = [np.zeros(voxels * num_labels) for _ in labellings]
+    ends = np.cumsum(spans[ids].prod(1))
+    start = 0
+    while start < len(ids):
+        done = ends[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, done + PAIRS)))
+        batch = ids[start:stop]
+        owner, at, mass = _pairs(sources, batch, low[batch], spans[batch])
+        place = ((at[:, 0] - slab[0]) * ny + at[:, 1]) * nz + at[:, 2]
+        for total, labels in zip(sums, labellings, strict=True):
+            np.add.at(total, place * num_labels + labels[owner], mass)
+        start = stop
+    least = EMPTY / sources.grid.side**3
+    return [_winners(total.reshape(voxels, num_labels), least) for total in sums]
+
+
+def _pairs(
+    sources: _Sources,
+    ids: Int64[np.ndarray, " b"],
+    low: Int64[np.ndarray, "b 3"],
+    spans: Int64[np.ndarray, "b 3"],
+) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, "p 3"], Float64[np.ndarray, " p"]]:
+    """Gaussian, voxel and alpha N(v) of all pairs within the cut-off."""
+    counts = spans.prod(1)
+    row = np.repeat(np.arange(len(ids)), counts)
+    nth = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+    rest, z = np.divmod(nth, spans[row, 2])
+    x, y = np.divmod(rest, spans[row, 1])
+    at = low[row] + np.stack([x, y, z], 1)
+    offsets = sources.grid.origin + (at + 0.5) * sources.grid.side - sources.means[ids][row]
+    along = np.einsum("pij,pj->pi", sources.whiten[ids][row], offsets)
+    squared = (along**2).sum(1)
+    near = squared <= CUT_OFF**2
+    owner = ids[row[near]]
+    return owner, at[near], sources.peaks[owner] * np.exp(-squared[near] / 2)
+
+
+def _winners(scores: Float64[np.ndarray, "v s"], least: float) -> Int32[np.ndarray, " v"]:
+    filled = scores.sum(1) > least
+    return np.where(filled, scores.argmax(1), -1).astype(np.int32)
