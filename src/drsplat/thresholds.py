@@ -1,0 +1,147 @@
+"""Where to cut the scores of a query, judged by the scores themselves: pure functions of arrays.
+
+Selected is what lies *above* a threshold. Where nothing stands out, the threshold is the highest score.
+All follow the scores when these are shifted or scaled, and none depends on their order.
+"""
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from .errors import InputError
+
+PEAK = 40  # rows: a thing of fewer is a speck
+CUT = 0.6  # of the way from the median to the peak
+SURPRISE = 2.0  # standard deviations above the mean rise of words that are not meant
+BINS, STEPS = 512, 200
+
+Scores = Float[np.ndarray, " r"]
+
+
+def rise(scores: Scores, peak: int = PEAK) -> float:
+    """How far the `peak`-th highest score stands above the median.
+
+    Raises: InputError: no scores, or some that are not finite.
+    """
+    return float(_peak(scores, peak) - _median(scores))
+
+
+def automatic_threshold(
+    scores: Scores, null_rises: Float64[np.ndarray, " k"] | None = None, *, peak: int = PEAK
+) -> float:
+    """`CUT` of the way from the median to the peak, where the scores rise higher than those of other words.
+
+    null_rises: `rise` of queries that nothing in the scene answers. What rises no higher than their mean
+    and `SURPRISE` standard deviations is taken to be absent. None or none: something is always found.
+
+    Raises: InputError: as `rise`.
+    """
+    middle, height = _median(scores), rise(scores, peak)
+    if not height > _usual(null_rises):
+        return float(scores.max())
+    return float(middle + CUT * height)
+
+
+def _usual(rises: Float64[np.ndarray, " k"] | None) -> float:
+    """What a rise has to exceed."""
+    if rises is None or not len(rises):
+        return 0.0
+    return float(rises.mean() + SURPRISE * rises.std())
+
+
+def share_threshold(scores: Scores, share: float) -> float:
+    """The threshold above which this share of the rows lies, rounded; fewer where scores are equal.
+
+    Raises: InputError: a share outside of [0, 1], or as `rise`.
+    """
+    if not 0 <= share <= 1:
+        raise InputError(f"a share of the Gaussians lies between 0 and 1, got {share}")
+    _check(scores)
+    count = round(share * len(scores))
+    if count == len(scores):
+        return float(np.nextafter(scores.min(), scores.dtype.type(-np.inf)))
+    return _largest(scores, count + 1)
+
+
+def otsu_threshold(scores: Scores) -> float:
+    """The middle of the gap that splits the scores into the two groups of least variance within.
+
+    Raises: InputError: as `rise`.
+    Source: Otsu 1979, without a histogram.
+    """
+    _check(scores)
+    ordered = np.sort(scores.astype(np.float64))
+    centered = ordered - ordered.mean()
+    below, total = np.arange(1, len(ordered)), np.cumsum(centered)[:-1]
+    # of two groups of sizes n0, n1 and sums t, -t about the mean: n0 n1 (mean1 - mean0)^2 = n^2 t^2 / (n0 n1)
+    between = total**2 / (below * (len(ordered) - below))
+    between[np.diff(ordered) == 0] = -1
+    if not (between > 0).any():
+        return float(ordered[-1])
+    best = int(between.argmax())
+    return float((ordered[best] + ordered[best + 1]) / 2)
+
+
+def mixture_threshold(scores: Scores) -> float:
+    """Where the upper of two Gaussians fitted to the scores becomes the likelier one.
+
+    Fitted by expectation maximisation to a histogram, from Otsu's split.
+
+    Raises: InputError: as `rise`.
+    """
+    start = otsu_threshold(scores)
+    low, high = float(scores.min()), float(scores.max())
+    if not start < high:
+        return high
+    counts, edges = np.histogram(scores.astype(np.float64), BINS, (low, high))
+    at, weight = (edges[1:] + edges[:-1]) / 2, counts / counts.sum()
+    upper = (at > start).astype(np.float64)
+    floor = ((high - low) / BINS) ** 2  # no component is narrower than a bin
+    for _ in range(STEPS):
+        parts = [_moments(at, weight * share, floor) for share in (1 - upper, upper)]
+        if min(part[0] for part in parts) <= 0:
+            return high
+        upper = _posterior(at, *parts)
+    likelier = np.flatnonzero((upper > 0.5) & (at > parts[0][1]))
+    return float(edges[likelier[0]]) if len(likelier) else high
+
+
+Component = tuple[float, float, float]  # weight, mean, variance
+
+
+def _moments(
+    at: Float64[np.ndarray, " b"], weight: Float64[np.ndarray, " b"], floor: float
+) -> Component:
+    total = float(weight.sum())
+    mean = float(weight @ at) / total if total > 0 else 0.0
+    return total, mean, float(weight @ (at - mean) ** 2) / max(total, 1e-300) + floor
+
+
+def _posterior(
+    at: Float64[np.ndarray, " b"], lower: Component, upper: Component
+) -> Float64[np.ndarray, " b"]:
+    logs = [
+        np.log(weight / np.sqrt(variance)) - (at - mean) ** 2 / (2 * variance)
+        for weight, mean, variance in (lower, upper)
+    ]
+    return np.asarray(1 / (1 + np.exp(np.clip(logs[0] - logs[1], -500, 500))))
+
+
+def _check(scores: Scores) -> None:
+    if not len(scores) or not np.isfinite(scores).all():
+        raise InputError(f"a threshold needs one or more finite scores, got {len(scores)} rows")
+
+
+def _largest(scores: Scores, rank: int) -> float:
+    """The `rank`-th largest, counted from 1."""
+    at = len(scores) - rank
+    return float(np.partition(scores, at)[at])
+
+
+def _peak(scores: Scores, peak: int) -> float:
+    _check(scores)
+    return _largest(scores, min(peak, len(scores)))
+
+
+def _median(scores: Scores) -> float:
+    _check(scores)
+    return _largest(scores, (len(scores) + 1) // 2)
