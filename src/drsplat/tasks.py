@@ -1,9 +1,10 @@
-"""What is asked of a field: which Gaussians, and where the things are that they form."""
+"""What is asked of a field: which Gaussians, where the things are that they form, what each one is."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, Integer
+from jaxtyping import Float32, Float64, Int32, Int64, Integer
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -12,7 +13,9 @@ from .errors import InputError
 from .field import LanguageField
 from .gaussians import Gaussians
 
+NO_CLASS = -1
 NEIGHBOURS = 8
+HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian's protocol
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 BOX_QUANTILES = (
     0.01,
@@ -46,10 +49,7 @@ def select(
     Raises: InputError: not one score per row of the field.
     Source: Dr. Splat Sec. B "3D object selection".
     """
-    if scores.shape != (len(field.gaussian_ids),):
-        raise InputError(
-            f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
-        )
+    _check_rows(field, scores)
     return field.gaussian_ids[scores > threshold].astype(np.int64)
 
 
@@ -65,8 +65,8 @@ def locate(
     """Find the things that the selection consists of, best score first; nothing found is [].
 
     Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
-    the median distance to the 8th neighbour within the selection. Smaller groups than `min_gaussians`
-    are left out.
+    the median distance to the 8th neighbour within the selection. Groups with fewer than `min_gaussians`
+    Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in the air.
 
     Raises: MismatchError: the field is of another scene. InputError: as `select`.
     Source: Dr. Splat Sec. B "Open-vocabulary 3D object localization".
@@ -79,8 +79,58 @@ def locate(
     groups = _components(gaussians.means[ids].astype(np.float64), link_distance)
     order = np.argsort(groups, kind="stable")
     members = np.split(ids[order], np.flatnonzero(np.diff(groups[order])) + 1)
-    found = [_instance(gaussians, by_id, group) for group in members if len(group) >= min_gaussians]
+    solid = gaussians.opacities >= HAZE
+    found = [
+        _instance(gaussians, by_id, group)
+        for group in members
+        if np.count_nonzero(solid[group]) >= min_gaussians
+    ]
     return sorted(found, key=lambda thing: (-thing.score, int(thing.gaussian_ids[0])))
+
+
+def segment(
+    field: LanguageField,
+    class_scores: Iterable[Float32[np.ndarray, " r"]],
+    thresholds: float | Sequence[float] = -np.inf,
+    *,
+    rivals: Float32[np.ndarray, " r"] | None = None,
+) -> Int32[np.ndarray, " N"]:
+    """The class of the highest score for each Gaussian of the scene, NO_CLASS where there is none.
+
+    class_scores: per class one score per row of the field, taken one class at a time. thresholds: of
+    all classes or one of each; only classes above theirs compete, and the first of equals wins.
+    rivals: what else a row might be, e.g. the maxima of `score_negatives`: a class has to exceed it.
+    By default every Gaussian with a feature gets a class, as in the paper.
+
+    Raises: InputError: not one score per row, or not one threshold per class.
+    Source: Dr. Splat Sec. B "Open-vocabulary 3D semantic segmentation".
+    """
+    best = np.full(len(field), -np.inf, np.float32) if rivals is None else rivals.copy()
+    labels, count = np.full(len(field), NO_CLASS, np.int32), 0
+    for scores in class_scores:
+        _check_rows(field, scores)
+        better = (scores > best) & (scores > _threshold(thresholds, count))
+        labels[better], best[better] = count, scores[better]
+        count += 1
+    if not isinstance(thresholds, int | float) and len(thresholds) != count:
+        raise InputError(f"{len(thresholds)} thresholds for {count} classes: give one of each")
+    of_scene = np.full(field.num_gaussians, NO_CLASS, np.int32)
+    of_scene[field.gaussian_ids] = labels
+    return of_scene
+
+
+def _threshold(thresholds: float | Sequence[float], label: int) -> float:
+    if isinstance(thresholds, int | float):
+        return thresholds
+    return thresholds[label] if label < len(thresholds) else np.inf
+
+
+def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None:
+    """Raises: InputError: not one score per row of the field."""
+    if scores.shape != (len(field.gaussian_ids),):
+        raise InputError(
+            f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
+        )
 
 
 def _components(
