@@ -1,18 +1,46 @@
-"""Words to scores: the whole query path on one screen."""
+"""Words to scores, a click to a query: the whole query path on one screen."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from .encoders import Encoder
 from .errors import InputError
 from .field import LanguageField, Negatives, relevancy_from_scores
+from .gaussians import Gaussians
+from .kernels import splat_arrays, view_weights
+from .thresholds import PEAK, rise
+from .views import View
 
-__all__ = ["NEGATIVES", "Answer", "embed_query", "query", "relevancy_from_scores", "text_negatives"]
+__all__ = [
+    "ABSENT",
+    "LOWEST",
+    "NEGATIVES",
+    "Answer",
+    "embed_query",
+    "feature_at",
+    "null_rises",
+    "query",
+    "relevancy_from_scores",
+    "rival_scores",
+    "split_negation",
+    "text_negatives",
+    "without",
+]
 
 NEGATIVES = ("object", "things", "stuff", "texture")
+ABSENT = (
+    "zebra", "volcano", "submarine", "cathedral", "glacier", "helicopter", "dinosaur", "windmill", "jellyfish",
+    "spacecraft", "tractor", "waterfall", "pyramid", "lighthouse", "ostrich", "bulldozer", "canyon", "octopus",
+    "catapult", "locomotive", "iceberg", "tornado", "rhinoceros", "aqueduct",
+)  # fmt: skip
+"""Words that hardly any capture answers: how high their scores rise is chance."""
+
+LOWEST = -1.0  # a cosine that no threshold selects
+_BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not\s+|\s+but\s+not\s+", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +79,93 @@ def text_negatives(
     return field.score_negatives(embeddings, tuple(texts), threads=threads)
 
 
+def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
+    """What is wanted and what is not: "mug, not red" and "mug but not red" are ("mug", ("red",)).
+
+    Raises: InputError: nothing before or after a "not".
+    """
+    wanted, *unwanted = (part.strip() for part in _BUT_NOT.split(text))
+    if unwanted and not all([wanted, *unwanted]):
+        raise InputError(f"{text!r}: say what to look for and what it is not: 'mug, not red'")
+    return wanted, tuple(unwanted)
+
+
+def rival_scores(
+    field: LanguageField,
+    encoder: Encoder,
+    text: str,
+    unwanted: Sequence[str],
+    *,
+    threads: int = 0,
+) -> Float32[np.ndarray, " r"]:
+    """Each row's best score for the text with an unwanted word before it: "red mug" for "mug, not red".
+
+    Raises: InputError: nothing is unwanted. MismatchError: another encoder.
+    """
+    texts = [f"{word} {text}" for word in unwanted]
+    return text_negatives(field, encoder, texts, threads=threads).maxima
+
+
+def without(
+    scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]
+) -> Float32[np.ndarray, " r"]:
+    """The scores, LOWEST where a rival fits as well or better."""
+    return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
+
+
+def null_rises(
+    field: LanguageField,
+    encoder: Encoder,
+    texts: Sequence[str] = ABSENT,
+    *,
+    peak: int = PEAK,
+    threads: int = 0,
+) -> Float64[np.ndarray, " k"]:
+    """How high the scores of texts rise that the scene does not answer, for `automatic_threshold`.
+
+    Raises: MismatchError: the field was written with another encoder.
+    """
+    field.check_encoder(encoder.identity)
+    embeddings = np.asarray(encoder.encode_texts(texts), np.float32)
+    return np.array([rise(field.scores(one, threads=threads), peak) for one in embeddings])
+
+
+def feature_at(
+    field: LanguageField,
+    gaussians: Gaussians,
+    view: View,
+    xy: tuple[float, float],
+    *,
+    threads: int = 0,
+) -> Float32[np.ndarray, " D"]:
+    """The feature of what a pixel of a view shows, as a query: self-referencing, of any encoder.
+
+    xy: pixels from the left and from the top; the centre of the first pixel is at (0.5, 0.5). The
+    feature is that of the Gaussian with the largest blending weight there among those that have one.
+
+    Raises: MismatchError: the field is of another scene. InputError: a pixel outside of the view, or
+    one where no Gaussian has a feature.
+    Source: Dr. Splat Sec. F "Broader application".
+    """
+    field.check_scene(gaussians)
+    column, row = (int(np.floor(at)) for at in xy)
+    if not (0 <= column < view.width and 0 <= row < view.height):
+        raise InputError(
+            f"pixel {xy[0]:g},{xy[1]:g} is outside of view '{view.name}': it has {view.width}x{view.height}"
+        )
+    pixel = np.full((view.height, view.width), -1, np.int32)
+    pixel[row, column] = 0
+    seen = view_weights(splat_arrays(gaussians), view, pixel, topk=None, threads=threads)
+    rows = np.searchsorted(field.gaussian_ids, seen.gaussian_ids)
+    known = field.gaussian_ids[np.minimum(rows, len(field) - 1)] == seen.gaussian_ids
+    if not known.any():
+        raise InputError(
+            f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"
+        )
+    best = rows[known][seen.weights[known].argmax()]
+    return field.feature(np.array([best]))[0]
+
+
 def query(
     field: LanguageField,
     encoder: Encoder,
@@ -61,9 +176,14 @@ def query(
 ) -> Answer:
     """Score every registered Gaussian against a text: one scan if the negatives are cached.
 
+    "mug, not red": what "red mug" fits as well or better gets the lowest cosine.
+
     Raises: MismatchError: the field was written with another encoder. InputError: no negatives.
     Source: Dr. Splat Sec. A "Inference stage"; Kerr et al. 2023 (LERF) for relevancy.
     """
     compared = text_negatives(field, encoder, negatives, threads=threads)
-    scores = field.scores(embed_query(encoder, field, text), threads=threads)
+    wanted, unwanted = split_negation(text)
+    scores = field.scores(embed_query(encoder, field, wanted), threads=threads)
+    if unwanted:
+        scores = without(scores, rival_scores(field, encoder, wanted, unwanted, threads=threads))
     return Answer(scores, relevancy_from_scores(scores, compared.maxima))
