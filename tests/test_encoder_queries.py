@@ -12,7 +12,8 @@ from PIL import Image
 
 from drsplat.adapters.loading import load_encoder
 from drsplat.cli import main
-from drsplat.commands.answers import Ask, asked, read_picture
+from drsplat.commands.answers import Ask, asked
+from drsplat.commands.query_inputs import read_picture
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import LanguageField, build_field

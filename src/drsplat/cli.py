@@ -17,7 +17,9 @@ from typing import NoReturn, TextIO
 from .errors import DrSplatError, DrSplatWarning
 
 # in the order of the pipeline
-VERBS = ("train", "inspect", "embed", "codebook", "register", "query", "render", "demo", "doctor")
+VERBS = (
+    "train", "inspect", "embed", "codebook", "register", "select", "locate", "segment", "render", "demo", "doctor",
+)  # fmt: skip
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -82,6 +84,7 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
     summary: str = command.SUMMARY
     parser = verbs.add_parser(
         name,
+        aliases=getattr(command, "ALIASES", ()),
         help=summary,
         description=summary[0].upper() + summary[1:] + ".",
         epilog=f"examples:\n{command.EXAMPLES}",

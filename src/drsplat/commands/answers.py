@@ -1,10 +1,12 @@
-"""From a field and a query on the command line to what it selects; for `query` and `render`."""
+"""From a field and a query on the command line to scores and a threshold; for all verbs that search."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
+
+from .query_inputs import Click, embedded_image, read_vector, read_vectors
 
 if TYPE_CHECKING:
     import numpy as np
@@ -14,180 +16,179 @@ if TYPE_CHECKING:
 
 RELEVANCY_THRESHOLD, COSINE_THRESHOLD = 0.5, 0.5
 MIN_GAUSSIANS = 40
+AUTO = "auto"
+
+
+@dataclass(frozen=True)
+class Ask:
+    """The query as given: a text, an image, a file with a vector or a click; who embeds it; how to measure.
+
+    unwanted: what the text does not mean. threshold: a number, AUTO or None, the default; top_share
+    takes its place. Defaults are those of the options.
+    """
+
+    text: str | None = None
+    vector: str | None = None
+    image: str | None = None
+    click: Click | None = None
+    unwanted: tuple[str, ...] = ()
+    vocabulary: str | None = None
+    encoder: str | None = None
+    device: str = "auto"
+    relevancy: bool = False
+    negatives: str | None = None
+    threshold: float | str | None = None
+    top_share: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """query: its unit vector. values: per row of the field what is compared with the threshold."""
+    """query: its unit vector. values: per row of the field what is compared with the threshold.
+
+    rule: who chose the threshold: given, top share, auto, encoder or default.
+    """
 
     field: LanguageField
     query: np.ndarray
     values: np.ndarray
     measure: str
     threshold: float
+    rule: str
 
-
-@dataclass(frozen=True)
-class Ask:
-    """The query as given: a text, an image or a file with a vector; who embeds it; how to measure.
-
-    Defaults are those of the options.
-    """
-
-    text: str | None = None
-    vector: str | None = None
-    image: str | None = None
-    vocabulary: str | None = None
-    encoder: str | None = None
-    device: str = "auto"
-    relevancy: bool = False
-    negatives: str | None = None
-    threshold: float | None = None
+    @property
+    def dense(self) -> np.ndarray:
+        """Values per Gaussian of the scene; the lowest where there is no feature."""
+        return self.field.dense(self.values, fill=0.0 if self.measure == "relevancy" else -1.0)
 
 
 def asked(field: LanguageField, ask: Ask, threads: int = 0) -> Asked:
-    """Scores of the field for a query.
+    """Scores of the field for a query, and the threshold.
 
     Words of a loaded encoder are measured by relevancy: CLIP's cosines of words with photos are seldom
-    above 0.3, fit or not, and no threshold suits all of them.
+    above 0.3, fit or not, and no threshold suits all of them. The automatic threshold is of cosines.
 
-    Raises: InputError: not one of text, image and vector; no encoder for it. MismatchError: another encoder.
+    Raises: InputError: not one of text, image, vector and click; no encoder for it; options that
+    exclude each other. MismatchError: another encoder.
     """
-    from ..search import relevancy_from_scores
-
-    query, encoder = _query(field, ask)
-    scores = field.scores(query, threads=threads)
-    own = getattr(encoder, "threshold", None)  # the built-in encoders' cosines mean something
-    uncertain = ask.text is not None and ask.encoder is not None and own is None
-    if not (ask.relevancy or ask.negatives or uncertain):
-        default = COSINE_THRESHOLD if own is None else own
-        return Asked(
-            field, query, scores, "cosine", default if ask.threshold is None else ask.threshold
-        )
-    values = relevancy_from_scores(scores, _negatives(field, encoder, ask, threads).maxima)
-    return Asked(
-        field,
-        query,
-        values,
-        "relevancy",
-        RELEVANCY_THRESHOLD if ask.threshold is None else ask.threshold,
-    )
+    return Asking(field, ask, threads).answer()
 
 
-def _query(field: LanguageField, ask: Ask) -> tuple[np.ndarray, Encoder | None]:
-    """The query's vector, and the encoder where one made it."""
-    from ..errors import InputError
-    from ..search import embed_query
+@dataclass(frozen=True, eq=False)
+class Asking:
+    """A field and how it is asked; what several texts need is made once."""
 
-    if sum(given is not None for given in (ask.text, ask.image, ask.vector)) != 1:
-        raise InputError("give one of these: a text, --image PICTURE or --vector FILE.npy")
-    if ask.vector is not None:
-        return read_vector(ask.vector), None
-    encoder = _encoder(field, ask)
-    if ask.text is not None:
-        return embed_query(encoder, field, ask.text), encoder
-    return _embedded_image(encoder, str(ask.image)), encoder
+    field: LanguageField
+    ask: Ask
+    threads: int = 0
 
+    def __post_init__(self) -> None:
+        from ..errors import InputError
 
-def _encoder(field: LanguageField, ask: Ask) -> Encoder:
-    from .options import encoder_for
+        if self.ask.threshold == AUTO and (self.ask.relevancy or self.ask.negatives):
+            raise InputError(
+                "--threshold auto cuts cosines: drop --relevancy and --negatives, or give a number"
+            )
 
-    return encoder_for(field, ask.vocabulary, ask.encoder, ask.device)
+    def answer(self) -> Asked:
+        """To the one thing asked."""
+        from ..errors import InputError
+        from ..search import feature_at
 
+        ask = self.ask
+        if sum(given is not None for given in (ask.text, ask.image, ask.vector, ask.click)) != 1:
+            raise InputError(
+                "give one of these: a text, --image PICTURE, --vector FILE.npy or --click VIEW:X,Y"
+            )
+        if ask.text is not None:
+            return self.about(ask.text)
+        if ask.unwanted:
+            raise InputError("--not goes with a query in words")
+        if ask.vector is not None:
+            return self._of(read_vector(ask.vector))
+        if ask.click is not None:
+            click = ask.click
+            return self._of(feature_at(self.field, click.gaussians, click.view, click.xy))
+        return self._of(embedded_image(self.encoder, str(ask.image)), own=self.own_threshold)
 
-def _embedded_image(encoder: Encoder, path: str) -> np.ndarray:
-    """A picture of a thing as the masks were: padded with black to a square.
+    def about(self, text: str) -> Asked:
+        """To a text; "mug, not red" leaves out what "red mug" fits as well."""
+        from ..search import LOWEST, embed_query, rival_scores, split_negation, without
 
-    Raises: InputError: an encoder of words only.
-    """
-    import numpy as np
+        wanted, unwanted = split_negation(text)
+        unwanted = (*unwanted, *self.ask.unwanted)
+        query = embed_query(self.encoder, self.field, wanted)
+        answer = self._of(query, own=self.own_threshold, words=True)
+        if not unwanted:
+            return answer
+        rivals = rival_scores(self.field, self.encoder, wanted, unwanted, threads=self.threads)
+        scores = self.field.scores(query, threads=self.threads)
+        values = answer.values.copy()
+        values[without(scores, rivals) == LOWEST] = LOWEST if answer.measure == "cosine" else 0.0
+        return replace(answer, values=values)
 
-    from ..crops import crop
-    from ..encoders import ImageEncoder
-    from ..errors import InputError
+    @cached_property
+    def encoder(self) -> Encoder:
+        from .options import encoder_for
 
-    if not isinstance(encoder, ImageEncoder):
-        raise InputError(
-            f"{encoder.identity.name} sees no images: pass --encoder NAME, the model that embedded the masks"
-        )
-    picture = read_picture(path)
-    height, width = picture.shape[:2]
-    square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))
-    vector: np.ndarray = encoder.encode_images([square])[0]
-    return vector
+        return encoder_for(self.field, self.ask.vocabulary, self.ask.encoder, self.ask.device)
 
+    @property
+    def own_threshold(self) -> float | None:
+        """The built-in encoders' cosines mean something."""
+        return getattr(self.encoder, "threshold", None)
 
-def read_picture(path: str) -> np.ndarray:
-    """The RGB of a picture file, upright, on black where it is transparent.
+    def _of(self, query: np.ndarray, *, own: float | None = None, words: bool = False) -> Asked:
+        from ..search import relevancy_from_scores
 
-    Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
-    """
-    import numpy as np
-    from PIL import Image, ImageOps
+        ask, uncertain = self.ask, words and self.ask.encoder is not None and own is None
+        scores = self.field.scores(query, threads=self.threads)
+        if ask.threshold == AUTO or not (ask.relevancy or ask.negatives or uncertain):
+            default = (COSINE_THRESHOLD, "default") if own is None else (own, "encoder")
+            cut = self._threshold(scores, default, words)
+            return Asked(self.field, query, scores, "cosine", *cut)
+        values = relevancy_from_scores(scores, self._negatives.maxima)
+        cut = self._threshold(values, (RELEVANCY_THRESHOLD, "default"), words)
+        return Asked(self.field, query, values, "relevancy", *cut)
 
-    from ..errors import FormatError, InputError
-    from ..photos import PHOTO_FORMATS
+    def _threshold(
+        self, values: np.ndarray, default: tuple[float, str], words: bool
+    ) -> tuple[float, str]:
+        from ..thresholds import automatic_threshold, share_threshold
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such picture")
-    try:
-        with Image.open(path, formats=PHOTO_FORMATS) as file:
-            picture = ImageOps.exif_transpose(file).convert("RGBA")
-    except Exception as error:  # decoders of damaged files raise anything
-        raise FormatError(
-            f"{path}: cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {error}"
-        ) from error
-    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
-    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
+        ask = self.ask
+        if ask.top_share is not None:
+            return share_threshold(values, ask.top_share), "top share"
+        if ask.threshold == AUTO:
+            return automatic_threshold(values, self._null_rises if words else None), "auto"
+        return default if ask.threshold is None else (float(ask.threshold), "given")
 
+    @cached_property
+    def _null_rises(self) -> np.ndarray | None:
+        """How high words rise that are not in the scene; None where the encoder knows no such words."""
+        from ..errors import InputError
+        from ..search import ABSENT, NEGATIVES, null_rises
 
-def _negatives(field: LanguageField, encoder: Encoder | None, ask: Ask, threads: int) -> Negatives:
-    from ..errors import InputError
-    from ..search import NEGATIVES, text_negatives
+        for texts in (ABSENT, NEGATIVES):
+            try:
+                return null_rises(self.field, self.encoder, texts, threads=self.threads)
+            except InputError:
+                continue
+        return None
 
-    if ask.negatives is not None and ask.negatives.endswith(".npy"):
-        return field.score_negatives(read_vectors(ask.negatives), threads=threads)
-    if ask.negatives is not None:
-        words = [word.strip() for word in ask.negatives.split(",")]
-        return text_negatives(field, encoder or _encoder(field, ask), words, threads=threads)
-    if field.negatives is not None:
-        return field.negatives
-    if encoder is None:
-        raise InputError(
-            "relevancy compares the query with negatives and this field has none stored: pass --negatives FILE.npy"
-        )
-    return text_negatives(field, encoder, NEGATIVES, threads=threads)
+    @cached_property
+    def _negatives(self) -> Negatives:
+        """Those given, else those stored in the field, else LERF's."""
+        from ..errors import InputError
+        from ..search import NEGATIVES, text_negatives
 
-
-def read_vector(path: str) -> np.ndarray:
-    """One vector of a .npy file, (D,) or (1, D).
-
-    Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
-    """
-    from ..errors import InputError
-
-    vectors = read_vectors(path)
-    if len(vectors) != 1:
-        raise InputError(f"{path}: expected one vector, got {len(vectors)}")
-    vector: np.ndarray = vectors[0]
-    return vector
-
-
-def read_vectors(path: str) -> np.ndarray:
-    """The vectors of a .npy file, (n, D) or (D,), as float32.
-
-    Raises: InputError: there is no such file. FormatError: damaged, not numbers.
-    """
-    import numpy as np
-
-    from ..errors import FormatError, InputError
-    from ..formats.npy import map_npy
-
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file")
-    array = np.atleast_2d(map_npy(Path(path)))
-    if array.ndim != 2 or array.dtype.kind != "f" or array.size == 0:
-        raise FormatError(
-            f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}"
-        )
-    return np.ascontiguousarray(array, np.float32)
+        field, given = self.field, self.ask.negatives
+        if given is not None and given.endswith(".npy"):
+            return field.score_negatives(read_vectors(given), threads=self.threads)
+        if given is None and field.negatives is not None:
+            return field.negatives
+        if given is None and (self.ask.vector or self.ask.click):
+            raise InputError(
+                "relevancy compares the query with negatives and this field has none stored: pass --negatives FILE.npy"
+            )
+        words = NEGATIVES if given is None else [word.strip() for word in given.split(",")]
+        return text_negatives(field, self.encoder, words, threads=self.threads)

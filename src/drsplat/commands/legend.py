@@ -1,0 +1,89 @@
+"""Colours of classes, on Gaussians and in pictures with a legend."""
+
+import colorsys
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from ..gaussians import Gaussians
+from ..kernels import render_channels, splat_arrays
+from ..pictures import INK, PAPER, OtherPixels, Pixels
+from ..views import View
+
+SH_C0 = 0.28209479177387814  # of 3DGS: colour = 0.5 + SH_C0 * coefficient
+GOLDEN = 0.6180339887498949  # of a turn: hues far from each other, however many
+GREY = 0.35  # how much of its own light a Gaussian without class keeps, around a middle grey
+
+
+def class_colors(count: int) -> UInt8[np.ndarray, "c 3"]:
+    """A colour per class: hues apart, and neighbours in the list of different light."""
+    hsv = [
+        ((0.02 + GOLDEN * i) % 1, (0.85, 0.6)[i % 2], (0.95, 0.75)[i // 2 % 2])
+        for i in range(count)
+    ]
+    rgb = np.array([colorsys.hsv_to_rgb(*one) for one in hsv]).reshape(count, 3)
+    return np.asarray(np.round(255 * rgb), np.uint8)
+
+
+def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -> Gaussians:
+    """The scene in the colours of its classes, for any viewer; a dim grey where there is no class."""
+    light = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0].mean(1), 0, 1)
+    rgb = np.repeat((0.5 + GREY * (light - 0.5))[:, None], 3, axis=1).astype(np.float32)
+    found = labels >= 0
+    rgb[found] = class_colors(count)[labels[found]] / 255
+    sh = ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None]
+    return Gaussians(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, sh, gaussians.extra
+    )
+
+
+def class_picture(
+    gaussians: Gaussians,
+    view: View,
+    photo: Pixels,
+    labels: Int32[np.ndarray, " n"],
+    names: list[str],
+    threads: int = 0,
+) -> OtherPixels:
+    """The photo in grey, tinted by the classes that are seen, with the names of those found below it."""
+    colors = class_colors(len(names)).astype(np.float32)
+    values = np.zeros((len(gaussians), 4), np.float32)
+    found = labels >= 0
+    values[found, :3], values[found, 3] = colors[labels[found]], 1
+    channels = render_channels(splat_arrays(gaussians), view, values, threads=threads).channels
+    picture = tinted(photo, channels[..., :3], channels[..., 3])
+    present = np.unique(labels[found])
+    return np.concatenate(
+        [picture, legend(picture.shape[1], [names[i] for i in present], colors[present])]
+    )
+
+
+def tinted(
+    photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np.ndarray, "h w"]
+) -> Pixels:
+    """Colour over the photo's grey; `color` is already weighted by `share`."""
+    grey = (photo @ np.array([0.299, 0.587, 0.114]))[..., None]
+    covered = np.clip(share, 0, 1)[..., None]
+    shade = 0.4 + 0.6 * grey / 255
+    picture: Pixels = np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(
+        np.uint8
+    )
+    return picture
+
+
+def legend(width: int, names: list[str], colors: np.ndarray) -> OtherPixels:
+    """Swatches and names in as many columns as fit."""
+    size = max(12, width // 45)
+    letters = ImageFont.load_default(size)
+    longest = max([letters.getlength(name) for name in names], default=0)
+    column = int(longest) + 3 * size
+    across = max(1, width // max(column, 1))
+    rows = -(-len(names) // across)
+    sheet = Image.new("RGB", (width, size + rows * 2 * size), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for index, (name, color) in enumerate(zip(names, colors, strict=True)):
+        x, y = index % across * column + size, index // across * 2 * size + size // 2
+        draw.rectangle((x, y, x + size, y + size), fill=tuple(int(part) for part in color))
+        draw.text((x + 1.5 * size, y), name, INK, font=letters)
+    return np.asarray(sheet)

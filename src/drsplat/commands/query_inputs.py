@@ -1,0 +1,118 @@
+"""What a query on the command line is given as: pictures, vectors, clicks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..encoders import Encoder
+    from ..gaussians import Gaussians
+    from ..views import View
+
+
+@dataclass(frozen=True, eq=False)
+class Click:
+    """A pixel of a view of a scene; xy as in `feature_at`."""
+
+    gaussians: Gaussians
+    view: View
+    xy: tuple[float, float]
+
+
+def split_click(text: str) -> tuple[str, tuple[float, float]]:
+    """The view's name and the pixel of "photo_003:210,140".
+
+    Raises: InputError: it does not look so.
+    """
+    import re
+
+    from ..errors import InputError
+
+    match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
+    if match is None:
+        raise InputError(f"--click {text}: expected VIEW:X,Y in pixels, e.g. photo_003:210,140")
+    return match[1], (float(match[2]), float(match[3]))
+
+
+def embedded_image(encoder: Encoder, path: str) -> np.ndarray:
+    """A picture of a thing as the masks were: padded with black to a square.
+
+    Raises: InputError: an encoder of words only.
+    """
+    import numpy as np
+
+    from ..crops import crop
+    from ..encoders import ImageEncoder
+    from ..errors import InputError
+
+    if not isinstance(encoder, ImageEncoder):
+        raise InputError(
+            f"{encoder.identity.name} sees no images: pass --encoder NAME, the model that embedded the masks"
+        )
+    picture = read_picture(path)
+    height, width = picture.shape[:2]
+    square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))
+    vector: np.ndarray = encoder.encode_images([square])[0]
+    return vector
+
+
+def read_picture(path: str) -> np.ndarray:
+    """The RGB of a picture file, upright, on black where it is transparent.
+
+    Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
+    """
+    import numpy as np
+    from PIL import Image, ImageOps
+
+    from ..errors import FormatError, InputError
+    from ..photos import PHOTO_FORMATS
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such picture")
+    try:
+        with Image.open(path, formats=PHOTO_FORMATS) as file:
+            picture = ImageOps.exif_transpose(file).convert("RGBA")
+    except Exception as error:  # decoders of damaged files raise anything
+        raise FormatError(
+            f"{path}: cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {error}"
+        ) from error
+    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
+    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
+
+
+def read_vector(path: str) -> np.ndarray:
+    """One vector of a .npy file, (D,) or (1, D).
+
+    Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
+    """
+    from ..errors import InputError
+
+    vectors = read_vectors(path)
+    if len(vectors) != 1:
+        raise InputError(f"{path}: expected one vector, got {len(vectors)}")
+    vector: np.ndarray = vectors[0]
+    return vector
+
+
+def read_vectors(path: str) -> np.ndarray:
+    """The vectors of a .npy file, (n, D) or (D,), as float32.
+
+    Raises: InputError: there is no such file. FormatError: damaged, not numbers.
+    """
+    import numpy as np
+
+    from ..errors import FormatError, InputError
+    from ..formats.npy import map_npy
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such file")
+    array = np.atleast_2d(map_npy(Path(path)))
+    if array.ndim != 2 or array.dtype.kind != "f" or array.size == 0:
+        raise FormatError(
+            f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}"
+        )
+    return np.ascontiguousarray(array, np.float32)
