@@ -1,1 +1,5 @@
-"""Named and versioned protocols: predict to disk, score from disk, report."""
+"""Named and versioned protocols: predict to disk, score from disk, report.
+
+lerf_ovs, scannet_points, scannet_volume, voxel: one protocol each, with `predict` and `score`.
+scorers: what they ask. metrics, thresholds, pseudo_labels: their algebra. report: JSON and HTML.
+"""

@@ -184,10 +184,12 @@ def spearman(a: Numbers, b: Numbers) -> float:
 def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
     """Bootstrap interval of the mean over scenes: the quantiles of means of scenes drawn again.
 
+    NaN of fewer than two: one scene says nothing about others.
+
     >>> mean_interval([0.5, 0.5, 0.5])
     (0.5, 0.5)
     """
-    if not len(values):
+    if len(values) < 2:
         return float("nan"), float("nan")
     drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLINGS, len(values)))
     means = np.asarray(values, np.float64)[drawn].mean(1)

@@ -1,0 +1,81 @@
+"""Pictures of answers, as Figs. S6 to S10: where a query scores, and what a threshold selects of it."""
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from PIL import Image
+
+from ..gaussians import Gaussians
+from ..kernels import SplatArrays, render_channels, splat_arrays
+from ..pictures import as_pixels, highlighted, photo_or_rendering
+from ..views import View
+from .lerf_ovs import LerfScene
+from .report import Figure
+from .scorers import Scorer
+
+LONG_SIDE = 480
+SELECTED, OTHERS = (1.0, 0.85, 0.1), (0.1, 0.2, 0.65)  # Fig. S7: yellow, blue
+_HEAT = np.array(
+    [[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]]
+)
+
+
+def lerf_figures(
+    scene: LerfScene, gaussians: Gaussians, scorer: Scorer, most: int = 6, *, threads: int = 0
+) -> list[Figure]:
+    """For up to `most` pairs of photo and category, spread over the scene: photo, activation, selection."""
+    pairs = scene.pairs
+    spread = np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))
+    splats, found = splat_arrays(gaussians), []
+    for at in spread.tolist():
+        frame, category = pairs[at]
+        view = small(scene.views[frame.name])
+        scores = scorer.scores(category)
+        photo = photo_or_rendering(gaussians, view, threads=threads)
+        truth = np.asarray(
+            Image.fromarray(frame.mask(category)).resize((view.width, view.height)), np.float32
+        )
+        where = f"{scene.name}, {frame.name}, “{category}”"
+        found.append(Figure(f"{where}: the label", highlighted(photo, truth)))
+        found.append(Figure(f"{where}: scores", activation(splats, view, scores, threads)))
+        found.append(
+            Figure(
+                f"{where}: above {scorer.threshold:g}",
+                selection(splats, view, scores, scorer.threshold, threads),
+            )
+        )
+    return found
+
+
+def small(view: View) -> View:
+    scale = min(1.0, LONG_SIDE / max(view.width, view.height))
+    return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
+
+
+def activation(
+    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int = 0
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Scores from the 50th to the 99.9th percentile in colours from dark to light."""
+    known = scores[np.isfinite(scores)]
+    low, high = np.percentile(known, (50, 99.9)) if len(known) else (0.0, 1.0)
+    level = np.clip((np.nan_to_num(scores, nan=low) - low) / max(high - low, 1e-9), 0, 1)
+    steps = np.linspace(0, 1, len(_HEAT))
+    colors = np.stack([np.interp(level, steps, channel) for channel in _HEAT.T], 1)
+    return _drawn(splats, view, colors.astype(np.float32), threads)
+
+
+def selection(
+    splats: SplatArrays,
+    view: View,
+    scores: Float32[np.ndarray, " N"],
+    threshold: float,
+    threads: int = 0,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Gaussians above the threshold in yellow, the others in blue.  Source: Fig. S7."""
+    chosen = (scores > np.float32(threshold))[:, None]
+    return _drawn(splats, view, np.where(chosen, SELECTED, OTHERS).astype(np.float32), threads)
+
+
+def _drawn(
+    splats: SplatArrays, view: View, colors: Float32[np.ndarray, "N 3"], threads: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    return as_pixels(render_channels(splats, view, colors, threads=threads).channels)

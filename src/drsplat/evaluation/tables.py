@@ -1,0 +1,175 @@
+"""Results as tables: ours by choice of threshold, the papers' beside them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .metrics import mean_interval
+from .published import DR_SPLAT, Published, published_for, same_data
+
+Cell = str | float | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers are shown as they are; `note` says what they need to be understood.
+
+    aside: for the report only, not for the terminal.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+    aside: bool = False
+
+
+def tables_of(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """All tables of results of one protocol, one or several methods."""
+    found = []
+    for task, pick in (("selection", _selection), ("localization", _localization)):
+        blocks = [(result, pick(result)) for result in results if pick(result)]
+        if blocks:
+            found.append(_by_column(task, blocks))
+            found += _other_data(blocks[0][0], task)
+    segmented = [result for result in results if "segmentation" in result]
+    if segmented:
+        found.append(_segmentation(segmented))
+        found += _other_data(segmented[0], "segmentation")
+        found += [_classes(result) for result in segmented]
+    found += [_scenes(result) for result in results if _selection(result)]
+    found += [_study(result["study"]) for result in results if "study" in result]
+    return found
+
+
+def _selection(result: Mapping[str, Any]) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = result.get("columns", {})
+    return found
+
+
+def _localization(result: Mapping[str, Any]) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = result.get("localization", {})
+    return found
+
+
+def _by_column(task: str, blocks: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Table:
+    """Fixed and tuned thresholds are rows of their own; the means are named."""
+    first = next(iter(blocks[0][1].values()))
+    keys = tuple(first["scene_macro"])
+    rows: list[tuple[Cell, ...]] = []
+    for result, columns in blocks:
+        for column, summary in columns.items():
+            for mean in ("scene_macro", "query_micro"):
+                numbers = [100 * summary[mean][key] for key in keys]
+                rows.append((result["method"], column, mean.replace("_", "-"), *numbers))
+    ours = [100 * first["scene_macro"][key] for key in keys]
+    rows += _papers(blocks[0][0], task, keys, ours, 3)
+    note = "; ".join(f"{name}: {how}" for name, how in blocks[0][0]["thresholds"].items())
+    title = f"{blocks[0][0]['protocol']}: {task}"
+    return Table(title, ("method", "threshold", "mean", *keys), tuple(rows), note)
+
+
+def _segmentation(results: Sequence[Mapping[str, Any]]) -> Table:
+    keys = ("miou", "macc")
+    rows: list[tuple[Cell, ...]] = []
+    for result in results:
+        numbers = [100 * result["segmentation"]["scene_macro"][key] for key in keys]
+        by_scene = [100 * r["miou"] for r in result["segmentation"]["by_scene"].values()]
+        rows.append((result["method"], *numbers, *mean_interval(by_scene)))
+    ours = [float(value) for value in rows[0][1:3] if isinstance(value, float)]
+    first = results[0]
+    rows += [(*row, None, None) for row in _papers(first, "segmentation", keys, ours, 1)]
+    title = f"{first['protocol']}: segmentation, {first['label_set']}"
+    columns = ("method", *keys, "miou, 95 % from", "to")
+    return Table(title, columns, tuple(rows), "interval: bootstrap over scenes")
+
+
+def _papers(
+    result: Mapping[str, Any],
+    task: str,
+    keys: Sequence[str],
+    ours: Sequence[float],
+    width: int,
+) -> list[tuple[Cell, ...]]:
+    """The papers' rows and how far ours are from the paper's, on the same data only."""
+    known = published_for(result, task) if same_data(result) else ()
+    rows = [_padded(_named(entry), width, _numbers(entry, keys)) for entry in known]
+    paper = next((entry for entry in known if entry.method == DR_SPLAT), None)
+    if paper is not None:
+        gaps = [
+            None if theirs is None else mine - theirs
+            for mine, theirs in zip(ours, _numbers(paper, keys), strict=True)
+        ]
+        rows.append(_padded("ours minus the paper's", width, gaps))
+    return rows
+
+
+def _other_data(result: Mapping[str, Any], task: str) -> list[Table]:
+    """What papers print for this protocol, apart, where our data is not theirs."""
+    known = published_for(result, task)
+    if not known or same_data(result):
+        return []
+    keys = tuple(dict.fromkeys(key for entry in known for key in entry.numbers))
+    rows = tuple((_named(entry), *_numbers(entry, keys)) for entry in known)
+    title = f"{result['protocol']}: {task} in papers"
+    note = "Of other scenes than those above: the numbers cannot be compared."
+    return [Table(title, ("method", *keys), rows, note, aside=True)]
+
+
+def _named(entry: Published) -> str:
+    return f"{entry.method} ({entry.source})"
+
+
+def _numbers(entry: Published, keys: Sequence[str]) -> list[float | None]:
+    return [entry.numbers.get(key) for key in keys]
+
+
+def _padded(first: str, width: int, rest: Iterable[Cell]) -> tuple[Cell, ...]:
+    return (first, *[""] * (width - 1), *rest)
+
+
+def _classes(result: Mapping[str, Any]) -> Table:
+    by_scene = result["segmentation"]["by_scene"]
+    names = sorted({name for record in by_scene.values() for name in record["classes"]})
+    rows = []
+    for name in names:
+        ious = [r["classes"][name]["iou"] for r in by_scene.values() if name in r["classes"]]
+        rows.append((name, float(len(ious)), 100 * sum(ious) / len(ious)))
+    title = f"{result['protocol']}: IoU of each class, {result['method']}"
+    return Table(title, ("class", "scenes", "mean IoU"), tuple(rows))
+
+
+def _scenes(result: Mapping[str, Any]) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    keys: tuple[str, ...] = ()
+    for column, summary in result["columns"].items():
+        for scene, numbers in summary["by_scene"].items():
+            keys = tuple(numbers)
+            rows.append((scene, column, *(100 * numbers[key] for key in keys)))
+    leaked = [
+        f"{s['name']}: labelled photos that the method was made from: "
+        + ("not known" if s["leaked"] is None else ", ".join(s["leaked"]) or "none")
+        for s in result["scenes"]
+    ]
+    title = f"{result['protocol']}: by scene, {result['method']}"
+    return Table(title, ("scene", "threshold", *keys), tuple(rows), "; ".join(leaked))
+
+
+def _study(study: Mapping[str, Any]) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (row["scene"], *(100 * row[key] for key in ("voxel", "weighted", "unweighted")))
+        for row in study["scenes"]
+    ]
+    for name in ("pearson", "spearman"):
+        found = study["correlations"]
+        if found:
+            rows.append(
+                (f"{name} with voxels", None, *(found[k][name] for k in ("weighted", "unweighted")))
+            )
+    note = (
+        ""
+        if study["enough_scenes"]
+        else "fewer than eight scenes: too few for a correlation to mean much"
+    )
+    columns = ("scene", "voxels", "with significance", "without")
+    return Table("Fig. S3: mIoU by voxels, and by Gaussians", columns, tuple(rows), note)
