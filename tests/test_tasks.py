@@ -1,15 +1,20 @@
-"""Selection and localization on scenes where the answer is known."""
+"""Selection, localization and segmentation on scenes where the answer is known."""
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
+from drsplat.codes import Codebook
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
 from drsplat.evidence import Evidence, Segments
-from drsplat.field import build_field
+from drsplat.field import LanguageField, build_field
 from drsplat.gaussians import Gaussians
-from drsplat.tasks import locate, select
+from drsplat.tasks import NO_CLASS, locate, segment, select
+from drsplat.thresholds import automatic_threshold, rise
 
 
 def boxes_scene(
@@ -38,8 +43,6 @@ def boxes_scene(
 
 def field_of(scene: Gaussians, labels: np.ndarray):
     """A field in which every Gaussian has exactly the embedding of its label."""
-    from scipy.sparse import csr_array
-
     count = int(labels.max()) + 1
     weights = csr_array(
         (np.ones(len(scene), np.float32), labels.astype(np.int32), np.arange(len(scene) + 1)),
@@ -125,3 +128,98 @@ def test_another_scene_is_refused():
     other, _ = boxes_scene([(0, 0, 0), (2, 0, 0)], seed=1)
     with pytest.raises(MismatchError, match="row order"):
         locate(field, other, field.scores(unit(0)))
+
+
+def test_what_can_be_seen_through_is_no_thing():
+    """40 solid Gaussians are a thing, 500 faint ones in the air are none."""
+    scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
+    opacities = np.where(labels == 1, 0.09, 0.8).astype(np.float32)
+    hazy = Gaussians(scene.means, scene.quats, scene.scales, opacities, scene.sh)
+    field = field_of(hazy, labels)
+    assert locate(field, hazy, field.scores(unit(1))) == []
+    opacities[np.flatnonzero(labels == 1)[:40]] = 0.1
+    some = Gaussians(scene.means, scene.quats, scene.scales, opacities, scene.sh)
+    assert len(locate(field, some, field.scores(unit(1)), min_gaussians=40)) == 1
+    assert locate(field, some, field.scores(unit(1)), min_gaussians=41) == []
+
+
+def test_absent_words_find_nothing_and_present_ones_the_thing():
+    """Cosines as CLIP's: texts differ in level by more than what fits differs from what does not."""
+    rng = np.random.default_rng(0)
+    scene, labels = boxes_scene([(2.0 * x, 0, 0) for x in range(6)])
+    field = field_of(scene, labels)
+
+    def cosines(wanted: int) -> np.ndarray:
+        chance = rng.normal(0, 0.01, 6)[labels] + rng.normal(0, 0.005, len(labels))
+        level = rng.uniform(0.1, 0.3)
+        return (level + chance + 0.06 * (labels == wanted)).astype(np.float32)
+
+    def answer(wanted: int) -> list[int]:
+        scores = cosines(wanted)
+        found = locate(field, scene, scores, automatic_threshold(scores, nulls))
+        return [int(np.bincount(labels[thing.gaussian_ids]).argmax()) for thing in found]
+
+    nulls = np.array([rise(cosines(-1)) for _ in range(24)])
+    assert sum(answer(3) == [3] for _ in range(50)) >= 48
+    assert sum(answer(-1) == [] for _ in range(50)) >= 46
+
+
+classes = st.integers(1, 5).flatmap(
+    lambda count: st.lists(
+        st.lists(st.integers(-4, 4), min_size=count, max_size=count), min_size=1, max_size=12
+    )
+)
+
+
+CODEBOOK = Codebook(
+    np.random.default_rng(0).standard_normal((8, 256, 1)).astype(np.float32),
+    None,
+    EncoderIdentity("test", 8),
+)
+
+
+def class_scores(table: list[list[int]]) -> tuple[LanguageField, np.ndarray]:
+    """A field of as many rows, in a scene where every third Gaussian has no feature; scores (C, R)."""
+    rows = len(table)
+    ids = np.flatnonzero(np.arange(2 * rows) % 3 != 2)[:rows]
+    weights = np.zeros((int(ids[-1]) + 2, 1), np.float32)
+    weights[ids] = 1
+    segments = Segments(("a.png",), np.zeros(1, np.int32), np.zeros(1, np.int32))
+    evidence = Evidence(csr_array(weights), segments, np.eye(1, 8, dtype=np.float32))
+    field = build_field(evidence, "any", EncoderIdentity("test", 8), CODEBOOK)
+    return field, np.ascontiguousarray(np.array(table, np.float32).T / 4)
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(classes, st.integers(-5, 4), st.booleans())
+def test_segment_is_the_argmax_of_those_that_compete(table, quarters, with_rivals):
+    """Against a loop over Gaussians and classes."""
+    field, scores = class_scores(table)
+    count, rows = scores.shape
+    limits = [quarters / 4 + 0.25 * (c % 2) for c in range(count)]
+    rivals = np.resize(np.array([-0.5, 0.25], np.float32), rows) if with_rivals else None
+    labels = segment(field, scores, limits, rivals=rivals)
+    expected = np.full(field.num_gaussians, NO_CLASS)
+    for row, gaussian in enumerate(field.gaussian_ids):
+        best = -np.inf if rivals is None else rivals[row]
+        for c in range(count):
+            if scores[c, row] > limits[c] and scores[c, row] > best:
+                expected[gaussian], best = c, scores[c, row]
+    np.testing.assert_array_equal(labels, expected)
+
+
+def test_segment_without_threshold_labels_all_that_have_a_feature():
+    field, scores = class_scores([[-4, -3], [2, 2], [0, 1]])
+    labels = segment(field, iter(scores))
+    assert labels[field.gaussian_ids].tolist() == [1, 0, 1]
+    assert (np.delete(labels, field.gaussian_ids) == NO_CLASS).all()
+    assert (segment(field, []) == NO_CLASS).all()
+
+
+def test_segment_refuses_what_does_not_fit():
+    field, scores = class_scores([[1, 2], [2, 1], [0, 0]])
+    with pytest.raises(InputError, match="expected 3 scores"):
+        segment(field, [scores[0][:2]])
+    for limits in ([0.0], [0.0] * 3):
+        with pytest.raises(InputError, match="thresholds for 2 classes"):
+            segment(field, scores, limits)

@@ -12,7 +12,7 @@ from .errors import InputError
 PEAK = 40  # rows: a thing of fewer is a speck
 CUT = 0.6  # of the way from the median to the peak
 SURPRISE = 2.0  # standard deviations above the mean rise of words that are not meant
-BINS, STEPS = 512, 200
+BINS, STEPS, SETTLED = 512, 200, 1e-4
 
 Scores = Float[np.ndarray, " r"]
 
@@ -100,7 +100,9 @@ def mixture_threshold(scores: Scores) -> float:
         parts = [_moments(at, weight * share, floor) for share in (1 - upper, upper)]
         if min(part[0] for part in parts) <= 0:
             return high
-        upper = _posterior(at, *parts)
+        before, upper = upper, _posterior(at, *parts)
+        if np.abs(upper - before).max() < SETTLED:
+            break
     likelier = np.flatnonzero((upper > 0.5) & (at > parts[0][1]))
     return float(edges[likelier[0]]) if len(likelier) else high
 

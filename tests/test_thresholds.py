@@ -1,0 +1,187 @@
+"""Thresholds chosen by the scores: closed forms, a slow twin, laws."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drsplat.errors import InputError
+from drsplat.thresholds import (
+    CUT,
+    PEAK,
+    automatic_threshold,
+    mixture_threshold,
+    otsu_threshold,
+    rise,
+    share_threshold,
+)
+
+RULES = (automatic_threshold, otsu_threshold, mixture_threshold, lambda s: share_threshold(s, 0.3))
+every_rule = pytest.mark.parametrize("rule", RULES, ids=["automatic", "otsu", "mixture", "share"])
+few = settings(derandomize=True, deadline=None)
+grids = st.lists(st.integers(-50, 50), min_size=2, max_size=60)  # sixteenths: no sum is rounded
+
+
+def scores_of(numbers: list[int]) -> np.ndarray:
+    return np.array(numbers, np.float64) / 16
+
+
+def two_groups(
+    low: float = 0.1, high: float = 0.3, many: int = 5000, few: int = 100, noise: float = 0.01
+) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.concatenate([rng.normal(low, noise, many), rng.normal(high, noise, few)])
+
+
+def test_rise_is_from_the_median_to_the_peak() -> None:
+    assert rise(np.array([0.0, 1, 2, 3, 10]), peak=1) == 8
+    assert rise(np.array([0.0, 1, 2, 3, 10]), peak=2) == 1
+    assert rise(np.array([0.0, 1, 2, 3, 10])) == -2  # fewer rows than the peak: the lowest
+    assert rise(np.array([0.0, 1, 2, 3]), peak=1) == 1  # of two in the middle the upper one
+
+
+def test_the_automatic_cut_lies_between_the_median_and_the_peak() -> None:
+    scores = np.repeat([0.1, 0.3], [1000, PEAK])
+    assert automatic_threshold(scores) == pytest.approx(0.1 + CUT * 0.2)
+    short = np.repeat([0.1, 0.3], [1000, PEAK - 1])  # a speck is no peak
+    assert automatic_threshold(short) == 0.3
+
+
+def test_what_rises_no_higher_than_chance_is_absent() -> None:
+    scores = np.repeat([0.1, 0.3], [1000, PEAK])
+    for rises, found in (
+        ([0.1, 0.1], True),
+        ([0.2, 0.2], False),
+        ([0.05, 0.25], False),
+        ([], True),
+    ):
+        threshold = automatic_threshold(scores, np.array(rises, np.float64))
+        assert (threshold == 0.3) is not found, rises
+    # 0.1 +- 0.06: two standard deviations above the mean are 0.22
+    assert automatic_threshold(scores, np.array([0.04, 0.16])) == 0.3
+    assert automatic_threshold(scores, np.array([0.06, 0.14])) < 0.3
+
+
+def test_equal_scores_select_nothing() -> None:
+    same = np.full(100, 0.25)
+    for rule in RULES[:3]:
+        assert not (same > rule(same)).any()
+
+
+@every_rule
+def test_scores_that_are_none_or_not_finite_are_refused(rule) -> None:
+    for scores in (np.empty(0), np.array([0.1, np.nan]), np.array([0.1, np.inf])):
+        with pytest.raises(InputError, match="finite scores"):
+            rule(scores)
+
+
+@pytest.mark.parametrize("rule", RULES[:3])
+def test_two_groups_are_told_apart(rule) -> None:
+    threshold = rule(two_groups(few=1000))
+    assert 0.15 < threshold < 0.25
+
+
+def test_small_groups_are_found_by_the_peak_and_lost_by_otsu() -> None:
+    """Why Otsu is not the automatic rule: of 100 000 wide-spread Gaussians 60 are the thing."""
+    scores = two_groups(many=100_000, few=60, noise=0.03, high=0.35)
+    thing = np.arange(len(scores)) >= 100_000
+
+    def iou(threshold: float) -> float:
+        return float(((scores > threshold) & thing).sum() / ((scores > threshold) | thing).sum())
+
+    assert iou(automatic_threshold(scores)) > 0.8
+    assert iou(otsu_threshold(scores)) < 0.1
+
+
+def otsu_by_loop(scores: np.ndarray) -> float:
+    """The least variance within, split by split."""
+    ordered, best, cut = np.sort(scores), np.inf, np.sort(scores)[-1]
+    for k in range(1, len(ordered)):
+        low, high = ordered[:k], ordered[k:]
+        within = low.var() * k + high.var() * (len(ordered) - k)
+        if low[-1] < high[0] and within < best - 1e-9:
+            best, cut = within, (low[-1] + high[0]) / 2
+    return float(cut)
+
+
+@few
+@given(grids)
+def test_otsu_is_the_best_of_all_splits(numbers: list[int]) -> None:
+    scores = scores_of(numbers)
+
+    def within(threshold: float) -> float:
+        groups = [scores[scores <= threshold], scores[scores > threshold]]
+        return sum(float(group.var()) * len(group) for group in groups if len(group))
+
+    assert within(otsu_threshold(scores)) == pytest.approx(within(otsu_by_loop(scores)), abs=1e-9)
+
+
+def test_mixture_cuts_where_two_equal_gaussians_cross() -> None:
+    rng = np.random.default_rng(1)
+    scores = np.concatenate([rng.normal(0, 1, 20_000), rng.normal(5, 1, 20_000)])
+    assert mixture_threshold(scores) == pytest.approx(2.5, abs=0.06)
+    # unequal: 0.8 exp(-x^2/2) = 0.2 exp(-(x-5)^2/2) at x = 2.5 + ln(4) / 5
+    scores = np.concatenate([rng.normal(0, 1, 40_000), rng.normal(5, 1, 10_000)])
+    assert mixture_threshold(scores) == pytest.approx(2.5 + np.log(4) / 5, abs=0.08)
+
+
+@few
+@given(grids, st.integers(0, 20))
+def test_a_share_is_never_exceeded_and_missed_only_by_equals(
+    numbers: list[int], twentieths: int
+) -> None:
+    scores, share = scores_of(numbers), twentieths / 20
+    wanted, threshold = round(share * len(scores)), share_threshold(scores, share)
+    selected = int((scores > threshold).sum())
+    assert selected <= wanted
+    assert selected == wanted or (scores == threshold).sum() > wanted - selected
+    assert len(set(numbers)) < len(numbers) or selected == wanted
+
+
+def test_a_share_lies_between_0_and_1() -> None:
+    for share in (-0.1, 1.1, float("nan")):
+        with pytest.raises(InputError, match="between 0 and 1"):
+            share_threshold(np.ones(3), share)
+
+
+@every_rule
+@few
+@given(numbers=grids, scale=st.sampled_from([0.25, 1.0, 8.0]), shift=st.integers(-20, 20))
+def test_thresholds_follow_the_scores(rule, numbers: list[int], scale: float, shift: int) -> None:
+    """What is selected stays the same when all scores are scaled and shifted."""
+    scores = scores_of(numbers)
+    moved = scale * scores + shift
+    np.testing.assert_array_equal(scores > rule(scores), moved > rule(moved))
+
+
+@every_rule
+@few
+@given(numbers=grids, seed=st.integers(0, 99))
+def test_order_does_not_matter(rule, numbers: list[int], seed: int) -> None:
+    scores = scores_of(numbers)
+    shuffled = np.random.default_rng(seed).permutation(scores)
+    assert rule(scores) == rule(shuffled)
+
+
+@few
+@given(grids, st.lists(st.integers(0, 100), min_size=1, max_size=8), st.integers(0, 50))
+def test_a_stronger_null_never_selects_more(
+    numbers: list[int], rises: list[int], more: int
+) -> None:
+    scores, null = scores_of(numbers), scores_of(rises)
+    weak, strong = (automatic_threshold(scores, one, peak=2) for one in (null, null + more / 16))
+    assert strong >= weak
+
+
+@few
+@given(grids, st.floats(0, 1), st.floats(0, 1))
+def test_larger_shares_have_lower_thresholds(numbers: list[int], a: float, b: float) -> None:
+    scores = scores_of(numbers)
+    assert share_threshold(scores, max(a, b)) <= share_threshold(scores, min(a, b))
+
+
+def test_float32_scores_keep_their_own_values() -> None:
+    scores = np.linspace(0, 1, 1001, dtype=np.float32)
+    assert (scores > share_threshold(scores, 0.25)).sum() == 250
+    assert (scores > share_threshold(scores, 1.0)).all()
+    assert not (scores > share_threshold(scores, 0.0)).any()
