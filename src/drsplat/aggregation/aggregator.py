@@ -18,6 +18,7 @@ from .outliers import OutlierRejection
 from .pruning import Pruned
 from .record import AggregatorRecord
 from .sampling import CENTRES, Sampling
+from .tempering import Tempered
 from .voting import ModeVoting
 
 Step = Callable[[Evidence, int], Evidence]
@@ -95,7 +96,7 @@ class Aggregator:
                 f"{len(gaussians)} Gaussians for evidence of {len(evidence)}: pass those registered"
             )
         seen = np.flatnonzero(np.diff(evidence.weights.indptr) > 0)
-        return Aggregated(weighed, self.voting.donors(weighed, gaussians.means, seen, threads))
+        return Aggregated(weighed, self.voting.donors(weighed, gaussians, seen, threads))
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -128,12 +129,13 @@ _ALL = (
     Aggregator("mass-gate", steps=(Gated((MassGate(),)),)),
     Aggregator("quantile-gate", steps=(Gated((QuantileGate(),)),)),
     Aggregator("gates", steps=(Gated(),)),
+    Aggregator("spared-gates", steps=(Spared(),)),
     Aggregator("median", steps=(CosineMedian(),)),
     Aggregator("inliers", steps=(OutlierRejection(),)),
+    Aggregator("tempered", steps=(Tempered(),)),
     Aggregator("voting", voting=ModeVoting()),
-    Aggregator("robust-without-gates", steps=(OutlierRejection(),), voting=ModeVoting()),
-    Aggregator("robust-without-voting", steps=(Spared(), OutlierRejection(), CosineMedian())),
-    Aggregator("robust", steps=(Spared(), OutlierRejection(), CosineMedian()), voting=ModeVoting()),
+    Aggregator("robust-without-voting", steps=(Tempered(), OutlierRejection())),
+    Aggregator("robust", steps=(Tempered(), OutlierRejection()), voting=ModeVoting()),
 )
 AGGREGATORS: Mapping[str, Aggregator] = MappingProxyType({a.name: a for a in _ALL})
 """By name."""
