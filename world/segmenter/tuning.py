@@ -21,11 +21,15 @@ from drsplat.graph.rule import MergeRule
 from drsplat.graph.segmenter import GraphSettings
 from drsplat.graph.statistics import AREA, RegionGraph, region_graph
 
-from .network import learn_rule
-from .scenes import Photo, photos
+from .network import first_rule, learn_rule
+from .scenes import Photo, photos, with_smaller
 from .scores import score, shared_pixels
 
-KEPT = 0.25  # of the pairs that are met
+KEPT = 0.06  # of the pairs that are met whose smaller region has USUAL_AREA pixels
+USUAL_AREA, MOST_AREA = 300, 5000
+STEPS = 150
+LAST = 0.2  # likelihood at which walks end
+THRESHOLDS = (0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +60,17 @@ class Watched(Merging):
 
     def _features(self, ends: np.ndarray, rows: np.ndarray) -> np.ndarray:
         found = super()._features(ends, rows)
-        kept = self._rng.random(len(found)) < KEPT
-        a, b = ends[:, kept]
-        main_a, main_b = self.shown[a].argmax(1), self.shown[b].argmax(1)
-        smaller = np.minimum(self.sums[a, AREA], self.sums[b, AREA])
-        matters = np.where(self._objects[main_a] | self._objects[main_b], 1.0, 0.3)
+        self._note(ends, found)
+        return found
+
+    def _note(self, ends: np.ndarray, found: np.ndarray) -> None:
+        """Larger regions are noted more often, because more pixels depend on them."""
+        smaller = np.minimum(self.sums[ends, AREA].min(0), MOST_AREA)
+        kept = self._rng.random(len(found)) < KEPT * np.sqrt(smaller / USUAL_AREA)
+        main_a, main_b = self.shown[ends[:, kept]].argmax(-1)
         self.features_met.append(found[kept])
         self.together.append(main_a == main_b)
-        self.weights.append(matters * np.sqrt(np.minimum(smaller, 5000)))
-        return found
+        self.weights.append(np.where(self._objects[main_a] | self._objects[main_b], 1.0, 0.4))
 
     def _union(self, a: int, b: int) -> None:
         self.shown[a] += self.shown[b]
@@ -94,32 +100,47 @@ def mean_score(cases: Sequence[Case], rule: MergeRule) -> Float64[np.ndarray, " 
     return np.array([best[objects].mean(), best[~objects].mean(), *others])
 
 
-def learned(cases: Sequence[Case], rounds: int, hidden: int) -> MergeRule:
+def learned(cases: Sequence[Case], held_out: Sequence[Case], rounds: int, hidden: int) -> MergeRule:
     rng = np.random.default_rng(0)
-    likelihood: Likelihood = by_color
     met: list[tuple[np.ndarray, ...]] = []
+    rule: MergeRule | None = None
     for turn in range(rounds):
         start = time.monotonic()
-        for one in cases:
-            watched = Watched(one, likelihood, rng)
-            watched.merge_above(0.3 if turn else 0.1)
-            met.append(
-                tuple(
-                    map(np.concatenate, (watched.features_met, watched.together, watched.weights))
-                )
-            )
+        met += [pairs_met(one, rule.likelihood if rule else by_color, rng) for one in cases]
         features, together, weights = map(np.concatenate, zip(*met, strict=True))
-        walked = time.monotonic()
-        rule = learn_rule(features, together, weights, hidden)
-        likelihood = rule.likelihood
-        print(f"round {turn}: {len(features)} pairs, walk {walked - start:.0f} s, learn {time.monotonic() - walked:.0f} s,"
-              f" scores {np.round(mean_score(cases[::5], rule), 3)}", flush=True)  # fmt: skip
-    return rule
+        rule = learn_rule(rule or first_rule(features, hidden), features, together, weights, STEPS)
+        scores = [np.round(mean_score(some, rule), 3) for some in (cases[::8], held_out)]
+        print(
+            f"round {turn}: {len(features)} pairs, {time.monotonic() - start:.0f} s",
+            *scores,
+            flush=True,
+        )
+    return best_threshold(held_out, rule)
+
+
+def pairs_met(
+    case: Case, likelihood: Likelihood, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    """Features, whether they belong together, and weights of pairs met until most is wrong."""
+    watched = Watched(case, likelihood, rng)
+    watched.merge_above(LAST)
+    return tuple(map(np.concatenate, (watched.features_met, watched.together, watched.weights)))
+
+
+def best_threshold(cases: Sequence[Case], rule: MergeRule) -> MergeRule:
+    tried = [replace(rule, threshold=np.array([t])) for t in THRESHOLDS]
+    scores = [mean_score(cases, r) for r in tried]
+    for t, s in zip(THRESHOLDS, scores, strict=True):
+        print(f"threshold {t}:", np.round(s, 3), flush=True)
+    return tried[int(np.argmax([s[0] for s in scores]))]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    parser.add_argument(
+        "--held-out", type=Path, nargs="+", required=True, metavar="SCENE", help="for the threshold"
+    )
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--hidden", type=int, default=24)
@@ -127,19 +148,17 @@ def main() -> None:
         "--each", type=int, default=1, metavar="N", help="every Nth photo (default: 1)"
     )
     arguments = parser.parse_args()
-    cases = [case(photo) for photo in photos(arguments.scenes, arguments.each)]
-    rule = learned(cases, arguments.rounds, arguments.hidden)
-    rule = best_threshold(cases[::3], rule)
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    save_file({k: v.astype(np.float32) for k, v in vars(rule).items()}, arguments.output)
+    cases, held_out = (
+        [case(photo) for photo in with_smaller(photos(scenes, arguments.each))]
+        for scenes in (arguments.scenes, arguments.held_out)
+    )
+    rule = learned(cases, held_out, arguments.rounds, arguments.hidden)
+    save_rule(rule, arguments.output)
 
 
-def best_threshold(cases: Sequence[Case], rule: MergeRule) -> MergeRule:
-    tried = [replace(rule, threshold=np.array([t])) for t in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)]
-    scores = [mean_score(cases, r) for r in tried]
-    for r, s in zip(tried, scores, strict=True):
-        print(r.threshold, np.round(s, 3), flush=True)
-    return tried[int(np.argmax([s[0] for s in scores]))]
+def save_rule(rule: MergeRule, path: Path) -> None:
+    """As `drsplat.graph.rule.shipped_rule` reads it."""
+    save_file({name: array.astype(np.float32) for name, array in vars(rule).items()}, path)
 
 
 if __name__ == "__main__":

@@ -64,7 +64,6 @@ def _colors(
         np.sqrt(steps[:, 0]), np.sqrt(steps[:, 1]), color / noise, steps[:, 0] / noise,
         np.log1p(rough[0]), np.log1p(rough[1]), np.log1p(texture[0]), np.log1p(texture[1]),
         mean[0, :, 0], mean[1, :, 0], strength[0], strength[1],
-        mean[0, :, 1], mean[1, :, 1], mean[0, :, 2], mean[1, :, 2],
     ]  # fmt: skip
     return np.concatenate([np.stack(rows), unlike.T])
 
