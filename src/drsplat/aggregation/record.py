@@ -49,11 +49,13 @@ def _sampling(document: object, where: str) -> Sampling | None:
         return None
     if not isinstance(document, dict):
         raise FormatError(f"{where}: sampling: expected an object, got {shown(document)}")
-    topk, first_hits = document.get("topk"), document.get("first_hits")
-    counts = (topk, first_hits)
-    if not all(count is None or type(count) is int for count in counts):
-        raise FormatError(f"{where}: sampling: expected topk and first_hits as integers or null")
+    topk, first_hits, pixels = (document.get(key) for key in ("topk", "first_hits", "pixels"))
+    counted = all(count is None or type(count) is int for count in (topk, first_hits))
+    if not counted or pixels not in ("all", "centre"):
+        raise FormatError(
+            f"{where}: sampling: expected topk and first_hits as integers or null, and pixels as 'all' or 'centre'"
+        )
     try:
-        return Sampling(topk, first_hits, document.get("pixels"))  # type: ignore[arg-type]
+        return Sampling(topk, first_hits, pixels)
     except InputError as error:
         raise FormatError(f"{where}: sampling: {error}") from None
