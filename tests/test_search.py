@@ -1,12 +1,30 @@
-"""Words to scores."""
+"""Words to scores, with words that are not meant; clicks to queries."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
+from drsplat.demo.story import Story
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.search import NEGATIVES, embed_query, query, text_negatives
+from drsplat.search import (
+    ABSENT,
+    LOWEST,
+    NEGATIVES,
+    embed_query,
+    feature_at,
+    null_rises,
+    query,
+    split_negation,
+    text_negatives,
+    without,
+)
+from drsplat.thresholds import rise
 from fields import ToyEncoder, toy_field
 
 
@@ -50,3 +68,135 @@ def test_another_encoder_and_no_negatives_are_refused() -> None:
 def test_query_vectors_are_float32_of_the_fields_dimension() -> None:
     vector = embed_query(ToyEncoder(), toy_field(), "sofa")
     assert (vector.shape, vector.dtype) == ((32,), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted", "unwanted"),
+    [
+        ("mug", "mug", ()),
+        ("mug, not red", "mug", ("red",)),
+        ("mug , NOT red", "mug", ("red",)),
+        ("mug but not red", "mug", ("red",)),
+        ("mug, but not red", "mug", ("red",)),
+        ("a mug, not red, not blue", "a mug", ("red", "blue")),
+        ("red, white and blue", "red, white and blue", ()),
+        ("not red", "not red", ()),
+        ("knotted rope, nothing else", "knotted rope, nothing else", ()),
+    ],
+)
+def test_a_text_says_what_is_not_meant(text: str, wanted: str, unwanted: tuple[str, ...]) -> None:
+    assert split_negation(text) == (wanted, unwanted)
+
+
+@pytest.mark.parametrize("text", [", not red", "mug, not ", "mug, not red, not "])
+def test_a_negation_of_nothing_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="mug, not red"):
+        split_negation(text)
+
+
+WORDS = ("red", "blue", "mug", "plate", "wooden", "old")
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(
+    st.sets(st.sampled_from(WORDS)),
+    st.sampled_from(WORDS[:2]),
+    st.sets(st.sampled_from(WORDS[2:]), min_size=1),
+)
+def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
+    more: set[str], unwanted: str, wanted: set[str]
+) -> None:
+    """With texts as sums of words: s(n p) > s(p) where n is among a thing's words, as sqrt(p + 1) > sqrt(p)."""
+    encoder, said_of_it = WordEncoder(), wanted | more
+    query = " ".join(sorted(wanted))
+    feature = encoder.encode_texts([" ".join(sorted(said_of_it))])[0]
+    scores = np.array([feature @ encoder.encode_texts([query])[0]], np.float32)
+    rivals = np.array([feature @ encoder.encode_texts([f"{unwanted} {query}"])[0]], np.float32)
+    left_out = without(scores, rivals)[0] == LOWEST
+    assert left_out == (unwanted in said_of_it)
+
+
+def test_without_keeps_what_fits_better_than_every_rival() -> None:
+    scores, rivals = np.array([0.3, 0.3, 0.3], np.float32), np.array([0.2, 0.3, 0.4], np.float32)
+    assert_array_equal(without(scores, rivals), np.array([0.3, -1, -1], np.float32))
+
+
+def test_queries_leave_out_what_is_not_meant() -> None:
+    field, encoder = toy_field(), ToyEncoder()
+    plain, answer = query(field, encoder, "apple"), query(field, encoder, "apple, not red, not old")
+    rivals = [field.scores(encoder.encode_texts([text])[0]) for text in ("red apple", "old apple")]
+    gone = np.maximum(*rivals) >= plain.scores
+    assert 0 < gone.sum() < len(gone)
+    assert_array_equal(answer.scores, np.where(gone, np.float32(-1), plain.scores))
+    assert (answer.relevancy[gone] < 0.1).all()
+    assert_array_equal(answer.relevancy[~gone], plain.relevancy[~gone])
+
+
+def test_null_rises_are_those_of_each_text() -> None:
+    field, encoder = toy_field(), ToyEncoder()
+    texts = ("zebra", "volcano", "submarine")
+    expected = [rise(field.scores(q), 5) for q in encoder.encode_texts(texts)]
+    assert_array_equal(null_rises(field, encoder, texts, peak=5), expected)
+    assert len(null_rises(field, encoder)) == len(ABSENT)
+    with pytest.raises(MismatchError, match="written with toy"):
+        null_rises(field, ToyEncoder(EncoderIdentity("other", 32)))
+
+
+@pytest.fixture(scope="module")
+def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
+    return story.field, story.gaussians, story.views[4]
+
+
+def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(
+    clicked: tuple[LanguageField, Gaussians, View],
+) -> None:
+    field, gaussians, view = clicked
+    top = topk_contributions(splat_arrays(gaussians), view, 1)
+    rng, seen = np.random.default_rng(0), 0
+    for column, row in zip(rng.integers(0, 320, 12), rng.integers(0, 240, 12), strict=True):
+        heaviest = int(top.ids[row, column, 0])
+        at = int(np.searchsorted(field.gaussian_ids, heaviest))
+        if heaviest < 0 or field.gaussian_ids[at] != heaviest:
+            continue
+        feature = feature_at(field, gaussians, view, (column + 0.99, float(row)))
+        assert_array_equal(feature, field.feature(np.array([at]))[0])
+        seen += 1
+    assert seen > 5
+
+
+def test_a_click_passes_over_gaussians_without_feature(
+    clicked: tuple[LanguageField, Gaussians, View],
+) -> None:
+    field, gaussians, view = clicked
+    top = topk_contributions(splat_arrays(gaussians), view, 2)
+    row, column = np.argwhere(
+        (top.ids >= 0).all(-1) & np.isin(top.ids, field.gaussian_ids).all(-1)
+    )[0]
+    first, second = (int(one) for one in top.ids[row, column])
+    kept = field.gaussian_ids != first
+    fewer = replace(
+        field,
+        gaussian_ids=field.gaussian_ids[kept],
+        codes=field.codes[kept],
+        inverse_norms=field.inverse_norms[kept],
+        evidence=None,
+        negatives=None,
+    )
+    feature = feature_at(fewer, gaussians, view, (float(column), float(row)))
+    at = int(np.searchsorted(fewer.gaussian_ids, second))
+    assert_array_equal(feature, fewer.feature(np.array([at]))[0])
+
+
+def test_clicks_at_nothing_and_outside_are_refused(
+    clicked: tuple[LanguageField, Gaussians, View],
+) -> None:
+    field, gaussians, view = clicked
+    for xy in ((-0.1, 5.0), (320.0, 5.0), (5.0, 240.0)):
+        with pytest.raises(InputError, match="outside of view"):
+            feature_at(field, gaussians, view, xy)
+    away = view.cam_from_world.copy()
+    away[:3] = np.diag([1, -1, -1]) @ away[:3]  # about-turn
+    with pytest.raises(InputError, match="click elsewhere"):
+        feature_at(field, gaussians, replace(view, cam_from_world=away), (5.0, 5.0))
+    with pytest.raises(MismatchError, match="belongs to a scene"):
+        feature_at(field, gaussians.subset(np.arange(10)), view, (5.0, 5.0))

@@ -143,24 +143,29 @@ class Asking:
         ask, uncertain = self.ask, words and self.ask.encoder is not None and own is None
         scores = self.field.scores(query, threads=self.threads)
         if ask.threshold == AUTO or not (ask.relevancy or ask.negatives or uncertain):
-            default = (COSINE_THRESHOLD, "default") if own is None else (own, "encoder")
-            cut = self._threshold(scores, default, words)
+            cut = self._threshold(scores, self._cosine_default(own), words)
             return Asked(self.field, query, scores, "cosine", *cut)
         values = relevancy_from_scores(scores, self._negatives.maxima)
         cut = self._threshold(values, (RELEVANCY_THRESHOLD, "default"), words)
         return Asked(self.field, query, values, "relevancy", *cut)
 
+    def _cosine_default(self, own: float | None) -> tuple[float | str, str]:
+        if self.ask.click is not None:
+            return AUTO, AUTO  # of an encoder, all features of a scene are alike
+        return (COSINE_THRESHOLD, "default") if own is None else (own, "encoder")
+
     def _threshold(
-        self, values: np.ndarray, default: tuple[float, str], words: bool
+        self, values: np.ndarray, default: tuple[float | str, str], words: bool
     ) -> tuple[float, str]:
         from ..thresholds import automatic_threshold, share_threshold
 
         ask = self.ask
         if ask.top_share is not None:
             return share_threshold(values, ask.top_share), "top share"
-        if ask.threshold == AUTO:
-            return automatic_threshold(values, self._null_rises if words else None), "auto"
-        return default if ask.threshold is None else (float(ask.threshold), "given")
+        cut, rule = default if ask.threshold is None else (ask.threshold, "given")
+        if cut == AUTO:
+            return automatic_threshold(values, self._null_rises if words else None), AUTO
+        return float(cut), rule
 
     @cached_property
     def _null_rises(self) -> np.ndarray | None:

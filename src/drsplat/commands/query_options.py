@@ -68,7 +68,7 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
         help=f"select Gaussians above this; auto: {AUTO_HELP} (default: {COSINE_THRESHOLD} of the cosine, in [-1, 1], "
-        f"or the threshold of a built-in encoder; {RELEVANCY_THRESHOLD} of the relevancy, in [0, 1])",
+        f"or the threshold of a built-in encoder, auto for --click; {RELEVANCY_THRESHOLD} of the relevancy, in [0, 1])",
     )  # fmt: skip
     cut.add_argument(
         "--top-share", type=share, metavar="S",
@@ -161,7 +161,9 @@ def numbers_of(answer: Asked, num_selected: int) -> dict[str, Any]:
     """What every answer says of its scores; their range without what was left out by a "not"."""
     import numpy as np
 
-    values = answer.values if len(answer.values) else np.zeros(1, np.float32)
+    lowest = 0.0 if answer.measure == "relevancy" else -1.0
+    values = answer.values[answer.values > lowest]
+    values = values if len(values) else np.full(1, lowest, np.float32)
     return {
         "measure": answer.measure,
         "threshold": answer.threshold,
