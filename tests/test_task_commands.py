@@ -1,6 +1,8 @@
 """`drsplat select | locate | segment` on the demo's room, where every Gaussian is known."""
 
 import json
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -287,3 +289,30 @@ def test_a_legend_of_many_names_has_more_rows() -> None:
     assert few.shape[1] == many.shape[1] == 320
     assert many.shape[0] > 3 * few.shape[0]
     assert legend(320, [], class_colors(0)).shape[1] == 320
+
+
+def test_the_commands_of_the_document_run(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    text = (Path(__file__).parent.parent / "docs/tasks.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```bash\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    (tmp_path / "drsplat-demo").symlink_to(room)
+    monkeypatch.chdir(tmp_path)
+    commands = [shlex.split(line) for line in lines]
+    assert {command[1] for command in commands} == {"demo", "select", "locate", "segment"}
+    printed = ""
+    for command in commands:
+        if command[1] != "demo":
+            printed += text_of(capsys, *command[1:])
+    assert "Nothing found for 'bicycle'" in printed
+    assert printed.count("Nothing found") == 1
+    written = {path.name for path in tmp_path.iterdir()} - {"drsplat-demo"}
+    assert written == {
+        "mug.ply",
+        "mug_ids.npy",
+        "mugs.ply",
+        "mugs.png",
+        "classes.ply",
+        "classes.png",
+    }
