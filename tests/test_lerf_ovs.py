@@ -1,6 +1,7 @@
 """lerf-ovs@1 on a small written scene: perfect, empty, missing, damaged; by hand where it can be."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import drsplat as ds
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
 from drsplat.evaluation import lerf_ovs
 from drsplat.evaluation.lerf_ovs import LerfScene, predict, read_lerf_scene, score
 from drsplat.evaluation.predictions import mask_path, write_mask
 from drsplat.evaluation.scorers import Scorer
+from mutations import mutants, quota
 from scenes import look_at_view
 
 WIDTH, HEIGHT, PER_THING = 96, 72, 150
+MUTANTS = quota(150)
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5))
 THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
 
@@ -222,6 +225,7 @@ def test_predictions_of_another_size_are_refused(room: LerfScene, tmp_path: Path
         ('{"protocol": "lerf-ovs@1", "scene": "other"}', MismatchError, "for 'room'"),
         ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": []}', FormatError, "columns"),
         ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": {}, "leaked": 3}', FormatError, "leaked"),
+        ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": {"../a": ""}}', FormatError, "name a folder"),
     ],
 )  # fmt: skip
 def test_damaged_manifests_are_named(
@@ -231,6 +235,25 @@ def test_damaged_manifests_are_named(
     (tmp_path / "room" / "predictions.json").write_text(content)
     with pytest.raises(error, match=message):
         score([room], tmp_path)
+
+
+def test_damaged_predictions(room: LerfScene, tmp_path: Path) -> None:
+    """Whatever was written: numbers or one of our own errors."""
+    predict(room, balls(), replace(PERFECT, sweep=()), tmp_path)
+    for name in ("predictions.json", "peaks.json", "fixed/frame_00001_red mug.png"):
+        path = tmp_path / "room" / name
+        good, survived = path.read_bytes(), 0
+        for mutant in mutants(good, np.random.default_rng(0), MUTANTS):
+            path.write_bytes(mutant)
+            try:
+                result = score([room], tmp_path)
+            except DrSplatError:
+                continue
+            survived += 1
+            for column in result["columns"].values():
+                assert 0 <= column["scene_macro"]["miou"] <= 1
+        assert 0 < survived < MUTANTS
+        path.write_bytes(good)
 
 
 def test_damaged_peaks_are_named(room: LerfScene, tmp_path: Path) -> None:

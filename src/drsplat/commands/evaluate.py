@@ -167,7 +167,7 @@ def _lerf(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], 
 def _scannet(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], list[Figure]]:
     from ..evaluation import scannet_points, scannet_volume, voxel
 
-    scenes, files = [], []
+    scenes, figures, files = [], [], []
     for index, name in enumerate(_names(arguments, "")):
         scene = _labelled(arguments, Path(arguments.data) / name, arguments.scene[index])
         scenes.append(scene)
@@ -178,6 +178,7 @@ def _scannet(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any
         if arguments.protocol == "scannet-volume":
             chosen = _choosers(arguments, scorer)
             scannet_volume.predict(scene, scorer, folder, choosers=chosen, track=track)
+            figures += _scannet_figures(arguments, scene, scorer, Path(arguments.data) / name)
         else:
             module = scannet_points if arguments.protocol == "scannet-points" else voxel
             module.predict(scene, scorer, folder, track=track)
@@ -186,7 +187,21 @@ def _scannet(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any
         side, threads = arguments.voxel_side, arguments.threads
         return {**voxel.score(scenes, folder, side=side, threads=threads), "files": hashes}, []
     score = {"scannet-points": scannet_points.score, "scannet-volume": scannet_volume.score}
-    return {**score[arguments.protocol](scenes, folder), "files": hashes}, []
+    return {**score[arguments.protocol](scenes, folder), "files": hashes}, figures
+
+
+def _scannet_figures(
+    arguments: argparse.Namespace, scene: ScannetScene, scorer: Scorer, folder: Path
+) -> list[Figure]:
+    """None where the scene has no cameras."""
+    from .. import read_views
+    from ..evaluation.figures import scannet_figures
+
+    cameras = folder / "transforms_test.json"
+    if not cameras.is_file():
+        return []
+    views = read_views(cameras)
+    return scannet_figures(scene, views, scorer, arguments.figures, threads=arguments.threads)
 
 
 def _names(arguments: argparse.Namespace, inside: str) -> list[str]:

@@ -1,15 +1,19 @@
 """Pictures of answers, as Figs. S6 to S10: where a query scores, and what a threshold selects of it."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from ..gaussians import Gaussians
 from ..kernels import SplatArrays, render_channels, splat_arrays
-from ..pictures import as_pixels, highlighted, photo_or_rendering
+from ..pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..views import View
 from .lerf_ovs import LerfScene
 from .report import Figure
+from .scannet import ScannetScene
 from .scorers import Scorer
 
 LONG_SIDE = 480
@@ -36,14 +40,56 @@ def lerf_figures(
         )
         where = f"{scene.name}, {frame.name}, “{category}”"
         found.append(Figure(f"{where}: the label", highlighted(photo, truth)))
-        found.append(Figure(f"{where}: scores", activation(splats, view, scores, threads)))
-        found.append(
-            Figure(
-                f"{where}: above {scorer.threshold:g}",
-                selection(splats, view, scores, scorer.threshold, threads),
-            )
-        )
+        found += _answers(splats, view, scores, scorer.threshold, where, threads)
     return found
+
+
+def scannet_figures(
+    scene: ScannetScene,
+    views: Sequence[View],
+    scorer: Scorer,
+    most: int = 6,
+    *,
+    threads: int = 0,
+) -> list[Figure]:
+    """For up to `most` classes of the scene: photo with the labelled Gaussians, activation, selection.
+
+    Each from the view that shows most of the class.
+    """
+    present = np.unique(scene.pseudo_labels[scene.pseudo_labels > 0])
+    chosen = present[
+        np.unique(np.linspace(0, len(present) - 1, min(most, len(present))).astype(int))
+    ]
+    members = [np.flatnonzero(scene.pseudo_labels == number) for number in chosen.tolist()]
+    splats, found = splat_arrays(scene.gaussians), []
+    for number, ids, view in zip(
+        chosen.tolist(),
+        members,
+        best_views(scene.gaussians, views, members, threads=threads),
+        strict=True,
+    ):
+        at, scores = small(view), scorer.scores(scene.labels.prompts[number - 1])
+        photo = photo_or_rendering(scene.gaussians, at, threads=threads)
+        share = visible_share(scene.gaussians, at, ids, splats=splats, threads=threads)
+        where = f"{scene.name}, {Path(view.name).stem}, “{scene.labels.prompts[number - 1]}”"
+        found.append(Figure(f"{where}: pseudo labels", highlighted(photo, share)))
+        found += _answers(splats, at, scores, scorer.threshold, where, threads)
+    return found
+
+
+def _answers(
+    splats: SplatArrays,
+    view: View,
+    scores: Float32[np.ndarray, " N"],
+    threshold: float,
+    where: str,
+    threads: int,
+) -> list[Figure]:
+    picture = selection(splats, view, scores, threshold, threads)
+    return [
+        Figure(f"{where}: scores", activation(splats, view, scores, threads)),
+        Figure(f"{where}: above {threshold:g}", picture),
+    ]
 
 
 def small(view: View) -> View:

@@ -163,7 +163,8 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
         raise InputError("expected at least one scene to score")
     manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
     columns = _common_columns(manifests)
-    ious = {column: [_ious(scene, folder, column) for scene in scenes] for column in columns}
+    by_scene = [_ious(scene, folder, list(columns)) for scene in scenes]
+    ious = {column: [found[column] for found in by_scene] for column in columns}
     peaks = [_peak_hits(scene, folder) for scene in scenes]
     means = {column: metrics.scene_macro(values) for column, values in ious.items()}
     tuned = best_sweep(means)
@@ -257,12 +258,15 @@ def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
     return dict(first.columns)
 
 
-def _ious(scene: LerfScene, folder: Path, column: str) -> list[float]:
-    found = []
+def _ious(scene: LerfScene, folder: Path, columns: Sequence[str]) -> dict[str, list[float]]:
+    """Of each pair, by column; 0 where there is no prediction."""
+    found: dict[str, list[float]] = {column: [] for column in columns}
     for frame, category in scene.pairs:
-        path = mask_path(folder, scene.name, column, frame.name, category)
-        mask = read_mask(path, frame.width, frame.height)
-        found.append(0.0 if mask is None else metrics.mask_iou(mask, frame.mask(category)))
+        truth = frame.mask(category)
+        for column in columns:
+            path = mask_path(folder, scene.name, column, frame.name, category)
+            mask = read_mask(path, frame.width, frame.height)
+            found[column].append(0.0 if mask is None else metrics.mask_iou(mask, truth))
     return found
 
 

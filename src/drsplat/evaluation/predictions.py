@@ -69,6 +69,9 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
     columns, leaked = document.get("columns"), document.get("leaked")
     if not isinstance(columns, dict) or not all(isinstance(how, str) for how in columns.values()):
         raise FormatError(f"{path}: columns: expected texts by name, got {shown(columns)}")
+    outside = [name for name in columns if set(name) & set("/\\\0") or name.startswith(".")]
+    if outside:
+        raise FormatError(f"{path}: columns: {shown(outside[0])} cannot name a folder")
     if leaked is not None and not isinstance(leaked, list):
         raise FormatError(f"{path}: leaked: expected a list or null, got {shown(leaked)}")
     inputs = document.get("inputs")
