@@ -18,7 +18,7 @@ from safetensors.numpy import save_file
 from drsplat.graph.merging import Likelihood, Merging
 from drsplat.graph.regions import lab_colors, small_regions, working_image
 from drsplat.graph.rule import MergeRule
-from drsplat.graph.segmenter import GraphSettings
+from drsplat.graph.segmenter import GraphSettings, merged
 from drsplat.graph.statistics import AREA, RegionGraph, region_graph
 
 from .network import first_rule, learn_rule
@@ -87,10 +87,7 @@ def mean_score(cases: Sequence[Case], rule: MergeRule) -> Float64[np.ndarray, " 
     """Mean IoU of things, of structures, masks per photo, purity, over all photos."""
     found = []
     for one in cases:
-        merging = Merging(one.graph, rule.likelihood)
-        merging.merge_above(float(rule.threshold[0]))
-        merging.merge_small(GraphSettings().least_area * one.graph.pixels / (640 * 480))
-        owner = merging.labels()
+        owner = merged(one.graph, rule, GraphSettings())
         shown = np.zeros((owner.max() + 1, one.shown.shape[1]), np.int64)
         np.add.at(shown, owner, one.shown)
         found.append(score(shown, one.photo.is_object))
@@ -100,7 +97,9 @@ def mean_score(cases: Sequence[Case], rule: MergeRule) -> Float64[np.ndarray, " 
     return np.array([best[objects].mean(), best[~objects].mean(), *others])
 
 
-def learned(cases: Sequence[Case], held_out: Sequence[Case], rounds: int, hidden: int) -> MergeRule:
+def learned(
+    cases: Sequence[Case], held_out: Sequence[Case], rounds: int, hidden: int, steps: int = STEPS
+) -> MergeRule:
     rng = np.random.default_rng(0)
     met: list[tuple[np.ndarray, ...]] = []
     rule: MergeRule | None = None
@@ -108,7 +107,7 @@ def learned(cases: Sequence[Case], held_out: Sequence[Case], rounds: int, hidden
         start = time.monotonic()
         met += [pairs_met(one, rule.likelihood if rule else by_color, rng) for one in cases]
         features, together, weights = map(np.concatenate, zip(*met, strict=True))
-        rule = learn_rule(rule or first_rule(features, hidden), features, together, weights, STEPS)
+        rule = learn_rule(rule or first_rule(features, hidden), features, together, weights, steps)
         scores = [np.round(mean_score(some, rule), 3) for some in (cases[::8], held_out)]
         print(
             f"round {turn}: {len(features)} pairs, {time.monotonic() - start:.0f} s",

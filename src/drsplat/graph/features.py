@@ -18,7 +18,6 @@ from .statistics import (
     TEXTURE,
 )  # fmt: skip
 
-FEATURES = 37
 _NOISE = 1.0  # CIELAB units that even flat colours differ by
 
 

@@ -39,24 +39,24 @@ class Merging:
                 self._union(a, b)
                 self._score(a, threshold)
 
-    def merge_small(self, least_area: float) -> None:
-        """Each region with fewer pixels, smallest first, goes to the neighbour it likeliest belongs to."""
-        small = [
-            (area, i)
-            for i, area in enumerate(self.sums[:, AREA].tolist())
-            if area < least_area and self.owner[i] == i
-        ]
-        heapq.heapify(small)
-        while small:
-            area, i = heapq.heappop(small)
+    def merge_small(self, least_area: float, least_width: float = 0.0) -> None:
+        """Regions with fewer pixels or narrower, smallest first, go to the likeliest neighbour each.
+
+        A region is as wide as a long strip of its area and border to others.
+        """
+        areas = self.sums[:, AREA].tolist()
+        queue = [(area, i) for i, area in enumerate(areas) if self.owner[i] == i]
+        heapq.heapify(queue)
+        while queue:
+            area, i = heapq.heappop(queue)
             if self.owner[i] != i or self.sums[i, AREA] != area or not self._near[i]:
                 continue
-            others, _, scores = self._scored(i)
+            if area >= least_area and 2 * area >= least_width * self.sums[i, AROUND]:
+                continue
+            others, scores = self._scored(i)
             best = min(zip((-scores).tolist(), others, strict=True))[1]
-            a, b = min(i, best), max(i, best)
-            self._union(a, b)
-            if self.sums[a, AREA] < least_area:
-                heapq.heappush(small, (float(self.sums[a, AREA]), a))
+            self._union(min(i, best), max(i, best))
+            heapq.heappush(queue, (float(self.sums[min(i, best), AREA]), min(i, best)))
 
     def labels(self) -> Int64[np.ndarray, " n"]:
         """The new number of each region, from 0 in the order of the lowest region of each."""
@@ -89,15 +89,15 @@ class Merging:
             for (a, b), score in zip(pairs.tolist(), scores.tolist(), strict=True):
                 self._push(a, b, score, threshold)
 
-    def _scored(self, i: int) -> tuple[list[int], list[int], Float64[np.ndarray, " e"]]:
-        """Neighbours of a region, their rows and likelihoods."""
-        others, rows = list(self._near[i]), list(self._near[i].values())
-        ends = np.stack([np.full(len(others), i), np.array(others, np.int64)])
-        return others, rows, self._likelihood(self._features(ends, np.array(rows, np.int64)))
+    def _scored(self, i: int) -> tuple[list[int], Float64[np.ndarray, " e"]]:
+        """Neighbours of a region and how likely each belongs to it."""
+        others, rows = list(self._near[i]), np.array(list(self._near[i].values()), np.int64)
+        ends = np.sort([np.full(len(others), i), np.array(others, np.int64)], axis=0)
+        return others, self._likelihood(self._features(ends, rows))
 
     def _score(self, i: int, threshold: float) -> None:
         if self._near[i]:
-            others, _, scores = self._scored(i)
+            others, scores = self._scored(i)
             for other, score in zip(others, scores.tolist(), strict=True):
                 self._push(min(i, other), max(i, other), score, threshold)
 

@@ -16,6 +16,11 @@ SIGMA = 0.5  # pixels that are blurred before
 LEAST_AREA = 30.0
 
 
+def working_share(pixels: int) -> float:
+    """By which areas are smaller in an image of so many; below a quarter noise would become regions."""
+    return max(pixels / WORKING_PIXELS, 0.25)
+
+
 def working_image(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2 3"]:
     """The image, averaged down to WORKING_PIXELS where it has more."""
     height, width = image.shape[:2]
@@ -40,8 +45,8 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
     """
     from skimage.segmentation import felzenszwalb
 
-    share = lab.shape[0] * lab.shape[1] / WORKING_PIXELS
-    least = max(1, round(LEAST_AREA * share))
+    share = working_share(lab.shape[0] * lab.shape[1])
+    least = round(LEAST_AREA * share)
     colors = lab / np.float64(LAB_STEPS)
     labels = felzenszwalb(colors, scale=SCALE * share, sigma=SIGMA, min_size=least)
     return np.asarray(labels, np.int64)

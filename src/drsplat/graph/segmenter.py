@@ -11,19 +11,26 @@ from ..segments import Masks
 from . import regions
 from .merging import Merging
 from .rule import MergeRule, shipped_rule
-from .statistics import region_graph
+from .statistics import RegionGraph, region_graph
 
 
 @dataclass(frozen=True)
 class GraphSettings:
-    """least_area: pixels of the smallest mask in an image of 640x480. threshold: None for the learned one."""
+    """Of the masks that stay: least_area in pixels of an image of 640x480, least_width in pixels, both
+    before larger images are scaled back. threshold: likelihood above which regions merge, None for the
+    learned one.
+
+    Raises: InputError: a number out of its range.
+    """
 
     least_area: float = 60.0
+    least_width: float = 2.5
     threshold: float | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.least_area < np.inf:
-            raise InputError(f"least_area: expected 0 or more pixels, got {self.least_area}")
+        for name in ("least_area", "least_width"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name}: expected 0 or more pixels, got {getattr(self, name)}")
         if self.threshold is not None and not 0 <= self.threshold <= 1:
             raise InputError(f"threshold: expected 0 to 1, got {self.threshold}")
 
@@ -65,11 +72,17 @@ def segment_labels(
     """A number from 0 for each thing."""
     lab = regions.lab_colors(image)
     labels = regions.small_regions(lab)
-    merging = Merging(region_graph(labels, lab), rule.likelihood)
-    threshold = settings.threshold
+    owner = merged(region_graph(labels, lab), rule, settings)
+    return np.asarray(owner[labels], np.int64)
+
+
+def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Int64[np.ndarray, " n"]:
+    """The thing that each region belongs to, from 0."""
+    merging, threshold = Merging(graph, rule.likelihood), settings.threshold
     merging.merge_above(float(rule.threshold[0]) if threshold is None else threshold)
-    merging.merge_small(settings.least_area * labels.size / regions.WORKING_PIXELS)
-    return np.asarray(merging.labels()[labels], np.int64)
+    least_area = settings.least_area * regions.working_share(graph.pixels)
+    merging.merge_small(least_area, settings.least_width)
+    return merging.labels()
 
 
 def label_masks(labels: Int64[np.ndarray, "h w"]) -> Masks:
