@@ -141,6 +141,9 @@ def score(
         "mixture, null": cosine.iou(mixture if there else nothing),
         "peak": cosine.iou(automatic_threshold(cosines)),
         "auto (peak, null)": cosine.iou(automatic_threshold(cosines, rises)),
+        "auto, null of negatives": cosine.iou(
+            automatic_threshold(cosines, None if click else nulls["negative rises"])
+        ),
         "oracle per query": cosine.best(),
     }  # fmt: skip
     return Scored(
@@ -149,11 +152,13 @@ def score(
 
 
 def null_of(field: LanguageField, encoder: Any) -> dict[str, Any]:
-    negatives = field.score_negatives(encoder.encode_texts(NEGATIVES)).maxima
+    of_negatives = null_rises(field, encoder, NEGATIVES)
     try:
-        return {"negatives": negatives, "rises": null_rises(field, encoder, ABSENT)}
+        rises = null_rises(field, encoder, ABSENT)
     except InputError:  # knows few words
-        return {"negatives": negatives, "rises": null_rises(field, encoder, NEGATIVES)}
+        rises = of_negatives
+    negatives = field.score_negatives(encoder.encode_texts(NEGATIVES)).maxima
+    return {"negatives": negatives, "rises": rises, "negative rises": of_negatives}
 
 
 def scored_scene(folder: Path) -> list[Scored]:
@@ -196,26 +201,36 @@ def scored_demo(folder: Path) -> list[Scored]:
     return scored_field(field, things, room.labels[field.gaussian_ids])
 
 
+WORDS = (
+    "name",
+    "category",
+    "structure",
+    "absent",
+)  # a fixed threshold is tuned for their mean; for clicks apart
+
+
 def with_fixed(scenes: list[list[Scored]]) -> None:
     """Add the fixed thresholds, tuned on these queries and on those of the other scenes."""
     for name, curves in (("cosine", "by_cosine"), ("relevancy", "by_margin")):
-        means = np.array([_objective(scene, curves) for scene in scenes])
-        tuned = int(means.mean(0).argmax())
-        for index, scene in enumerate(scenes):
-            others = np.delete(means, index, 0)
-            held_out = int(others.mean(0).argmax()) if len(others) else tuned
-            for one in scene:
-                one.ious[f"fixed {name}: tuned"] = float(getattr(one, curves)[tuned])
-                one.ious[f"fixed {name}: held out"] = float(getattr(one, curves)[held_out])
+        for groups in (WORDS, ("click",)):
+            means = np.array([_objective(scene, curves, groups) for scene in scenes])
+            tuned = int(means.mean(0).argmax())
+            for index, scene in enumerate(scenes):
+                others = np.delete(means, index, 0)
+                held_out = int(others.mean(0).argmax()) if len(others) else tuned
+                for one in scene:
+                    if (one.group == "click") is ("click" in groups):
+                        one.ious[f"fixed {name}: tuned"] = float(getattr(one, curves)[tuned])
+                        one.ious[f"fixed {name}: held out"] = float(getattr(one, curves)[held_out])
 
 
-def _objective(scene: list[Scored], curves: str) -> np.ndarray:
-    """What a fixed threshold is tuned for: the mean over the groups of words but wrong colours."""
-    groups = defaultdict(list)
+def _objective(scene: list[Scored], curves: str, groups: tuple[str, ...]) -> np.ndarray:
+    """Over GRID the mean of the groups' means."""
+    of_group = defaultdict(list)
     for one in scene:
-        if one.group not in ("click", "wrong colour"):
-            groups[one.group].append(getattr(one, curves))
-    return np.mean([np.mean(group, 0) for group in groups.values()], 0)
+        if one.group in groups:
+            of_group[one.group].append(getattr(one, curves))
+    return np.mean([np.mean(group, 0) for group in of_group.values()], 0)
 
 
 def table(scenes: list[list[Scored]]) -> dict[str, dict[str, list[float]]]:
