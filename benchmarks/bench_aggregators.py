@@ -1,0 +1,85 @@
+"""Every aggregator beside the mean: time and memory of weighing the votes and of making all features.
+
+    python benchmarks/bench_aggregators.py [--gaussians 300000] [--views 40] [--segments 150] [--dim 512]
+
+The room and its masks are synthetic and have no meaning: this measures cost, not quality. "peak" is the
+resident memory that an aggregator adds to that of the registration, which is there before (Linux only).
+"""
+
+import argparse
+import gc
+import re
+import time
+from pathlib import Path
+
+from machine import describe
+from rooms import SyntheticFeatures, room, room_views
+
+from drsplat import Gaussians, register
+from drsplat.aggregation import AGGREGATORS, Aggregator, Sampling
+from drsplat.evidence import Evidence
+
+BLOCK = 8192
+
+
+def resident_mib(peak: bool) -> float:
+    field = "VmHWM" if peak else "VmRSS"
+    found = re.search(rf"{field}:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    return int(found[1]) / 1024 if found else float("nan")
+
+
+def forget_peak() -> None:
+    gc.collect()
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def measure(how: Aggregator, evidence: Evidence, gaussians: Gaussians, threads: int) -> str:
+    forget_peak()
+    before, start = resident_mib(peak=False), time.perf_counter()
+    aggregated = how(evidence, gaussians, threads=threads)
+    weighed = time.perf_counter()
+    for begin in range(0, len(aggregated), BLOCK):
+        aggregated.features(begin, min(begin + BLOCK, len(aggregated)), threads=threads)
+    done, votes = time.perf_counter(), aggregated.evidence.weights.nnz
+    return (
+        f"{how.name:<24}{weighed - start:>10.2f}{done - weighed:>10.2f}{resident_mib(peak=True) - before:>10,.0f}"
+        f"{votes:>14,}{aggregated.present.mean():>10.1%}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--gaussians", type=int, default=300_000)
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--segments", type=int, default=150, help="per view")
+    parser.add_argument("--dim", type=int, default=512)
+    parser.add_argument("--threads", type=int, default=0)
+    args = parser.parse_args()
+
+    print(describe())
+    gaussians, views = room(args.gaussians), room_views(args.views)
+    features = SyntheticFeatures(views, args.segments, args.dim)
+    by_sampling: dict[Sampling, Evidence] = {}
+    for how in AGGREGATORS.values():
+        sampling = how.sampling or Sampling()
+        if sampling not in by_sampling:
+            start, masks = time.perf_counter(), features.seconds
+            registration = register(
+                gaussians, views, features, sampling=sampling, threads=args.threads
+            )
+            took = time.perf_counter() - start - (features.seconds - masks)
+            by_sampling[sampling] = registration.evidence
+            print(
+                f"registered {args.views} views, {sampling}: {took:.1f} s, {registration.weights.nnz:,} weights"
+            )
+    print(
+        f"{'aggregator':<24}{'weigh s':>10}{'features s':>10}{'peak MiB':>10}{'votes':>14}{'present':>10}"
+    )
+    for how in AGGREGATORS.values():
+        print(measure(how, by_sampling[how.sampling or Sampling()], gaussians, args.threads))
+
+
+if __name__ == "__main__":
+    main()
