@@ -63,7 +63,8 @@ def points_of(folder: Path, view: View, stride: int = 2) -> tuple[np.ndarray, np
 def scene_of(folder: Path, views: list[View]) -> tuple[Gaussians, np.ndarray]:
     """One Gaussian for every occupied cell and id of a grid, and their ids."""
     points, labels = (
-        np.concatenate(parts) for parts in zip(*(points_of(folder, view) for view in views), strict=True)
+        np.concatenate(parts)
+        for parts in zip(*(points_of(folder, view) for view in views), strict=True)
     )
     keys = np.column_stack([np.floor(points / SPACING).astype(np.int64), labels])
     kept = np.sort(np.unique(keys, axis=0, return_index=True)[1])
@@ -131,7 +132,9 @@ def prepare(folder: Path, output: Path, encoder: Any) -> None:
     write_npy(output / "labels.npy", labels.astype(np.int32))
     (output / "things.json").write_text(json.dumps(things, indent=1))
     field.save(output / "scene.field")
-    print(f"{output}: {len(gaussians):,} Gaussians, {len(field):,} registered, {len(things)} things")
+    print(
+        f"{output}: {len(gaussians):,} Gaussians, {len(field):,} registered, {len(things)} things"
+    )
 
 
 def main() -> None:

@@ -110,7 +110,8 @@ def without(
     scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]
 ) -> Float32[np.ndarray, " r"]:
     """The scores, LOWEST where a rival fits as well or better."""
-    return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
+    kept: np.ndarray = np.where(rivals >= scores, np.float32(LOWEST), scores)
+    return kept
 
 
 def null_rises(
