@@ -110,8 +110,7 @@ def without(
     scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]
 ) -> Float32[np.ndarray, " r"]:
     """The scores, LOWEST where a rival fits as well or better."""
-    kept: np.ndarray = np.where(rivals >= scores, np.float32(LOWEST), scores)
-    return kept
+    return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
 
 
 def null_rises(
@@ -164,7 +163,8 @@ def feature_at(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"
         )
     best = rows[known][seen.weights[known].argmax()]
-    return field.feature(np.array([best]))[0]
+    feature: np.ndarray = field.feature(np.array([best]))[0]
+    return feature
 
 
 def query(
