@@ -1,0 +1,89 @@
+"""Aggregators on the demo's room, where the thing behind every Gaussian is known, with some wrong labels."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drsplat import WordEncoder, load_field
+from drsplat.aggregation import Aggregated, aggregator
+from drsplat.demo.story import Story
+from drsplat.evidence import Evidence
+from drsplat.registration import Registration
+from test_cli import answer_of, error_of, registering, text_of
+
+NOISE = 0.5
+
+
+@pytest.fixture(scope="module")
+def registration(story: Story) -> Registration:
+    return Registration.from_field(story.field)
+
+
+def mislabelled(registration: Registration, story: Story, share: float) -> Evidence:
+    """A share of the masks says what another thing would say."""
+    evidence, rng = registration.evidence, np.random.default_rng(0)
+    things = WordEncoder().encode_texts(story.room.names)
+    count = len(evidence.segments)
+    wrong = things[rng.integers(0, len(things), count)]
+    noise = rng.standard_normal(wrong.shape)
+    wrong = wrong + NOISE * noise / np.linalg.norm(noise, axis=1, keepdims=True)
+    wrong /= np.linalg.norm(wrong, axis=1, keepdims=True)
+    swapped = np.where(rng.random((count, 1)) < share, wrong, evidence.embeddings)
+    return Evidence(evidence.weights, evidence.segments, swapped.astype(np.float32))
+
+
+def accuracy(features: Aggregated, story: Story) -> float:
+    """Share of Gaussians whose feature is nearest to the words of their own thing."""
+    found = features.features(0, len(features))
+    nearest = (found @ WordEncoder().encode_texts(story.room.names).T).argmax(axis=1)
+    return float((found.any(axis=1) & (nearest == story.room.labels)).mean())
+
+
+def test_robust_loses_nothing_where_all_labels_are_right(
+    story: Story, registration: Registration
+) -> None:
+    mean, robust = (
+        accuracy(aggregator(name)(registration.evidence, story.gaussians), story)
+        for name in ("mean", "robust")
+    )
+    assert mean > 0.85
+    assert robust > mean - 0.002
+
+
+@pytest.mark.parametrize(("share", "gain"), [(0.2, 0.01), (0.4, 0.03)])
+def test_robust_is_better_the_more_labels_are_wrong(
+    share: float, gain: float, story: Story, registration: Registration
+) -> None:
+    evidence = mislabelled(registration, story, share)
+    named = {
+        name: accuracy(aggregator(name)(evidence, story.gaussians), story)
+        for name in ("mean", "tempered", "robust-without-voting", "robust")
+    }
+    assert named["robust"] > named["mean"] + gain
+    assert named["tempered"] > named["mean"] + gain / 2
+
+
+def test_the_command_takes_an_aggregator_by_name(story: Story, demo_folder: Path, tmp_path, capsys):
+    output = tmp_path / "a.field"
+    answer = answer_of(
+        capsys, *registering(demo_folder, output), "--aggregator", "robust", "--topk", "20",
+        "--subvectors", "16",
+    )  # fmt: skip
+    assert (answer["aggregator"], answer["topk"]) == ("robust", 20)
+    made = load_field(output).aggregator
+    assert made.name == "robust"
+    assert made.sampling is not None
+    assert made.sampling.topk == 20
+    assert "robust" in text_of(capsys, "inspect", output)
+
+
+def test_the_command_refuses_what_an_aggregator_is_not(
+    story: Story, demo_folder: Path, tmp_path, capsys
+):
+    command = [*registering(demo_folder, tmp_path / "a.field"), "--aggregator"]
+    assert "no aggregator 'best': there are mean" in error_of(capsys, *command, "best")
+    for name, option in (("official", "--topk"), ("centre-pixel", "--first-hits")):
+        said = error_of(capsys, *command, name, option, "30")
+        assert f"--aggregator {name} has its own {option}" in said
+    assert "its own --topk" in error_of(capsys, *command, "centre-pixel", "--topk", "20")
