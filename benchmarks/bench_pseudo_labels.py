@@ -14,7 +14,12 @@ import numpy as np
 from machine import describe
 
 from drsplat import Gaussians
-from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels
+from drsplat.evaluation.pseudo_labels import (
+    LabelledPoints,
+    density_labels,
+    printed_labels,
+    pseudo_labels,
+)
 
 ROOM = np.array([8.0, 6.0, 3.0])
 HUGE_SHARE = 0.002
@@ -74,6 +79,7 @@ def main() -> None:
     print(f"{args.gaussians:,} Gaussians, {args.points:,} points, {args.threads or 'all'} threads")
     for name, run in (
         ("density vote", lambda: density_labels(gaussians, points, threads=args.threads)),
+        ("and the nearest", lambda: pseudo_labels(gaussians, points, threads=args.threads)),
         ("Eq. 2 as printed", lambda: printed_labels(gaussians, points)),
     ):
         start = time.perf_counter()

@@ -111,13 +111,14 @@ def product(train: np.ndarray, num_bytes: int) -> Reconstruct:
     return lambda rows: book.decode(Codes(book.encode(rows).codes))
 
 
-def autoencoder(train: np.ndarray, num_bytes: int, steps: int = 1500) -> Reconstruct | None:
+def autoencoder(train: np.ndarray, num_bytes: int, steps: int = 1000) -> Reconstruct | None:
     """Of a latent of num_bytes / 4 floats, as LangSplat's; None where torch is not installed."""
     try:
         import torch
     except ImportError:
         return None
     torch.manual_seed(0)
+    torch.set_num_threads(1)  # batches this small lose more by waiting for each other
     dim, latent = train.shape[1], num_bytes // 4
     net = torch.nn.Sequential(
         torch.nn.Linear(dim, 256), torch.nn.GELU(), torch.nn.Linear(256, latent),
@@ -125,7 +126,7 @@ def autoencoder(train: np.ndarray, num_bytes: int, steps: int = 1500) -> Reconst
     )  # fmt: skip
     optimizer, rows = torch.optim.Adam(net.parameters(), 1e-3), torch.from_numpy(train)
     for step in range(steps):
-        batch = rows[torch.randint(len(rows), (512,))]
+        batch = rows[torch.randint(len(rows), (256,))]
         loss = 1 - torch.cosine_similarity(net(batch), batch).mean()
         optimizer.zero_grad()
         loss.backward()

@@ -8,8 +8,14 @@ from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from drsplat.errors import InputError
-from drsplat.evaluation import pseudo_labels, reference
-from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels
+from drsplat.evaluation import pseudo_labels as module
+from drsplat.evaluation import reference
+from drsplat.evaluation.pseudo_labels import (
+    LabelledPoints,
+    density_labels,
+    printed_labels,
+    pseudo_labels,
+)
 from drsplat.gaussians import Gaussians
 from scenes import random_gaussians
 
@@ -70,7 +76,7 @@ def test_density_labels_are_the_twins(seed: int, size: float, num_labels: int) -
     points = random_points(1500, num_labels, seed)
     got = density_labels(gaussians, points)
     votes = reference.density_votes(
-        gaussians, points.positions.astype(np.float64), points.labels, pseudo_labels.CUT_OFF
+        gaussians, points.positions.astype(np.float64), points.labels, module.CUT_OFF
     )
     clear = decided(votes)
     assert clear.any()
@@ -97,7 +103,7 @@ def test_crowded_gaussians_are_judged_by_a_sample() -> None:
     """Wide Gaussians have all 40,000 points in their box; a clear majority stays one."""
     gaussians = random_gaussians(60, 3, size=2.0)
     points = random_points(40_000, 3, 1)
-    assert len(points.labels) > pseudo_labels.MOST_CANDIDATES
+    assert len(points.labels) > module.MOST_CANDIDATES
     votes = reference.density_votes(
         gaussians, points.positions.astype(np.float64), points.labels, 3.0
     )
@@ -110,8 +116,8 @@ def test_threads_and_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     gaussians, points = random_gaussians(3000, 5), random_points(20_000, 9)
     expected = density_labels(gaussians, points, threads=1)
     assert len(np.unique(expected)) > 5
-    monkeypatch.setattr(pseudo_labels, "BLOCK", 100)
-    monkeypatch.setattr(pseudo_labels, "PAIRS", 5000)
+    monkeypatch.setattr(module, "BLOCK", 100)
+    monkeypatch.setattr(module, "PAIRS", 5000)
     assert_array_equal(density_labels(gaussians, points, threads=3), expected)
 
 
@@ -153,6 +159,26 @@ def test_order_of_gaussians_changes_nothing() -> None:
     assert_array_equal(
         density_labels(gaussians.subset(order), points), density_labels(gaussians, points)[order]
     )
+
+
+@pytest.mark.parametrize(("x", "expected"), [(1.0, 4), (3.9, 4), (5.1, -1)])
+def test_between_the_points_the_nearest_decides(x: float, expected: int) -> None:
+    """Points a length of 1 apart, the last at (1, 0, 0): three spacings reach to 4."""
+    points = cloud([(-1, 0, 0, 9), (0, 0, 0, 9), (1, 0, 0, 4)])
+    small = one_gaussian(mean=(x + 0.5 if x == 1.0 else x, 0, 0), scales=(0.01, 0.01, 0.01))
+    assert density_labels(small, points)[0] == -1
+    assert pseudo_labels(small, points)[0] == expected
+
+
+def test_the_vote_comes_before_the_nearest() -> None:
+    rng = np.random.default_rng(0)
+    crowd = [(1 + 0.1 * x, 0.1 * y, 0.1 * z, 2) for x, y, z in rng.normal(size=(20, 3)).tolist()]
+    points = cloud([(0.1, 0, 0, 1), *crowd])
+    gaussians, scattered = one_gaussian(), random_points(800, 4)
+    assert pseudo_labels(gaussians, points)[0] == density_labels(gaussians, points)[0] == 2
+    many = random_gaussians(300, 1)
+    voted = density_labels(many, scattered)
+    assert_array_equal(pseudo_labels(many, scattered)[voted >= 0], voted[voted >= 0])
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Labels of free Gaussians from labelled points, by a spatial index and never by all pairs.
 
-`density_labels` is the vote that the protocols use. `printed_labels` is Eq. 2 as the paper prints it.
+The protocols use `pseudo_labels`: the vote of `density_labels`, and for small Gaussians between the points
+the nearest one. `printed_labels` is Eq. 2 as the paper prints it.
 
 Source: Dr. Splat Sec. C, Eq. 1-2.
 """
@@ -13,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
+from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..gaussians import Gaussians
@@ -23,6 +25,8 @@ KEPT_SHARE = 4  # one in this many points, for Gaussians with more candidates th
 PAIRS = 1 << 19  # looked at at once: their arrays stay in the cache of a core
 BLOCK = 8192
 MAX_CELLS_ALONG = 1 << 16
+SPACINGS = 3.0
+SPACING_SAMPLE = 20_000
 FINEST = 1024  # boxes smaller than this part of the scene are looked up like one of that size
 
 
@@ -55,6 +59,32 @@ class _Runs(NamedTuple):
     owner: Int64[np.ndarray, " k"]
     starts: Int64[np.ndarray, " k"]
     counts: Int64[np.ndarray, " k"]
+
+
+def pseudo_labels(
+    gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0
+) -> Int32[np.ndarray, " n"]:
+    """The label of each Gaussian, -1 where no point is near in any sense.
+
+    Where the density vote has no point within its cut-off, as with Gaussians smaller than the gaps
+    between points, the nearest point decides, if it is within three spacings (`spacing`).
+
+    Raises: InputError: as `density_labels`.
+    """
+    found = density_labels(gaussians, points, threads=threads)
+    missing = np.flatnonzero(found < 0)
+    tree = cKDTree(points.positions)
+    distances, nearest = tree.query(gaussians.means[missing], workers=threads or -1)
+    near = distances <= SPACINGS * spacing(tree)
+    found[missing[near]] = points.labels[nearest[near]]
+    return found
+
+
+def spacing(tree: cKDTree) -> float:
+    """How far points are from their nearest neighbours where they are sparse: the 95th percentile."""
+    sample = tree.data[:: max(1, len(tree.data) // SPACING_SAMPLE)]
+    distances, _ = tree.query(sample, k=min(2, len(tree.data)))
+    return float(np.percentile(distances.reshape(len(sample), -1)[:, -1], 95))
 
 
 def density_labels(

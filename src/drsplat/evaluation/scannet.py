@@ -25,7 +25,7 @@ from ..gaussians import Gaussians
 from . import metrics
 from .label_sets import LabelSet
 from .predictions import FIXED, Chooser, Manifest, read_array, sweep_column
-from .pseudo_labels import LabelledPoints, density_labels
+from .pseudo_labels import LabelledPoints, pseudo_labels
 from .scorers import Scorer, hashed
 
 LABELS = "labels.npy"
@@ -49,8 +49,8 @@ class ScannetScene:
 
     @cached_property
     def pseudo_labels(self) -> Int32[np.ndarray, " n"]:
-        """A class per Gaussian by the density vote; 0 where other classes win or no point is near."""
-        return np.asarray(np.maximum(density_labels(self.gaussians, self.points), 0), np.int32)
+        """A class per Gaussian; 0 where other classes win or no point is near."""
+        return np.asarray(np.maximum(pseudo_labels(self.gaussians, self.points), 0), np.int32)
 
     @property
     def inputs(self) -> dict[str, str]:
