@@ -99,10 +99,11 @@ Reconstruct = Callable[[np.ndarray], np.ndarray]
 
 
 def lsh(train: np.ndarray, num_bytes: int) -> Reconstruct:
-    """Signs of random projections; their transpose brings them back."""
-    planes = (
-        np.random.default_rng(1).normal(size=(8 * num_bytes, train.shape[1])).astype(np.float32)
-    )
+    """Signs of random projections, a rotation where they are as many as the numbers of a feature."""
+    count, dim = 8 * num_bytes, train.shape[1]
+    drawn = np.random.default_rng(1).normal(size=(max(count, dim), min(count, dim)))
+    frame = np.linalg.qr(drawn)[0].astype(np.float32)
+    planes = frame if count >= dim else np.ascontiguousarray(frame.T)
     return lambda rows: np.where(rows @ planes.T > 0, 1, -1).astype(np.float32) @ planes
 
 
