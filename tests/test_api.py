@@ -14,10 +14,10 @@ PUBLIC = {
     "Codebook", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
     "Gaussians", "ImageEncoder", "InputError", "Instance", "LanguageField", "Masks", "MiniEncoder", "MismatchError", "MissingExtraError",
     "Registration", "Segmenter", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
-    "WordEncoder", "__version__", "embed", "embed_query", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
+    "GraphSegmenter", "WordEncoder", "__version__", "automatic_threshold", "embed", "embed_query", "feature_at", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
     "locate", "query", "read_faiss_codebook", "read_features", "read_gaussians",
     "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "save_codebook",
-    "select", "splat_arrays", "supporting_masks", "topk_contributions", "train", "train_codebook",
+    "segment", "select", "splat_arrays", "supporting_masks", "topk_contributions", "train", "train_codebook",
     "view_weights", "write_cameras_json", "write_features", "write_gaussians",
 }  # fmt: skip
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
@@ -25,8 +25,8 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 # A module imports only from those before it, or from its own package.
 ORDER = (
     "errors", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
-    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "search",
-    "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
+    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
+    "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "training",
     "evaluation", "demo", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent

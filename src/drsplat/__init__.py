@@ -29,15 +29,17 @@ if TYPE_CHECKING:
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
     from .gaussians import Gaussians
+    from .graph import GraphSegmenter
     from .kernels import splat_arrays, topk_contributions, view_weights
     from .mini import MiniEncoder
     from .photos import load_image
     from .registration import Registration, register
     from .rendering import render
-    from .search import embed_query, query
+    from .search import embed_query, feature_at, query
     from .segments import Masks, Segmenter
     from .support import supporting_masks
-    from .tasks import Instance, locate, select
+    from .tasks import Instance, locate, segment, select
+    from .thresholds import automatic_threshold
     from .training import Training, TrainingSettings, train
     from .views import View
     from .words import WordEncoder
@@ -70,15 +72,17 @@ _HOMES = {
     "formats.scenes": ("read_gaussians", "write_gaussians"),
     "formats.vocabulary": ("read_vocabulary",),
     "gaussians": ("Gaussians",),
+    "graph": ("GraphSegmenter",),
     "kernels": ("splat_arrays", "topk_contributions", "view_weights"),
     "mini": ("MiniEncoder",),
     "photos": ("load_image",),
     "registration": ("Registration", "register"),
     "rendering": ("render",),
-    "search": ("embed_query", "query"),
+    "search": ("embed_query", "feature_at", "query"),
     "segments": ("Masks", "Segmenter"),
     "support": ("supporting_masks",),
-    "tasks": ("Instance", "locate", "select"),
+    "tasks": ("Instance", "locate", "segment", "select"),
+    "thresholds": ("automatic_threshold",),
     "training": ("Training", "TrainingSettings", "train"),
     "views": ("View",),
     "words": ("WordEncoder",),
@@ -93,6 +97,7 @@ __all__ = [
     "EncoderIdentity",
     "FormatError",
     "Gaussians",
+    "GraphSegmenter",
     "ImageEncoder",
     "InputError",
     "Instance",
@@ -110,8 +115,10 @@ __all__ = [
     "ViewFeatures",
     "WordEncoder",
     "__version__",
+    "automatic_threshold",
     "embed",
     "embed_query",
+    "feature_at",
     "load_codebook",
     "load_encoder",
     "load_field",
@@ -128,6 +135,7 @@ __all__ = [
     "register",
     "render",
     "save_codebook",
+    "segment",
     "select",
     "splat_arrays",
     "supporting_masks",
