@@ -1,10 +1,13 @@
 """A rendered scene as small files that can ship:
 
-python -m world.packing photos RENDERED --output DIR     photos, poses, points, truth of the held-out photos
+python -m world.packing photos RENDERED --output DIR     photos, poses, points, truth
+python -m world.packing labels RENDERED --output DIR     labels of LERF-OVS and ScanNet
 drsplat train DIR --output-dir MODEL --iterations 7000 --sh-degree 1 --max-gaussians 100000
 python -m world.packing scene MODEL/point_cloud/iteration_7000/point_cloud.ply --output DIR
 
-DIR then has images/, sparse/0/, truth.json, ids/ and scene.compressed.ply, which SuperSplat reads too.
+DIR then has images/, sparse/0/, truth.json, ids/, DIR_vh_clean_2.labels.ply and scene.compressed.ply, which
+SuperSplat reads too; beside it is label/DIR/frame_XXXXX.json, where LERF-OVS has it. So `drsplat evaluate` reads
+the folder above as data of either kind. photos makes the labels as well; labels makes them anew, alone.
 """
 
 import argparse
@@ -16,15 +19,18 @@ import gsply
 import numpy as np
 from PIL import Image
 
+from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
+
 from .layouts import HELD_OUT
-from .truth import read_truth
+from .truth import Truth, read_truth
 
 QUALITY, POINTS = 85, 5_000
+LABELLED_POINTS = 15_000
 SCENE = "scene.compressed.ply"
 
 
 def pack_photos(rendered: Path, output: Path) -> None:
-    """All but the scene; ids and labels of held-out photos only."""
+    """All but the scene."""
     truth = read_truth(rendered)
     for name in ("images", "ids", "sparse/0"):
         (output / name).mkdir(parents=True)
@@ -36,8 +42,7 @@ def pack_photos(rendered: Path, output: Path) -> None:
     lines = (truth.capture / "sparse/0/points3D.txt").read_text().splitlines(keepends=True)
     rows = np.linspace(1, len(lines) - 1, min(POINTS, len(lines) - 1)).astype(int)
     (output / "sparse/0/points3D.txt").write_text("".join(lines[k] for k in rows))
-    held_out = truth.views[::HELD_OUT]
-    for view in held_out:
+    for view in truth.views:
         ids = Image.fromarray((truth.ids(view) + 1).astype(np.uint8))
         ids.save(output / "ids" / f"{Path(view).stem}.png", optimize=True)
     known = json.loads((rendered / "truth.json").read_text(encoding="utf-8"))
@@ -45,9 +50,42 @@ def pack_photos(rendered: Path, output: Path) -> None:
     kept["objects"] = [
         {k: v for k, v in thing.items() if k != "pixels"} for thing in known["objects"]
     ]
-    kept["held_out"] = held_out
+    kept["held_out"] = truth.views[::HELD_OUT]
     text = json.dumps(kept, indent=1) + "\n"
     (output / "truth.json").write_text(text, encoding="utf-8")
+    pack_labels(rendered, output)
+
+
+def pack_labels(rendered: Path, output: Path) -> None:
+    """The polygons of the held-out photos, and a share of the labelled points; older ones are replaced."""
+    truth = read_truth(rendered)
+    name = output.resolve().name
+    labels = output.resolve().parent / "label" / name
+    labels.mkdir(parents=True, exist_ok=True)
+    for path in sorted((rendered / "lerf_ovs" / "label" / truth.scene).glob("*.json")):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        text = json.dumps(document, separators=(",", ":")) + "\n"
+        (labels / path.name).write_text(text, encoding="utf-8")
+    cloud = _labelled_cloud(truth)
+    rows = np.linspace(0, len(cloud.labels) - 1, LABELLED_POINTS).astype(int)
+    thinned = LabelledCloud(cloud.positions[np.unique(rows)], cloud.labels[np.unique(rows)])
+    (output / f"{name}_vh_clean_2.labels.ply").write_bytes(_ply(thinned))
+
+
+def _labelled_cloud(truth: Truth) -> LabelledCloud:
+    scan = truth.folder / "scannet" / truth.scene
+    return read_scannet_labels(scan / f"{truth.scene}_vh_clean_2.labels.ply")
+
+
+def _ply(cloud: LabelledCloud) -> bytes:
+    rows = np.empty(len(cloud.labels), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u2")])
+    for column, axis in enumerate("xyz"):
+        rows[axis] = cloud.positions[:, column]
+    rows["label"] = cloud.labels
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    header += ["property ushort label", "end_header", ""]
+    return "\n".join(header).encode() + rows.tobytes()
 
 
 def pack_scene(scene: Path, output: Path) -> None:
@@ -59,11 +97,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("part", choices=("photos", "scene"))
+    parser.add_argument("part", choices=("photos", "labels", "scene"))
     parser.add_argument("source", type=Path)
     parser.add_argument("--output", type=Path, required=True)
     arguments = parser.parse_args()
-    pack = {"photos": pack_photos, "scene": pack_scene}[arguments.part]
+    pack = {"photos": pack_photos, "labels": pack_labels, "scene": pack_scene}[arguments.part]
     pack(arguments.source, arguments.output)
 
 
