@@ -1,0 +1,55 @@
+"""python -m world.benchmark [SCENE ...] --output results.json [--masks true graph] [--methods mean robust ...] [--jobs 2]
+
+Without scenes, all of world/scenes. A run that was stopped goes on when it is started again.
+Then: python -m world.benchmark.page results.json --output docs/evaluation.md
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+from .masks import MASKS
+from .running import METHODS, Task, results_of, run, threads_for, write_results
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("scenes", type=Path, nargs="*", help="folders of world.packing")
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE.json")
+    parser.add_argument("--masks", nargs="+", choices=tuple(MASKS), default=list(MASKS))
+    parser.add_argument(
+        "--methods", "--aggregators", nargs="+", choices=METHODS, default=list(METHODS),
+        metavar="NAME", help=f"of {', '.join(METHODS)} (default: all)",
+    )  # fmt: skip
+    parser.add_argument("--jobs", type=int, default=1, help="scenes at a time (default: 1)")
+    parser.add_argument("--every", type=int, default=1, help="take one in so many views")
+    parser.add_argument(
+        "--work", type=Path, help="folder of what is finished (default: FILE.json.parts)"
+    )
+    arguments = parser.parse_args()
+    start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
+    work = arguments.work or Path(f"{arguments.output}.parts")
+    tasks = [
+        Task(
+            folder, masks, tuple(arguments.methods), work, arguments.every,
+            threads_for(arguments.jobs),
+        )
+        for folder in scenes
+        for masks in arguments.masks
+    ]  # fmt: skip
+    records = run(tasks, arguments.jobs)
+    write_results(arguments.output, results_of(scenes, arguments.every, records))
+    print(f"{arguments.output}: {len(records)} records in {time.perf_counter() - start:.0f} s")
+
+
+def packed_scenes(folder: Path) -> list[Path]:
+    """All that are there, by name."""
+    return sorted(path.parent for path in folder.glob("*/scene.compressed.ply"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Masks of the photos, true or found, and their embeddings by the built-in encoder."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from jaxtyping import UInt8
+
+from drsplat import GraphSegmenter, Masks, MiniEncoder, View, ViewFeatures, load_image
+from drsplat.crops import crops
+from drsplat.mask_selection import segment_maps
+from drsplat.segments import LEVELS, cut_masks
+
+from .scenes import BenchScene
+
+Cut = Callable[[BenchScene, View, UInt8[np.ndarray, "h w 3"]], Mapping[str, Masks]]
+
+
+def true_masks(
+    scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]
+) -> Mapping[str, Masks]:
+    """One per thing or structure in the photo, in one piece or several."""
+    ids = scene.ids(view)
+    present = np.unique(ids[ids >= 0])
+    return {"large": cut_masks(ids == present[:, None, None], np.ones(len(present), np.float32))}
+
+
+def graph_masks(
+    scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]
+) -> Mapping[str, Masks]:
+    """What the built-in segmenter makes of the photo alone."""
+    return GraphSegmenter().segment(image)
+
+
+MASKS: dict[str, Cut] = {"true": true_masks, "graph": graph_masks}
+
+
+def features_of(scene: BenchScene, kind: str, encoder: MiniEncoder) -> dict[str, ViewFeatures]:
+    """Of all views, by name."""
+    return {view.name: _features(scene, view, MASKS[kind], encoder) for view in scene.views}
+
+
+def _features(scene: BenchScene, view: View, cut: Cut, encoder: MiniEncoder) -> ViewFeatures:
+    image = load_image(view)
+    maps = segment_maps(cut(scene, view, image))
+    embeddings = encoder.encode_images(crops(image, maps.masks))
+    return ViewFeatures(maps.segment_ids[LEVELS.index("large")], embeddings)

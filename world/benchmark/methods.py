@@ -1,0 +1,86 @@
+"""Fields of one scene and one kind of masks, by aggregator; what they share is made once."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+
+from drsplat import (
+    Codebook,
+    EncoderIdentity,
+    Gaussians,
+    LanguageField,
+    MiniEncoder,
+    Registration,
+    View,
+    ViewFeatures,
+    register,
+)
+from drsplat.aggregation import Sampling, aggregator
+from drsplat.evaluation.scorers import Scorer, cosine_scorer
+
+from .masks import features_of
+from .rendered import RENDERED, rendered_scorer
+from .scenes import BenchScene
+from .scoring import Methods
+
+DEFAULT = Sampling()
+
+
+class Registered:
+    """A set of Gaussians and what the photos say of them, by sampling."""
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        views: list[View],
+        features: Mapping[str, ViewFeatures],
+        encoder: EncoderIdentity,
+    ) -> None:
+        self.gaussians, self.views, self.features = gaussians, views, features
+        self.encoder = encoder
+        self.registrations: dict[Sampling, Registration] = {}
+
+    def registration(self, sampling: Sampling, threads: int) -> Registration:
+        if sampling not in self.registrations:
+            found = register(
+                self.gaussians, self.views, self.features, sampling=sampling, threads=threads
+            )
+            self.registrations[sampling] = replace(found, encoder=self.encoder)
+        return self.registrations[sampling]
+
+    def field(self, name: str, codebook: Codebook | None, threads: int) -> LanguageField:
+        how = aggregator(name)
+        found = self.registration(how.sampling or DEFAULT, threads)
+        return found.to_field(codebook, aggregator=how, gaussians=self.gaussians, threads=threads)
+
+
+class Workshop:
+    """Everything that the methods of one scene and one kind of masks share.
+
+    All aggregators have one codebook, that of the mean: differences between them are then not those of
+    k-means.
+    """
+
+    def __init__(self, scene: BenchScene, masks: str, encoder: MiniEncoder, threads: int) -> None:
+        self.scene, self.encoder, self.threads = scene, encoder, threads
+        features = features_of(scene, masks, encoder)
+        self.num_masks = sum(len(found.embeddings) for found in features.values())
+        frozen = scene.points.gaussians
+        self.volume = Registered(scene.gaussians, scene.views, features, encoder.identity)
+        self.points = Registered(frozen, scene.views, features, encoder.identity)
+
+    @cached_property
+    def codebook(self) -> Codebook:
+        return self.volume.field("mean", None, self.threads).codebook
+
+    def methods(self, name: str) -> Methods:
+        return Methods(self._scorer(self.volume, name), self._scorer(self.points, name))
+
+    def _scorer(self, registered: Registered, name: str) -> Scorer:
+        if name == RENDERED:
+            return rendered_scorer(
+                registered.gaussians, self.scene.views, registered.features, self.encoder,
+                self.threads,
+            )  # fmt: skip
+        field = registered.field(name, self.codebook, self.threads)
+        return cosine_scorer(field, self.encoder, name, threads=self.threads)

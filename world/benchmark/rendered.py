@@ -1,0 +1,112 @@
+"""The rival that rendering-based methods are: features that are right when they are rendered, looked up in 3D.
+
+LangSplat and LEGaussians optimise features per Gaussian so that their alpha-blended rendering is the
+embedding of the mask at each pixel. Here that is the least-squares problem min |A F - E|^2, A the blending
+weights of pixels x Gaussians, E the masks' embeddings, solved by conjugate gradients from zero. There is no
+autoencoder: features are in the span of the embeddings' leading directions, far more than LangSplat's three.
+What is asked of the features is asked as of all others: per Gaussian, by cosine.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Float64
+from scipy.sparse import csr_array, vstack
+
+from drsplat import Gaussians, MiniEncoder, View, ViewFeatures, splat_arrays, topk_contributions
+from drsplat.evaluation.scorers import COSINES, Scorer
+from drsplat.kernels import SplatArrays
+
+RENDERED = "rendered"
+WIDTH = 128  # pixels of what is rendered
+CONTRIBUTORS = 16  # of a pixel
+DIRECTIONS = 16
+STEPS = 30
+
+
+class _Part(NamedTuple):
+    """One view: blending weights of its pixels that a mask covers, and the row of each one's embedding."""
+
+    weights: csr_array
+    segments: np.ndarray
+
+
+def rendered_scorer(
+    gaussians: Gaussians,
+    views: list[View],
+    features: Mapping[str, ViewFeatures],
+    encoder: MiniEncoder,
+    threads: int,
+) -> Scorer:
+    """Cosines with features that were fitted by rendering; NaN where no photo sees a Gaussian."""
+    splats, embeddings = splat_arrays(gaussians), []
+    parts = []
+    for view in views:
+        parts.append(_part(splats, view, features[view.name], threads))
+        embeddings.append(features[view.name].embeddings[parts[-1].segments])
+    weights = csr_array(vstack([part.weights for part in parts], format="csr"))
+    targets, basis = _leading(np.concatenate(embeddings))
+    fitted = least_squares(weights, targets, STEPS)
+    norms = np.linalg.norm(fitted, axis=1)
+    norms[norms == 0] = np.nan
+
+    def scores(text: str) -> Float32[np.ndarray, " N"]:
+        query = basis @ encoder.encode_texts([text])[0]
+        return np.asarray(fitted @ query / norms, np.float32)
+
+    about = {"directions": DIRECTIONS, "steps": STEPS, "width": WIDTH, "measure": "cosine"}
+    names = tuple(view.name for view in views)
+    return Scorer(RENDERED, len(gaussians), scores, encoder.threshold, COSINES, about, names)
+
+
+def least_squares(
+    weights: csr_array, targets: Float32[np.ndarray, "p r"], steps: int
+) -> Float32[np.ndarray, "n r"]:
+    """Conjugate gradients on the normal equations, each column by itself, from zero.
+
+    Source: Hestenes and Stiefel 1952 (CGLS).
+    """
+    transposed = csr_array(weights.T)
+    found = np.zeros((weights.shape[1], targets.shape[1]), np.float32)
+    residual = targets.copy()
+    gradient = transposed @ residual
+    direction, size = gradient.copy(), _squares(gradient)
+    for _ in range(steps):
+        moved = weights @ direction
+        length = _squares(moved)
+        step = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
+        found += direction * step.astype(np.float32)
+        residual -= moved * step.astype(np.float32)
+        gradient = transposed @ residual
+        before, size = size, _squares(gradient)
+        ratio = np.divide(size, before, out=np.zeros_like(size), where=before > 0)
+        direction = gradient + direction * ratio.astype(np.float32)
+    return found
+
+
+def _part(splats: SplatArrays, view: View, features: ViewFeatures, threads: int) -> _Part:
+    small = view.resized(WIDTH, round(WIDTH * view.height / view.width))
+    segments = features.resized(small.width, small.height).segment_ids.ravel()
+    found = topk_contributions(splats, small, CONTRIBUTORS, threads=threads)
+    ids, values = (array.reshape(-1, CONTRIBUTORS) for array in found)
+    covered = segments >= 0
+    ids, values = ids[covered], values[covered]
+    starts = np.append(0, np.cumsum((ids >= 0).sum(1)))
+    shape = (len(ids), len(splats.opacities))
+    weights = csr_array((values[ids >= 0], ids[ids >= 0], starts), shape=shape)
+    return _Part(weights, segments[covered])
+
+
+def _leading(
+    embeddings: Float32[np.ndarray, "p d"],
+) -> tuple[Float32[np.ndarray, "p r"], Float32[np.ndarray, "r d"]]:
+    """The embeddings along their leading directions, and these."""
+    squares = embeddings.T.astype(np.float64) @ embeddings
+    _, vectors = np.linalg.eigh(squares)
+    basis = np.ascontiguousarray(vectors[:, ::-1][:, :DIRECTIONS].T, np.float32)
+    return embeddings @ basis.T, basis
+
+
+def _squares(values: Float32[np.ndarray, "n r"]) -> Float64[np.ndarray, " r"]:
+    return np.asarray(np.square(values).sum(0, dtype=np.float64))

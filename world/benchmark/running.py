@@ -1,0 +1,138 @@
+"""All methods on all scenes, one file per scene, masks and method, so that a killed run goes on."""
+
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from drsplat import GraphSegmenter, MiniEncoder
+from drsplat.aggregation import AGGREGATORS
+from drsplat.encoders import identity_json
+from drsplat.evaluation.voxel import SIDE
+from drsplat.formats.replacing import replacing
+
+from .methods import Workshop
+from .rendered import RENDERED
+from .scenes import LABEL_SET, BenchScene, about, read_scene
+from .scoring import AUTOMATIC, SWEEP, scored
+
+FORMAT, VERSION = "drsplat benchmark", 1
+METHODS = (*AGGREGATORS, RENDERED)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene and one kind of masks. every: takes one in so many of the views."""
+
+    folder: Path
+    masks: str
+    methods: tuple[str, ...]
+    work: Path
+    every: int
+    threads: int
+
+
+def run(tasks: Sequence[Task], jobs: int) -> list[dict[str, Any]]:
+    """The records of all tasks, in their order."""
+    if jobs == 1:
+        return [record for task in tasks for record in run_task(task)]
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        return [record for records in pool.map(run_task, tasks) for record in records]
+
+
+def run_task(task: Task) -> list[dict[str, Any]]:
+    """Those that are on disk already and are of the same inputs are not made again."""
+    scene, encoder = read_scene(task.folder, task.every), MiniEncoder()
+    key = _key(scene, task, encoder)
+    found = {method: _finished(_path(task, method), key) for method in task.methods}
+    missing = [method for method, record in found.items() if record is None]
+    found.update(_made(task, scene, encoder, missing))
+    return [dict(record) for record in found.values() if record is not None]
+
+
+def _made(
+    task: Task, scene: BenchScene, encoder: MiniEncoder, methods: Sequence[str]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    if not methods:
+        return
+    key, start = _key(scene, task, encoder), time.perf_counter()
+    workshop = Workshop(scene, task.masks, encoder, task.threads)
+    print(f"{scene.name}, {task.masks}: {workshop.num_masks} masks", flush=True)
+    for method in methods:
+        numbers = scored(scene, workshop.methods(method), task.threads)
+        seconds = round(time.perf_counter() - start, 1)
+        start = time.perf_counter()
+        record = {"scene": scene.name, "masks": task.masks, "method": method}
+        record |= {"num_masks": workshop.num_masks, **numbers}
+        document = {"key": key, "seconds": seconds, "record": record}
+        with replacing(_path(task, method), overwrite=True) as file:
+            file.write(json.dumps(document, indent=1).encode() + b"\n")
+        print(f"{scene.name}, {task.masks}, {method}: {seconds} s", flush=True)
+        yield method, record
+
+
+def _path(task: Task, method: str) -> Path:
+    place = task.work / task.folder.resolve().name / task.masks
+    place.mkdir(parents=True, exist_ok=True)
+    return place / f"{method}.json"
+
+
+def _finished(path: Path, key: dict[str, Any]) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    document = json.loads(path.read_text(encoding="utf-8"))
+    record: dict[str, Any] = document["record"]
+    return record if document["key"] == key else None
+
+
+def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
+    """What decides a record beside the code of the methods."""
+    known = {
+        "version": VERSION,
+        "scene": about(scene),
+        "encoder": identity_json(encoder.identity),
+        "segmenter": dict(GraphSegmenter().identity) if task.masks == "graph" else None,
+        "sweep": list(SWEEP),
+        "every": task.every,
+    }
+    copied: dict[str, Any] = json.loads(json.dumps(known))
+    return copied
+
+
+def results_of(
+    folders: Sequence[Path], every: int, records: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """All that the page is made from; the same scenes and code give the same document."""
+    scenes = {folder.resolve().name: about(read_scene(folder, every)) for folder in folders}
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "drsplat": version("drsplat"),
+        "encoder": {**identity_json(MiniEncoder().identity), "threshold": MiniEncoder().threshold},
+        "segmenter": dict(GraphSegmenter().identity),
+        "label_set": LABEL_SET,
+        "automatic": AUTOMATIC,
+        "sweep": list(SWEEP),
+        "voxel_side": SIDE,
+        "scenes": scenes,
+        "records": list(records),
+    }
+
+
+def write_results(path: Path, results: dict[str, Any]) -> None:
+    """JSON, a line per record."""
+    head = {key: value for key, value in results.items() if key != "records"}
+    lines = ",\n".join(json.dumps(record, separators=(",", ":")) for record in results["records"])
+    text = json.dumps(head, indent=1)[: -len("\n}")]
+    with replacing(path, overwrite=True) as file:
+        file.write(f'{text},\n "records": [\n{lines}\n ]\n}}\n'.encode())
+
+
+def threads_for(jobs: int) -> int:
+    return max(1, len(os.sched_getaffinity(0)) // jobs)
