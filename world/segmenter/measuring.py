@@ -22,7 +22,7 @@ from .scores import LEAST_PIXELS, Score, score, shared_pixels
 Labels = Callable[[Photo], Int64[np.ndarray, "h w"]]
 BANDS = (LEAST_PIXELS, 1000, 4000, 16000, 10**9)
 PLAIN_SCALES = (100, 200, 400, 800, 1600)
-PICTURE_SIZE = (400, 300)
+PICTURE_SIZE = (320, 240)
 
 
 def main() -> None:
@@ -99,7 +99,7 @@ def row(name: str, scores: Sequence[Score]) -> str:
 def bordered(
     image: UInt8[np.ndarray, "h w 3"], labels: Int64[np.ndarray, "h w"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with a light line where masks meet, dark beside it."""
+    """The image, darker, with a line where masks meet."""
     edge = np.zeros(labels.shape, bool)
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
     edge[1:] |= labels[1:] != labels[:-1]
@@ -115,7 +115,7 @@ def contact_sheet(images: Sequence[UInt8[np.ndarray, "h w 3"]], columns: int = 3
     for i, image in enumerate(images):
         tile = Image.fromarray(image).resize(PICTURE_SIZE, Image.Resampling.LANCZOS)
         sheet.paste(tile, (width * (i % columns), height * (i // columns)))
-    return sheet.quantize(128)
+    return sheet.quantize(palette=sheet.quantize(128), dither=Image.Dither.FLOYDSTEINBERG)
 
 
 if __name__ == "__main__":

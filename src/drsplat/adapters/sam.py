@@ -164,7 +164,8 @@ def load_segmenter(
 ) -> PointSegmenter | GraphSegmenter:
     """The built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
 
-    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it, or an id of the Hugging Face hub, which is
+    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it,
+    or an id of the Hugging Face hub, which is
     downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are loaded,
     never pickles. device: auto, cpu, cuda or mps.
 
