@@ -65,15 +65,15 @@ def _made(
     workshop = Workshop(scene, task.masks, encoder, task.threads)
     print(f"{scene.name}, {task.masks}: {workshop.num_masks} masks", flush=True)
     for method in methods:
-        numbers = scored(scene, workshop.methods(method), task.threads)
-        seconds = round(time.perf_counter() - start, 1)
+        numbers, seconds = scored(scene, workshop.methods(method), task.threads)
+        seconds["all"] = time.perf_counter() - start
         start = time.perf_counter()
-        record = {"scene": scene.name, "masks": task.masks, "method": method}
+        record: dict[str, Any] = {"scene": scene.name, "masks": task.masks, "method": method}
         record |= {"num_masks": workshop.num_masks, **numbers}
         document = {"key": key, "seconds": seconds, "record": record}
         with replacing(_path(task, method), overwrite=True) as file:
             file.write(json.dumps(document, indent=1).encode() + b"\n")
-        print(f"{scene.name}, {task.masks}, {method}: {seconds} s", flush=True)
+        print(f"{scene.name}, {task.masks}, {method}: {seconds['all']:.1f} s", flush=True)
         yield method, record
 
 
@@ -93,7 +93,7 @@ def _finished(path: Path, key: dict[str, Any]) -> dict[str, Any] | None:
 
 def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
     """What decides a record beside the code of the methods."""
-    known = {
+    known: dict[str, Any] = {
         "version": VERSION,
         "scene": about(scene),
         "encoder": identity_json(encoder.identity),

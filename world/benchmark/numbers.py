@@ -1,0 +1,119 @@
+"""Records of a run to lists over its scenes, means and intervals. All in percent."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drsplat.evaluation import metrics
+from drsplat.evaluation.predictions import FIXED
+
+MIN_SCENES = 3  # for a correlation to be printed
+
+Record = Mapping[str, Any]
+Results = Mapping[str, Any]
+Pick = Callable[[Record], float]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """key: in `MEASURES`. words: in tables."""
+
+    key: str
+    words: str
+    pick: Pick
+
+
+def _column(protocol: str, column: str, number: str) -> Pick:
+    return lambda record: float(record[protocol]["columns"][column][number])
+
+
+def _segmentation(protocol: str, number: str) -> Pick:
+    return lambda record: float(record[protocol]["segmentation"][number])
+
+
+_ALL = (
+    Measure("selection", "mIoU, fixed", _column("lerf-ovs", FIXED, "miou")),
+    Measure("acc25", "Acc@0.25, fixed", _column("lerf-ovs", FIXED, "acc@0.25")),
+    Measure("acc50", "Acc@0.5, fixed", _column("lerf-ovs", FIXED, "acc@0.5")),
+    Measure("automatic", "mIoU, automatic", _column("lerf-ovs", "automatic", "miou")),
+    Measure("localization", "localization", _column("lerf-ovs", FIXED, "localization")),
+    Measure("volume", "volume mIoU", _segmentation("scannet-volume", "miou")),
+    Measure("volume_acc", "volume mAcc", _segmentation("scannet-volume", "macc")),
+    Measure("volume_fixed", "fixed", _column("scannet-volume", FIXED, "miou")),
+    Measure("volume_automatic", "automatic", _column("scannet-volume", "automatic", "miou")),
+    Measure("points", "points mIoU", _segmentation("scannet-points", "miou")),
+    Measure("voxel", "voxel mIoU", _segmentation("voxel", "miou")),
+)
+MEASURES = {measure.key: measure for measure in _ALL}
+
+
+def records_of(results: Results, masks: str, method: str) -> list[Record]:
+    """Of all scenes, in their order."""
+    return [r for r in results["records"] if (r["masks"], r["method"]) == (masks, method)]
+
+
+def values(results: Results, masks: str, method: str, key: str) -> list[float]:
+    """A number per scene; keys ending in _tuned are at the one threshold that is best over the scenes."""
+    records = records_of(results, masks, method)
+    if key.endswith("_tuned"):
+        return tuned(results, masks, method, PROTOCOL_OF[key])[1]
+    return [100 * MEASURES[key].pick(record) for record in records]
+
+
+PROTOCOL_OF = {"selection_tuned": "lerf-ovs", "volume_tuned": "scannet-volume"}
+
+
+def tuned(results: Results, masks: str, method: str, protocol: str) -> tuple[float, list[float]]:
+    """The threshold with the best mean over the scenes, the lowest of equal ones, and each scene's mIoU."""
+    sweeps = np.array([r[protocol]["sweep"] for r in records_of(results, masks, method)])
+    best = int(np.argmax(np.round(sweeps.mean(0), 9)))
+    return float(results["sweep"][best]), (100 * sweeps[:, best]).tolist()
+
+
+def difference(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    """Scene by scene."""
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def said(numbers: Sequence[float], signed: bool = False) -> str:
+    """Mean and, of two scenes or more, its interval.
+
+    >>> said([10.0, 10.0]), said([1.25], signed=True)
+    ('10.0 [10.0, 10.0]', '+1.2')
+    """
+    style = "+.1f" if signed else ".1f"
+    mean = f"{metrics.mean(numbers):{style}}"
+    if len(numbers) < 2:
+        return mean
+    low, high = metrics.mean_interval(numbers)
+    return f"{mean} [{low:{style}}, {high:{style}}]"
+
+
+def methods_of(results: Results, masks: str) -> list[str]:
+    """In the order of the run."""
+    found = [r["method"] for r in results["records"] if r["masks"] == masks]
+    return list(dict.fromkeys(found))
+
+
+def masks_of(results: Results) -> list[str]:
+    return list(dict.fromkeys(r["masks"] for r in results["records"]))
+
+
+def correlations(records: Sequence[Record]) -> dict[str, dict[str, float]]:
+    """Of mIoU by Gaussians with voxels, with and without significance; {} of fewer than three scenes.
+
+    Source: Dr. Splat Fig. S3.
+    """
+    rows = [record["voxel"]["study"] for record in records]
+    if len(rows) < MIN_SCENES:
+        return {}
+    voxels = [row["voxel"] for row in rows]
+    return {
+        kind: {
+            "pearson": metrics.pearson(voxels, [row[kind] for row in rows]),
+            "spearman": metrics.spearman(voxels, [row[kind] for row in rows]),
+        }
+        for kind in ("weighted", "unweighted")
+    }

@@ -1,0 +1,130 @@
+"""python -m world.benchmark.page docs/evaluation.json --output docs/evaluation.md"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from drsplat.formats.replacing import replacing
+
+from .numbers import Results, masks_of, methods_of
+from .reading import reading
+from .rendered import CONTRIBUTORS, DIRECTIONS, RENDERED, STEPS, WIDTH
+from .tables import (
+    SEGMENTATION,
+    SELECTION,
+    against_table,
+    files_table,
+    measures_table,
+    scenes_table,
+    study_table,
+    thresholds_table,
+)
+
+_HEAD = """\
+# Evaluation
+
+This page is made from [evaluation.json](evaluation.json) by `python -m world.benchmark.page`, and a test holds it to that: no
+number here is typed. Numbers are percent. In brackets is the 95 % interval of the mean over scenes, by bootstrap; scenes are what
+is drawn again, so it says how other scenes of this world would do, and nothing about real photos."""
+_METHODS = """\
+Masks are *true* (each thing and structure of a photo is one mask) or found by the built-in segmenter *graph*; the built-in encoder
+`drsplat-mini` embeds both. It never saw these rooms, their shapes or textures. Photos with labels are left out of registration.
+All methods of a scene share one codebook, that of the mean. Aggregators are those of [aggregators.md](aggregators.md)."""
+_RENDERED = """\
+`{name}` is no aggregator but the rival: features that are fitted so that their *rendering* matches the embedding of the mask at each
+pixel, as LangSplat and LEGaussians optimise theirs, and then looked up in 3D like all others. It is our own least-squares form of that
+idea ({directions} directions, {steps} steps of conjugate gradients, photos {width} pixels wide, {contributors} Gaussians a pixel), not their code."""
+_PROTOCOLS = """\
+- **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means over pairs of photo and
+  category, then over scenes.
+- **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU; fixed, automatic and tuned are localization,
+  one class at a time by threshold. **Voxel**, `voxel@1`: the same classes compared in voxels of {side:g} m.
+- **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity 0.9, nothing trained; OpenGaussian
+  trains theirs. So these numbers rank methods, and do not compare with papers.
+- Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is found in each query's scores
+  ([tasks.md](tasks.md)). *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers report it: never compare it
+  with the other two."""
+_AGAIN = """\
+```bash
+pip install -e .
+python -m world.benchmark --output docs/evaluation.json --jobs 2      # goes on where it was when started again
+python -m world.benchmark.page docs/evaluation.json --output docs/evaluation.md
+drsplat evaluate lerf-ovs world/scenes --name {scene} --scene world/scenes/{scene}/scene.compressed.ply \\
+    --features per_gaussian.npy --encoder drsplat-mini --report peer     # features of any other system
+```"""
+
+
+def page(results: Results) -> str:
+    """The whole page."""
+    return "\n\n".join(_sections(results)) + "\n"
+
+
+def _sections(results: Results) -> Iterator[str]:
+    masks, scenes = masks_of(results), results["scenes"]
+    yield _HEAD
+    yield "## What the numbers say"
+    yield "\n".join(f"- {sentence}" for sentence in reading(results))
+    yield "## What is measured"
+    yield f"{len(scenes)} scenes of the [household world](../world/README.md), held out from all that was learned."
+    yield scenes_table(results)
+    yield _METHODS
+    if RENDERED in methods_of(results, masks[0]):
+        yield _RENDERED.format(
+            name=RENDERED, directions=DIRECTIONS, steps=STEPS, width=WIDTH,
+            contributors=CONTRIBUTORS,
+        )  # fmt: skip
+    yield _PROTOCOLS.format(
+        side=results["voxel_side"],
+        threshold=results["encoder"]["threshold"],
+        sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),
+    )
+    for kind in masks:
+        yield from _of_masks(results, kind)
+    yield "## Thresholds that were tuned on the test"
+    yield thresholds_table(results, masks)
+    yield "## Does significance stand in for volume?"
+    yield (
+        "Fig. S3 of the paper: mIoU by Gaussians, with and without significance, beside mIoU by voxels, for `mean`."
+    )
+    for kind in masks:
+        if "mean" in methods_of(results, kind):
+            yield f"{kind} masks:"
+            yield study_table(results, kind, "mean")
+    yield "## Again"
+    yield _AGAIN.format(scene=next(iter(scenes)))
+    yield _versions(results)
+    yield files_table(results)
+
+
+def _of_masks(results: Results, kind: str) -> Iterator[str]:
+    yield f"## {kind.capitalize()} masks"
+    yield "Selection (`lerf-ovs@1`):"
+    yield measures_table(results, kind, SELECTION)
+    yield "Classes (`scannet-volume@1`, `scannet-points@1`, `voxel@1`), and localization by threshold (`scannet-volume@1`):"
+    yield measures_table(results, kind, SEGMENTATION)
+    if "mean" in methods_of(results, kind):
+        yield "Minus `mean`, scene by scene:"
+        yield against_table(results, kind, "mean")
+
+
+def _versions(results: Results) -> str:
+    encoder, segmenter = results["encoder"], results["segmenter"]
+    return (
+        f"Made with drsplat {results['drsplat']}, encoder {encoder['name']} (weights `{encoder['weights']}`), segmenter "
+        f"{segmenter['name']} (weights `{segmenter['weights']}`), label set {results['label_set']}. Scenes:"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("results", type=Path)
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE.md")
+    arguments = parser.parse_args()
+    text = page(json.loads(arguments.results.read_text(encoding="utf-8")))
+    with replacing(arguments.output, overwrite=True) as file:
+        file.write(text.encode())
+
+
+if __name__ == "__main__":
+    main()
