@@ -15,7 +15,6 @@ import json
 import shutil
 from pathlib import Path
 
-import gsply
 import numpy as np
 from PIL import Image
 
@@ -90,6 +89,8 @@ def _ply(cloud: LabelledCloud) -> bytes:
 
 def pack_scene(scene: Path, output: Path) -> None:
     """As SuperSplat's compressed PLY, some 20 bytes per Gaussian."""
+    import gsply
+
     gsply.plywrite(str(output / SCENE), gsply.plyread(str(scene)), compressed=True)
 
 

@@ -1,0 +1,205 @@
+"""The benchmark that ships (world/benchmark): its page, its rival, and a run on shipped scenes."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from world import packing
+from world.benchmark import masks, numbers, page, reading, rendered, running, scenes
+
+from drsplat.evaluation.lerf_ovs import read_lerf_scene
+from drsplat.evaluation.metrics import pearson
+from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS, PAGE = ROOT / "docs" / "evaluation.json", ROOT / "docs" / "evaluation.md"
+SHIPPED = sorted(path.parent for path in (ROOT / "world/scenes").glob("*/truth.json"))
+shipped = pytest.mark.skipif(not SHIPPED, reason="world/scenes has no packed scene")
+
+
+def test_the_page_is_what_the_results_make() -> None:
+    if not RESULTS.is_file():
+        pytest.skip("docs/evaluation.json is not there: nothing was run yet")
+    assert PAGE.read_text(encoding="utf-8") == page.page(json.loads(RESULTS.read_text("utf-8")))
+
+
+def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[str, Any]:
+    """All numbers of one scene at one level."""
+    columns = {
+        name: {"miou": level, "acc@0.25": level, "acc@0.5": level, "localization": level}
+        for name in ("fixed", "automatic")
+    }
+    whole = {"miou": level, "macc": level}
+    study = {"scene": scene, "voxel": level, "weighted": level**2, "unweighted": 1 - level}
+    return {
+        "scene": scene, "masks": "true", "method": method,
+        "lerf-ovs": {"columns": columns, "sweep": sweep, "leaked": []},
+        "scannet-volume": {"segmentation": whole, "columns": columns, "sweep": sweep},
+        "scannet-points": {"segmentation": whole},
+        "voxel": {"segmentation": whole, "study": study},
+    }  # fmt: skip
+
+
+def results() -> dict[str, Any]:
+    """Three scenes; robust is better by 10 in each of them."""
+    about = {
+        "seed": 1, "cameras": "orbit", "things": 2, "photos": 3, "labelled_photos": 1, "pairs": 2,
+        "gaussians": 1234, "points": 5, "files": {"scene.compressed.ply": "ab12", "frame.json": "cd"},
+    }  # fmt: skip
+    records = [
+        record(scene, method, level + gain, [level + gain, level + gain + 0.2, 0.1])
+        for scene, level in (("a", 0.3), ("b", 0.4), ("c", 0.5))
+        for method, gain in (("mean", 0.0), ("robust", 0.1))
+    ]
+    return {
+        "drsplat": "0", "label_set": "household", "sweep": [0.2, 0.4, 0.6], "voxel_side": 0.05,
+        "encoder": {"name": "e", "weights": "w", "threshold": 0.5},
+        "segmenter": {"name": "graph", "weights": "w"},
+        "scenes": dict.fromkeys("abc", about), "records": records,
+    }  # fmt: skip
+
+
+def test_a_page_by_hand() -> None:
+    text = page.page(results())
+    assert "| `mean` | 40.0 [30.0, 50.0] |" in text
+    assert "| `robust` | +10.0 [+10.0, +10.0] |" in text
+    assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
+    assert "selection, fixed +10.0 [+10.0, +10.0] (more)" in text
+    assert "tuning on the test (at 0.40) adds +20.0 [+20.0, +20.0]" in text
+    assert "| Spearman with voxels |  | 1.000 | -1.000 |" in text
+    assert "scene.compressed.ply | `ab12` |" in text
+
+
+def test_the_tuned_threshold_is_the_best_over_all_scenes() -> None:
+    made = results()
+    assert numbers.tuned(made, "true", "mean", "lerf-ovs")[0] == 0.4
+    for found in made["records"]:
+        found["lerf-ovs"]["sweep"] = [0.5, 0.5, 0.5]
+    threshold, values = numbers.tuned(made, "true", "mean", "lerf-ovs")
+    assert (threshold, values) == (0.2, [50.0, 50.0, 50.0])
+
+
+def test_the_study_correlates_over_scenes() -> None:
+    found = numbers.correlations(numbers.records_of(results(), "true", "mean"))
+    levels = [0.3, 0.4, 0.5]
+    assert found["weighted"]["pearson"] == pytest.approx(pearson(levels, np.square(levels)))
+    assert found["unweighted"]["spearman"] == pytest.approx(-1)
+    assert numbers.correlations(numbers.records_of(results(), "true", "mean")[:2]) == {}
+
+
+@given(st.lists(st.floats(-50, 50), min_size=2, max_size=12))
+def test_a_verdict_turns_with_the_sign(values: list[float]) -> None:
+    opposite = {"more": "less", "less": "more"}
+    found = reading.verdict(values)
+    assert reading.verdict([-value for value in values]) == opposite.get(found, found)
+
+
+def test_least_squares_are_numpys() -> None:
+    rng = np.random.default_rng(0)
+    weights = rng.random((60, 8), np.float32) * (rng.random((60, 8)) < 0.6)
+    weights[:, 3] = 0  # no photo sees it
+    targets = rng.standard_normal((60, 4)).astype(np.float32)
+    found = rendered.least_squares(csr_array(weights.astype(np.float32)), targets, 40)
+    expected, *_ = np.linalg.lstsq(weights.astype(np.float64), targets, rcond=None)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert not found[3].any()
+
+
+def test_the_first_step_of_fitting_is_along_the_mean() -> None:
+    """From zero, the gradient is the weighted sum that registration normalises."""
+    rng = np.random.default_rng(1)
+    weights = rng.random((30, 5), np.float32)
+    targets = rng.standard_normal((30, 3)).astype(np.float32)
+    found = rendered.least_squares(csr_array(weights), targets, 1)
+    ratio = found / (weights.T @ targets)
+    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[0], ratio.shape), rtol=1e-4)
+
+
+def test_gaussians_at_points_are_as_large_as_the_gaps() -> None:
+    line = np.zeros((4, 3), np.float32)
+    line[:, 0] = [0, 1, 2, 3]
+    made = scenes.at_points(line)
+    np.testing.assert_array_equal(made.means, line)
+    expected = np.array([2, 4 / 3, 4 / 3, 2], np.float32)  # mean of three distances
+    np.testing.assert_allclose(made.scales, np.repeat(expected[:, None], 3, axis=1), rtol=1e-6)
+    assert (made.opacities == np.float32(scenes.OPACITY)).all()
+
+
+def rendered_folder(place: Path, points: int) -> LabelledCloud:
+    """The parts of a rendered room that labels are packed from."""
+    labels, scan = place / "lerf_ovs/label/room", place / "scannet/room"
+    labels.mkdir(parents=True)
+    scan.mkdir(parents=True)
+    truth = {
+        "scene": "room",
+        "objects": [],
+        "structures": [],
+        "views": [{"name": "frame_00001.jpg"}],
+    }
+    (place / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    info = {"name": "frame_00001.jpg", "width": 8, "height": 6}
+    piece = {"category": "red mug", "bbox": [1, 1, 4, 4], "segmentation": [[1, 1], [4, 1], [4, 4]]}
+    document = {"info": info, "objects": [piece]}
+    (labels / "frame_00001.json").write_text(json.dumps(document), encoding="utf-8")
+    rng = np.random.default_rng(0)
+    cloud = LabelledCloud(
+        rng.random((points, 3), np.float32), rng.integers(0, 40, points).astype(np.int32)
+    )
+    (scan / "room_vh_clean_2.labels.ply").write_bytes(packing._ply(cloud))
+    return cloud
+
+
+@pytest.mark.parametrize("points", [7, 2 * packing.LABELLED_POINTS + 1])
+def test_packed_labels_are_what_the_readers_read(points: int, tmp_path: Path) -> None:
+    cloud = rendered_folder(tmp_path / "rendered", points)
+    output = tmp_path / "scenes" / "small"
+    output.mkdir(parents=True)
+    for _ in range(2):  # again, over its own files
+        packing.pack_labels(tmp_path / "rendered", output)
+    found = read_scannet_labels(output / "small_vh_clean_2.labels.ply")
+    step = max(1, (points - 1) // (packing.LABELLED_POINTS - 1))
+    assert len(found.labels) == min(points, packing.LABELLED_POINTS)
+    np.testing.assert_array_equal(found.positions[0], cloud.positions[0])
+    np.testing.assert_array_equal(found.positions[-1], cloud.positions[-1])
+    np.testing.assert_array_equal(found.labels[1], cloud.labels[step])
+    frame = json.loads((tmp_path / "scenes/label/small/frame_00001.json").read_text("utf-8"))
+    assert frame["objects"][0]["category"] == "red mug"
+
+
+@shipped
+@pytest.mark.parametrize("folder", SHIPPED[:2], ids=lambda path: path.name)
+def test_shipped_scenes_are_whole(folder: Path) -> None:
+    scene = scenes.read_scene(folder)
+    known = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert sorted(f"{frame.name}.jpg" for frame in scene.lerf.frames) == sorted(known["held_out"])
+    assert not {view.name for view in scene.views} & set(known["held_out"])
+    assert read_lerf_scene(folder.parent, folder.name).categories == scene.lerf.categories
+    assert len(np.unique(scene.points.points.labels)) > 3
+    view = scene.views[0]
+    ids = scene.ids(view)
+    image = np.zeros((*ids.shape, 3), np.uint8)
+    cut = masks.true_masks(scene, view, image)["large"]
+    assert sum(cut.areas) == (ids >= 0).sum()
+    for index, number in enumerate(np.unique(ids[ids >= 0])):
+        np.testing.assert_array_equal(cut.full(index), ids == number)
+
+
+@shipped
+def test_registration_beats_lookup_of_rendered_features(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = running.Task(SHIPPED[0], "true", ("mean", rendered.RENDERED), tmp_path, 5, 0)
+    first = running.run([task], 1)
+    mean, rival = (numbers.MEASURES["selection"].pick(found) for found in first)
+    assert mean > rival + 0.1
+    assert first[0]["lerf-ovs"]["leaked"] == []
+    monkeypatch.setattr(running, "Workshop", None)  # nothing is made again
+    assert running.run([task], 1) == first
+    path = tmp_path / "results.json"
+    running.write_results(path, running.results_of([SHIPPED[0]], 5, first))
+    assert "| `mean` |" in page.page(json.loads(path.read_text(encoding="utf-8")))
