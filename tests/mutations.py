@@ -4,6 +4,7 @@
 half aims at what readers trust (counts, sizes, numbers in text, floats, compressed streams).
 """
 
+import ctypes
 import gc
 import gzip
 import os
@@ -206,6 +207,7 @@ def bounded_allocations(allowance: int) -> Iterator[None]:
     """Allocations beyond `allowance` bytes raise MemoryError, which no reader is to raise."""
     bombs()  # made once, with more memory than this
     gc.collect()
+    _give_back_free_memory()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + allowance, hard))
@@ -215,6 +217,13 @@ def bounded_allocations(allowance: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def _give_back_free_memory() -> None:
+    """What earlier tests left at the top of the heap could be had again without any new address space."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc
+    if trim is not None:
+        trim(ctypes.c_size_t(0))
 
 
 def quota(count: int) -> int:
