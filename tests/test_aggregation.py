@@ -261,7 +261,9 @@ def test_the_order_in_which_views_come_does_not_matter(how: Aggregator) -> None:
         renamed[evidence.segments.views[order]].astype(np.int32),
         evidence.segments.ids[order],
     )
-    shuffled = Evidence(csr_array(evidence.weights[:, order]), segments, evidence.embeddings[order])
+    columns = csr_array(evidence.weights[:, order])
+    columns.sort_indices()  # or the entries of a row would still come in the old order
+    shuffled = Evidence(columns, segments, evidence.embeddings[order])
     assert shuffled.segments.view_names != evidence.segments.view_names
     ours, expected = features(how, shuffled), features(how, evidence)
     if how.steps:

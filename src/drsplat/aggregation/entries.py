@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from ..evidence import Evidence, Segments
 
-BLOCK = 2048  # rows: a step's embeddings, 4 MB at 512 numbers, stay near the processor
+BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay near the processor
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,6 +128,6 @@ def _likeness(
     """g of all pairs of candidates of each row, from one table of all pairs in the block."""
     present, at = np.unique(candidates, return_inverse=True)
     features = evidence.rows(present).features(0, len(present), threads=threads)
-    alike = np.exp((np.minimum(features @ features.T, 1).astype(np.float64) - 1) / bandwidth)
-    at = at.reshape(candidates.shape)
-    return np.asarray(alike[at[:, :, None], at[:, None, :]])
+    cosines, at = features @ features.T, at.reshape(candidates.shape)
+    pairs = np.minimum(cosines[at[:, :, None], at[:, None, :]], 1).astype(np.float64)
+    return np.asarray(np.exp((pairs - 1) / bandwidth))
