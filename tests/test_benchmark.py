@@ -13,7 +13,7 @@ from world import packing
 from world.benchmark import masks, numbers, page, reading, rendered, running, scenes
 
 from drsplat.evaluation.lerf_ovs import read_lerf_scene
-from drsplat.evaluation.metrics import pearson
+from drsplat.evaluation.metrics import mean_interval, pearson
 from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -46,33 +46,34 @@ def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[st
 
 
 def results() -> dict[str, Any]:
-    """Three scenes; robust is better by 10 in each of them."""
+    """Five scenes; robust is better by 10 in each of them."""
     about = {
         "seed": 1, "cameras": "orbit", "things": 2, "photos": 3, "labelled_photos": 1, "pairs": 2,
-        "gaussians": 1234, "points": 5, "files": {"scene.compressed.ply": "ab12", "frame.json": "cd"},
+        "gaussians": 1234, "points": 5, "photos_and_truth": "ef", "files": {"scene.compressed.ply": "ab12", "a.ply": "cd", "frame.json": "12"},
     }  # fmt: skip
     records = [
         record(scene, method, level + gain, [level + gain, level + gain + 0.2, 0.1])
-        for scene, level in (("a", 0.3), ("b", 0.4), ("c", 0.5))
+        for scene, level in zip("abcde", (0.3, 0.35, 0.4, 0.45, 0.5), strict=True)
         for method, gain in (("mean", 0.0), ("robust", 0.1))
     ]
     return {
-        "drsplat": "0", "label_set": "household", "sweep": [0.2, 0.4, 0.6], "voxel_side": 0.05,
+        "drsplat": "0", "label_set": "household", "sweep": [0.2, 0.4, 0.6], "voxel_side": 0.05, "absent_words": 0,
         "encoder": {"name": "e", "weights": "w", "threshold": 0.5},
         "segmenter": {"name": "graph", "weights": "w"},
-        "scenes": dict.fromkeys("abc", about), "records": records,
+        "scenes": dict.fromkeys("abcde", about), "records": records,
     }  # fmt: skip
 
 
 def test_a_page_by_hand() -> None:
     text = page.page(results())
-    assert "| `mean` | 40.0 [30.0, 50.0] |" in text
+    low, high = mean_interval([30.0, 35.0, 40.0, 45.0, 50.0])
+    assert f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] |" in text
     assert "| `robust` | +10.0 [+10.0, +10.0] |" in text
     assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
-    assert "selection, fixed +10.0 [+10.0, +10.0] (more)" in text
-    assert "tuning on the test (at 0.40) adds +20.0 [+20.0, +20.0]" in text
+    assert "`robust` minus `mean`.** *more:* selection, fixed +10.0 [+10.0, +10.0];" in text
+    assert "Tuning on the test (at 0.40) adds +20.0 [+20.0, +20.0]" in text
     assert "| Spearman with voxels |  | 1.000 | -1.000 |" in text
-    assert "scene.compressed.ply | `ab12` |" in text
+    assert "| e | `ab12` | `cd` | `ef` |" in text
 
 
 def test_the_tuned_threshold_is_the_best_over_all_scenes() -> None:
@@ -81,12 +82,12 @@ def test_the_tuned_threshold_is_the_best_over_all_scenes() -> None:
     for found in made["records"]:
         found["lerf-ovs"]["sweep"] = [0.5, 0.5, 0.5]
     threshold, values = numbers.tuned(made, "true", "mean", "lerf-ovs")
-    assert (threshold, values) == (0.2, [50.0, 50.0, 50.0])
+    assert (threshold, values) == (0.2, [50.0] * 5)
 
 
 def test_the_study_correlates_over_scenes() -> None:
     found = numbers.correlations(numbers.records_of(results(), "true", "mean"))
-    levels = [0.3, 0.4, 0.5]
+    levels = [0.3, 0.35, 0.4, 0.45, 0.5]
     assert found["weighted"]["pearson"] == pytest.approx(pearson(levels, np.square(levels)))
     assert found["unweighted"]["spearman"] == pytest.approx(-1)
     assert numbers.correlations(numbers.records_of(results(), "true", "mean")[:2]) == {}

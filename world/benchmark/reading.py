@@ -18,13 +18,16 @@ from .numbers import (
 from .rendered import RENDERED
 from .tables import COMPARED, COMPARED_WORDS, gain
 
+PAIRS = (("mean", RENDERED), ("robust", "mean"), ("inliers", "mean"), ("official", "mean"))
+FEW = 5  # of fewer scenes, no interval is believed
+
 
 def reading(results: Results) -> list[str]:
     """Sentences."""
     found = []
     for masks in masks_of(results):
         known = methods_of(results, masks)
-        for better, worse in (("mean", RENDERED), ("robust", "mean"), ("mean", "official")):
+        for better, worse in PAIRS:
             if {better, worse} <= set(known):
                 found.append(_compared(results, masks, better, worse))
         found.append(_best(results, masks))
@@ -38,23 +41,25 @@ def reading(results: Results) -> list[str]:
 def verdict(numbers: Sequence[float]) -> str:
     """By the interval of the mean over scenes.
 
-    >>> verdict([1.0, 2.0]), verdict([-1.0, 1.0]), verdict([1.0])
-    ('more', 'no difference that these scenes can tell', 'one scene tells nothing about others')
+    >>> verdict([1.0, 2.0, 1.0, 2.0, 1.0]), verdict([-1.0, 1.0, -2.0, 2.0, 0.0]), verdict([1.0, 2.0])
+    ('more', 'undecided', 'too few scenes to say')
     """
-    if len(numbers) < 2:
-        return "one scene tells nothing about others"
+    if len(numbers) < FEW:
+        return "too few scenes to say"
     low, high = metrics.mean_interval(numbers)
     if low > 0:
         return "more"
-    return "less" if high < 0 else "no difference that these scenes can tell"
+    return "less" if high < 0 else "undecided"
 
 
 def _compared(results: Results, masks: str, method: str, base: str) -> str:
-    parts = []
+    groups: dict[str, list[str]] = {}
     for key in COMPARED:
         numbers = gain(results, masks, method, base, key)
-        parts.append(f"{COMPARED_WORDS[key]} {said(numbers, signed=True)} ({verdict(numbers)})")
-    return f"**{masks} masks, `{method}` minus `{base}`:** {'; '.join(parts)}."
+        part = f"{COMPARED_WORDS[key]} {said(numbers, signed=True)}"
+        groups.setdefault(verdict(numbers), []).append(part)
+    parts = (f"*{word}:* {'; '.join(group)}" for word, group in groups.items())
+    return f"**{masks} masks, `{method}` minus `{base}`.** {'. '.join(parts)}."
 
 
 def _best(results: Results, masks: str) -> str:
@@ -66,7 +71,7 @@ def _best(results: Results, masks: str) -> str:
         best = max(means, key=lambda method: means[method])
         parts.append(f"{COMPARED_WORDS[key]} `{best}` {means[best]:.1f}")
     return (
-        f"**{masks} masks, highest mean of each column:** {', '.join(parts)}. The highest of many is "
+        f"**{masks} masks, highest mean of each column.** {', '.join(parts)}. The highest of many is "
         "partly luck: see the intervals."
     )
 
@@ -78,7 +83,7 @@ def _thresholds(results: Results, masks: str, method: str) -> str:
     fixed, automatic = (values(results, masks, method, key) for key in ("selection", "automatic"))
     over = difference(best, fixed)
     return (
-        f"**{masks} masks, thresholds (`{method}`, selection):** tuning on the test (at {threshold:.2f}) adds "
+        f"**{masks} masks, thresholds (`{method}`, selection).** Tuning on the test (at {threshold:.2f}) adds "
         f"{said(over, signed=True)} to the fixed threshold; the automatic one adds "
         f"{said(difference(automatic, fixed), signed=True)} ({verdict(difference(automatic, fixed))})."
     )
@@ -91,7 +96,7 @@ def _study(results: Results, masks: str, method: str) -> str:
     a, b = found["weighted"], found["unweighted"]
     follows = "more" if a["pearson"] > b["pearson"] else "not more"
     return (
-        f"**{masks} masks, significance (`{method}`):** mIoU weighted by it follows the voxels {follows} closely "
+        f"**{masks} masks, significance (`{method}`).** mIoU weighted by it follows the voxels {follows} closely "
         f"than unweighted (Pearson {a['pearson']:.3f} and {b['pearson']:.3f}, Spearman {a['spearman']:.3f} and "
         f"{b['spearman']:.3f}, {len(records_of(results, masks, method))} scenes)."
     )
@@ -102,4 +107,4 @@ def _masks(results: Results, method: str) -> str:
     for key in COMPARED:
         lost = difference(*(values(results, masks, method, key) for masks in ("graph", "true")))
         parts.append(f"{COMPARED_WORDS[key]} {said(lost, signed=True)}")
-    return f"**Found masks minus true ones (`{method}`):** {'; '.join(parts)}."
+    return f"**Found masks minus true ones (`{method}`).** {'; '.join(parts)}."

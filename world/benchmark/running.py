@@ -14,15 +14,18 @@ from typing import Any
 from drsplat import GraphSegmenter, MiniEncoder
 from drsplat.aggregation import AGGREGATORS
 from drsplat.encoders import identity_json
+from drsplat.errors import InputError
 from drsplat.evaluation.voxel import SIDE
 from drsplat.formats.replacing import replacing
+from drsplat.search import ABSENT
 
 from .methods import Workshop
 from .rendered import RENDERED
 from .scenes import LABEL_SET, BenchScene, about, read_scene
-from .scoring import AUTOMATIC, SWEEP, scored
+from .scoring import SWEEP, scored
 
 FORMAT, VERSION = "drsplat benchmark", 1
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 METHODS = (*AGGREGATORS, RENDERED)
 
 
@@ -40,6 +43,8 @@ class Task:
 
 def run(tasks: Sequence[Task], jobs: int) -> list[dict[str, Any]]:
     """The records of all tasks, in their order."""
+    for variable in THREADS:  # read when workers start
+        os.environ.setdefault(variable, str(threads_for(jobs)))
     if jobs == 1:
         return [record for task in tasks for record in run_task(task)]
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
@@ -117,12 +122,24 @@ def results_of(
         "encoder": {**identity_json(MiniEncoder().identity), "threshold": MiniEncoder().threshold},
         "segmenter": dict(GraphSegmenter().identity),
         "label_set": LABEL_SET,
-        "automatic": AUTOMATIC,
+        "absent_words": absent_words(MiniEncoder()),
         "sweep": list(SWEEP),
         "voxel_side": SIDE,
         "scenes": scenes,
         "records": list(records),
     }
+
+
+def absent_words(encoder: MiniEncoder) -> int:
+    """How many words of things that are nowhere the encoder knows: the automatic threshold asks them."""
+    known = 0
+    for text in ABSENT:
+        try:
+            encoder.encode_texts([text])
+        except InputError:
+            continue
+        known += 1
+    return known
 
 
 def write_results(path: Path, results: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """A packed scene as the protocols need it."""
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,4 +90,14 @@ def about(scene: BenchScene) -> dict[str, object]:
         "gaussians": len(scene.gaussians),
         "points": len(scene.points.gaussians),
         "files": {path.name: hash_file(path) for path in files},
+        "photos_and_truth": _hash_together(scene.folder),
     }
+
+
+def _hash_together(folder: Path) -> str:
+    """Of photos, poses, and what the photos show."""
+    paths = [path for part in ("images", "ids", "sparse") for path in (folder / part).rglob("*.*")]
+    digest = hashlib.blake2b(digest_size=16)
+    for path in sorted(path for path in paths if path.is_file()):
+        digest.update(f"{path.relative_to(folder).as_posix()} {hash_file(path)}\n".encode())
+    return digest.hexdigest()

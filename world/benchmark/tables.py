@@ -103,9 +103,11 @@ def study_table(results: Results, masks: str, method: str) -> str:
 
 def files_table(results: Results) -> str:
     rows = [
-        (name, file, f"`{digest}`")
+        (
+            name,
+            *(f"`{digest}`" for file, digest in scene["files"].items() if file.endswith(".ply")),
+            f"`{scene['photos_and_truth']}`",
+        )
         for name, scene in results["scenes"].items()
-        for file, digest in scene["files"].items()
-        if file.endswith(".ply")
     ]
-    return markdown(("scene", "file", "BLAKE2b-128"), rows)
+    return markdown(("scene", "Gaussians", "labelled points", "photos, poses, ids"), rows)
