@@ -1,8 +1,8 @@
 """One fixed threshold beside thresholds chosen for each query, by mIoU over Gaussians whose truth is known.
 
-    python benchmarks/depth_scenes.py rooms/train_* --output scenes --encoder simulated-clip
+    python -m world.depth_scenes rooms/train_* --output scenes --encoder simulated-clip
     python benchmarks/study_thresholds.py scenes/* [--json OUT.json]
-    python benchmarks/study_thresholds.py --demo DEMO_FOLDER     (what `drsplat demo` wrote, seed 0)
+    python benchmarks/study_thresholds.py --furnished FOLDER     (makes `world.furnished` there)
 
 A scene is a folder with scene.field, labels.npy (N integers: of each Gaussian the id of its thing, -1 for
 unknown) and things.json (list of id, name, color; things without colour are structures). Queries: names of
@@ -16,6 +16,7 @@ all other scenes. Confidence intervals are over scenes, 95 %, by bootstrap.
 
 import argparse
 import json
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,7 +24,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from simulated_clip import SimulatedClip
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from world.simulated_clip import SimulatedClip
 
 from drsplat import LanguageField, MiniEncoder, WordEncoder, load_field
 from drsplat.errors import InputError
@@ -181,12 +185,11 @@ def scored_field(
     return found
 
 
-def scored_demo(folder: Path) -> list[Scored]:
-    """The demo's room; the floor, the walls, the window and the rug are its structures."""
-    from drsplat.demo.cameras import walk
-    from drsplat.demo.room import build_room
+def scored_furnished(folder: Path) -> list[Scored]:
+    """The furnished room; the floor, the walls, the window and the rug are its structures."""
+    from world.furnished.story import tell
 
-    room = build_room(1.0, 0).seen_from(walk(24, 640, 480))
+    room = tell(folder).room
     field, things = load_field(folder / "room.field"), []
     for index, full in enumerate(room.names):
         *first, name = full.split()
@@ -252,8 +255,8 @@ def table(scenes: list[list[Scored]]) -> dict[str, dict[str, list[float]]]:
 def scenes_of(arguments: argparse.Namespace) -> Iterator[list[Scored]]:
     for folder in arguments.folders:
         yield scored_scene(folder)
-    if arguments.demo:
-        yield scored_demo(arguments.demo)
+    if arguments.furnished:
+        yield scored_furnished(arguments.furnished)
 
 
 def main() -> None:
@@ -261,7 +264,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--demo", type=Path)
+    parser.add_argument("--furnished", type=Path)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     scenes = list(scenes_of(arguments))

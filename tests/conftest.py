@@ -3,19 +3,32 @@
 from pathlib import Path
 
 import pytest
+from world.furnished.story import Setup, Story, tell
 
-from drsplat.demo.story import Setup, Story, tell
+from drsplat.demo import story as household
 
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
 
 
 @pytest.fixture(scope="session")
 def demo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the small demo's files are; tests read them and write elsewhere."""
-    return tmp_path_factory.mktemp("demo") / "room"
+    """Where the furnished room's files are; tests read them and write elsewhere."""
+    return tmp_path_factory.mktemp("furnished") / "room"
 
 
 @pytest.fixture(scope="session")
 def story(demo_folder: Path) -> Story:
-    """The demo with fewer Gaussians and photos, told once."""
+    """The furnished room with fewer Gaussians and photos, told once."""
     return tell(demo_folder, SMALL)
+
+
+@pytest.fixture(scope="session")
+def household_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the demo's files are; tests read them and write elsewhere."""
+    return tmp_path_factory.mktemp("demo") / "room"
+
+
+@pytest.fixture(scope="session")
+def household_story(household_folder: Path) -> household.Story:
+    """The demo, told once."""
+    return household.tell(household_folder)

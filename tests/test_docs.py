@@ -114,7 +114,9 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
     assert {command[1] for command in commands} == set(VERBS) - {"demo"}
     commands = [
-        command[1:] for command in commands if command[1] not in ("train", "embed", "codebook", "evaluate")
+        command[1:]
+        for command in commands
+        if command[1] not in ("train", "embed", "codebook", "evaluate")
     ]
     for file in capture.iterdir():
         (tmp_path / file.name).symlink_to(file)

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from world.furnished.capture import write_model
 
 import drsplat as ds
 from captures_to_train import ring
 from drsplat import cli
 from drsplat.crops import crop
-from drsplat.demo.capture import write_model
 from drsplat.embedding import embed, recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.activation import SH_C0

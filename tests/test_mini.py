@@ -1,14 +1,14 @@
 """The built-in encoder: its words, its network, what it says to strangers."""
 
 import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from world.mini.augment import cut_out
+from world.mini.texts import bank, said_of, truth
 
 from drsplat.adapters.loading import load_encoder
 from drsplat.commands.answers import Ask, asked
@@ -18,14 +18,20 @@ from drsplat.errors import InputError
 from drsplat.field import build_field
 from drsplat.mini import MiniEncoder
 from drsplat.mini.encoder import DIM, _pixels
-from drsplat.mini.lexicon import COLORS, GROUPS, MATERIALS, NAMES, WORDS, fits, words_of
+from drsplat.mini.lexicon import (
+    COLORS,
+    GROUPS,
+    MATERIALS,
+    NAMES,
+    ORANGE,
+    PAINTS,
+    STRUCTURES,
+    WORDS,
+    fits,
+    words_of,
+)
 from drsplat.mini.network import STRIDES, embed_images
 from fields import SCENE, random_evidence
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
-from world.mini.augment import cut_out
-from world.mini.texts import bank, said_of, truth
 
 
 @pytest.fixture(scope="module")
@@ -120,10 +126,14 @@ def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
 
 
 def test_the_lexicon_holds_together() -> None:
-    assert {name for names in GROUPS.values() for name in names} <= set(NAMES)
+    assert {name for names in GROUPS.values() for name in names} <= {*NAMES, *STRUCTURES}
     assert {word for name in NAMES for word in name.split()} <= set(WORDS)
     assert fits("orange", "orange", "orange", "peel")
-    assert fits("orange", "mug", "orange", "ceramic")
+    assert fits(ORANGE, "mug", "orange", "ceramic")
+    assert not fits("orange", "mug", "orange", "ceramic")
+    assert not fits(ORANGE, "orange", "green", "peel")
+    assert fits("carpet", "rug", "", "")
+    assert fits("red", "rug", "", "") is fits("wood", "floor", "", "") is None
     assert fits("drink", "mug", "red", "ceramic")
     assert not fits("mug", "bowl", "red", "ceramic")
     assert fits("wooden", "chair", "brown", "wood")
@@ -132,7 +142,22 @@ def test_the_lexicon_holds_together() -> None:
 
 @given(st.sampled_from(NAMES), st.sampled_from(COLORS), st.sampled_from(MATERIALS))
 def test_every_thing_is_what_its_words_say(name: str, color: str, material: str) -> None:
-    assert all(fits(word, name, color, material) for word in [*name.split(), color, material])
+    paint = PAINTS[COLORS.index(color)]
+    assert all(fits(word, name, color, material) for word in [*name.split(), paint, material])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("an orange", ["orange"]), ("oranges", ["orange"]), ("orange carrots", [ORANGE, "carrot"]),
+     ("orange orange", [ORANGE, "orange"]), ("something orange", [ORANGE]), ("orange thing", [ORANGE, "thing"]),
+     ("red orange", ["red", "orange"]), ("anything that is orange", [ORANGE])],
+)  # fmt: skip
+def test_an_orange_is_a_fruit_or_a_colour(text: str, words: list[str]) -> None:
+    assert words_of(text) == words
+
+
+def test_every_word_has_its_row(mini: MiniEncoder) -> None:
+    assert mini._weights["words"].shape == (len(WORDS), DIM)
 
 
 def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> None:
@@ -164,7 +189,27 @@ def test_what_is_said_of_a_thing_is_true() -> None:
     rng = np.random.default_rng(2)
     for name in NAMES:
         label = (name, COLORS[rng.integers(len(COLORS))], MATERIALS[rng.integers(len(MATERIALS))])
-        assert truth([label], [said_of(label, rng) for _ in range(40)]).all()
+        assert (truth([label], [said_of(label, rng) for _ in range(40)]) == 1).all()
+    for name in STRUCTURES:
+        assert (
+            truth([(name, "", "")], [said_of((name, "", ""), rng) for _ in range(40)]) == 1
+        ).all()
+
+
+def test_nobody_knows_the_colour_of_a_wall() -> None:
+    found = truth(
+        [("wall", "", "")], [("red", "wall"), ("red",), ("red", "mug"), ("wall",), ("wood",)]
+    )
+    assert_array_equal(found, [[np.nan, np.nan, 0, 1, np.nan]])
+
+
+def test_the_loss_is_over_what_is_known() -> None:
+    torch = pytest.importorskip("torch", reason="learning needs torch")
+    from world.mini.learning import doubt
+
+    logits = torch.tensor([[0.0, 3.0], [-2.0, 5.0]])
+    wanted = torch.tensor([[1.0, float("nan")], [0.0, float("nan")]])
+    assert_allclose(float(doubt(logits, wanted)), np.log(2) + np.log(1 + np.exp(-2)), rtol=1e-6)
 
 
 def test_most_random_texts_are_not_true_of_a_thing() -> None:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from world.furnished.story import Story
 
 from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
-from drsplat.demo.story import Story
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
 from drsplat.search import (

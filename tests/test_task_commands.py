@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from world.furnished.story import Story, intersection_over_union
 
 from drsplat import WordEncoder, load_field, read_gaussians, select
 from drsplat.cli import main
 from drsplat.commands.legend import class_colors, legend
-from drsplat.demo.story import Story, intersection_over_union
 from drsplat.formats.npy import write_npy
 from drsplat.thresholds import share_threshold
 

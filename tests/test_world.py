@@ -1,7 +1,6 @@
 """The household world (world/): things, looks, rooms, cameras, layouts. Only the last tests render."""
 
 import json
-import sys
 import zipfile
 from pathlib import Path
 
@@ -10,17 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageDraw
-
-import drsplat as ds
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from world import contours, layouts, looks, meshes, scan, textures
 from world.cameras import is_free, look_at, views_of
 from world.denoising import denoised
 from world.render import Shot
 from world.rooms import Room, make_room, overlap
 from world.things import CATALOGUE, make
+
+import drsplat as ds
 
 SPLITS = (looks.TRAIN, looks.TEST)
 SEEDS = range(2)

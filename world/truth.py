@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int32, UInt8
@@ -14,9 +15,10 @@ Label = tuple[str, str, str]  # name, colour, material; "" where that is not kno
 
 @dataclass(frozen=True)
 class Truth:
-    """labels: by id. objects: ids of things, the others are structures."""
+    """known: all of truth.json. labels: by id. objects: ids of things, the others are structures."""
 
     folder: Path
+    known: dict[str, Any]
     scene: str
     labels: dict[int, Label]
     objects: tuple[int, ...]
@@ -46,4 +48,4 @@ def read_truth(folder: Path) -> Truth:
     }
     structures = {part["id"]: (part["name"], "", "") for part in known["structures"]}
     views = tuple(view["name"] for view in known["views"])
-    return Truth(folder, known["scene"], labels | structures, tuple(labels), views)
+    return Truth(folder, known, known["scene"], labels | structures, tuple(labels), views)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float64
 from .errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
-CUT = 0.6  # of the way from the median to the peak
+CUT = 0.6  # of the way to the peak: from the median, or from 0
 SURPRISE = 2.0  # standard deviations above the mean rise of words that are not meant
 BINS, STEPS, SETTLED = 512, 200, 1e-4
 
@@ -46,6 +46,15 @@ def _usual(rises: Float64[np.ndarray, " k"] | None) -> float:
     if rises is None or not len(rises):
         return 0.0
     return float(rises.mean() + SURPRISE * rises.std())
+
+
+def threshold_above(scores: Scores, least: float, *, peak: int = PEAK) -> float:
+    """`least`, an encoder's own threshold, or `CUT` of the peak where that is higher.
+
+    For scores of which 0 means "as well as not": what answers half of a query ("red", of "red mug") is left out
+    where something answers all of it. No scores: `least`.
+    """
+    return max(least, CUT * _peak(scores, peak)) if len(scores) else least
 
 
 def share_threshold(scores: Scores, share: float) -> float:

@@ -18,11 +18,12 @@ from drsplat.mini.encoder import DIM
 from drsplat.mini.lexicon import WORDS
 from drsplat.mini.network import STRIDES
 
-from .augment import augmented
+from .augment import augmented, repainted
 from .texts import Label, bank, said_of, truth
 
 CHANNELS = (3, 32, 64, 64, 128, 128, 256, 256)
 LEAST_PIXELS = 70
+REPAINTED = 0.35  # of a batch: names are to be learned from shapes, too
 ROWS = {word: row for row, word in enumerate(WORDS)}
 
 
@@ -45,7 +46,7 @@ class Tower(nn.Module):
         for layer in self.convolutions:
             x = torch.relu(layer(x))
         pooled = torch.cat([x.mean((2, 3)), x.amax((2, 3))], 1)
-        return nn.functional.normalize(self.projection(self.drop(pooled)))
+        return nn.functional.normalize(self.projection(self.drop(pooled)).float())
 
     def texts(self, texts: list[tuple[str, ...]]) -> torch.Tensor:
         chosen = torch.zeros(len(texts), len(WORDS))
@@ -54,8 +55,8 @@ class Tower(nn.Module):
                 chosen[i, ROWS[word]] += 1
         return nn.functional.normalize(chosen @ self.words)
 
-    def logits(self, pixels: torch.Tensor, texts: list[tuple[str, ...]]) -> torch.Tensor:
-        return self.scale.exp() * self.images(pixels) @ self.texts(texts).T + self.bias
+    def logits(self, images: torch.Tensor, texts: list[tuple[str, ...]]) -> torch.Tensor:
+        return self.scale.exp() * images @ self.texts(texts).T + self.bias
 
 
 def exported(tower: Tower) -> dict[str, np.ndarray]:
@@ -68,7 +69,6 @@ def exported(tower: Tower) -> dict[str, np.ndarray]:
         tensors[f"conv{i}.bias"] = (norm.bias - norm.running_mean * gain).detach().numpy()
     tensors["projection"] = tower.projection.weight.T.detach().numpy()
     tensors["words"] = tower.words.detach().numpy()
-    tensors["threshold"] = (-tower.bias / tower.scale.exp()).detach().numpy().reshape(1)
     return {name: np.ascontiguousarray(array.astype(np.float16)) for name, array in tensors.items()}
 
 
@@ -86,8 +86,11 @@ class Crops:
     def batch(self, rows: np.ndarray, rng: np.random.Generator) -> tuple[torch.Tensor, list[Label]]:
         chosen = [self.seen[row] for row in rows]
         pictures = [augmented(self.images[i], self.masks[i], rng) for i in chosen]
+        labels = [self.labels[i] for i in chosen]
+        for k in np.flatnonzero(rng.random(len(chosen)) < REPAINTED):
+            pictures[k], labels[k] = repainted(pictures[k], rng), (labels[k][0], "", "")
         pixels = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float() / 127.5 - 1
-        return pixels, [self.labels[i] for i in chosen]
+        return pixels, labels
 
 
 def doubt(logits: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
@@ -114,7 +117,10 @@ def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
         for at in range(0, len(order) - size + 1, size):
             pixels, labels = crops.batch(order[at : at + size], rng)
             texts = [said_of(label, rng) for label in labels] + bank(2 * size, rng)
-            loss = doubt(tower.logits(pixels, texts), torch.from_numpy(truth(labels, texts))) / size
+            with torch.autocast("cpu", torch.bfloat16):  # twice as fast, and as good
+                images = tower.images(pixels)
+            logits = tower.logits(images, texts)
+            loss = doubt(logits, torch.from_numpy(truth(labels, texts))) / size
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 RELEVANCY_THRESHOLD, COSINE_THRESHOLD = 0.5, 0.5
 MIN_GAUSSIANS = 40
-AUTO = "auto"
+AUTO, ENCODER = "auto", "encoder"
 
 
 @dataclass(frozen=True)
@@ -152,12 +152,12 @@ class Asking:
     def _cosine_default(self, own: float | None) -> tuple[float | str, str]:
         if self.ask.click is not None:
             return AUTO, AUTO  # of an encoder, all features of a scene are alike
-        return (COSINE_THRESHOLD, "default") if own is None else (own, "encoder")
+        return (COSINE_THRESHOLD, "default") if own is None else (own, ENCODER)
 
     def _threshold(
         self, values: np.ndarray, default: tuple[float | str, str], words: bool
     ) -> tuple[float, str]:
-        from ..thresholds import automatic_threshold, share_threshold
+        from ..thresholds import automatic_threshold, share_threshold, threshold_above
 
         ask = self.ask
         if ask.top_share is not None:
@@ -165,7 +165,7 @@ class Asking:
         cut, rule = default if ask.threshold is None else (ask.threshold, "given")
         if cut == AUTO:
             return automatic_threshold(values, self._null_rises if words else None), AUTO
-        return float(cut), rule
+        return threshold_above(values, float(cut)) if rule == ENCODER else float(cut), rule
 
     @cached_property
     def _null_rises(self) -> np.ndarray | None:

@@ -1,1 +1,1 @@
-"""A furnished room whose every object is known: to see the whole pipeline, and to measure it."""
+"""A small scene that ships, asked in words and held against its truth."""

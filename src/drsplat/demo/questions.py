@@ -4,27 +4,27 @@ from typing import NamedTuple
 
 
 class Question(NamedTuple):
-    """A query in words, and the names of the things that it means: none where there is no such thing."""
+    """A query in words, and the categories of `truth.json` that it means: none where there is no such thing."""
 
     text: str
-    things: tuple[str, ...]
+    meant: tuple[str, ...]
 
 
 QUESTIONS = (
-    Question("red mug", ("red mug",)),
-    Question("mug", ("red mug", "blue mug")),
-    Question("something green", ("green sofa", "green apples")),
-    Question("wooden table", ("wooden table",)),
-    Question("couch", ("green sofa",)),
-    Question("cat", ("grey cat",)),
-    Question("yellow pillow", ("yellow cushion",)),
-    Question("teddy bear", ("brown teddy",)),
-    Question("ball", ("orange ball",)),
-    Question("books", ("books",)),
-    Question("plant", ("potted plant",)),
-    Question("lamp", ("lamp",)),
-    Question("guitar", ("guitar",)),
-    Question("painting", ("painting",)),
-    Question("bicycle", ()),
-    Question("elephant", ()),
+    Question("yellow apple", ("yellow apple",)),
+    Question("orange carrot", ("orange carrot",)),
+    Question("green cup", ("green mug",)),
+    Question("toy duck", ("green toy duck",)),
+    Question("green car", ("green toy car",)),
+    Question("red vase", ("red vase",)),
+    Question("blue candle", ("blue candle",)),
+    Question("couch", ("orange sofa",)),
+    Question("houseplant", ("green plant",)),
+    Question("wooden table", ("brown table",)),
+    Question("chair", ("brown chair",)),
+    Question("bookcase", ("red shelf",)),
+    Question("something to eat", ("yellow apple", "orange carrot")),
+    Question("fork", ("grey fork",)),
+    Question("laptop", ()),
+    Question("teddy bear", ()),
 )

@@ -1,48 +1,42 @@
-"""From a room to answers, by way of files and through the public interface only."""
+"""From photos to answers, through the public interface only: masks, embeddings, registration, field, words."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from ..codes import Track, untracked
-from ..errors import InputError
+from ..embedding import embed
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
 from ..formats.langsplat import read_features
 from ..formats.scenes import read_gaussians
 from ..gaussians import Gaussians
+from ..graph import GraphSegmenter
+from ..kernels import SplatArrays, splat_arrays
+from ..mini import MiniEncoder
+from ..pictures import visible_share
 from ..registration import register
 from ..tasks import locate
+from ..thresholds import threshold_above
 from ..views import View
-from ..words import WordEncoder
-from .cameras import walk
-from .capture import write_capture
-from .masks import MaskMaker
+from .household import SCENE, Household, unpack_household
 from .questions import QUESTIONS, Question
-from .room import Room, build_room
 
-FIELD = "room.field"
+FIELD, FEATURES = "room.field", "language_features"
 MIN_GAUSSIANS = 40  # smaller things are specks where masks met
-
-
-@dataclass(frozen=True)
-class Setup:
-    """coarse: stretches the distances between Gaussians; 2 makes a quarter as many. size: photos, in pixels."""
-
-    coarse: float = 1.0
-    num_views: int = 24
-    size: tuple[int, int] = (640, 480)
-    seed: int = 0
+RIGHT = 0.5  # least IoU of an answer that is called right
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """gaussian_ids: of all that was found. iou: with the truth, over Gaussians; None where nothing is right.
+    """gaussian_ids: of all that was found. center: of the best instance, in metres, or None.
 
-    center: of the best instance, in metres, or None. scores: lowest and highest of the field.
+    iou: with the truth, over the pixels of all held-out photos; None where nothing is right. scores:
+    lowest and highest of the field.
     """
 
     question: Question
@@ -60,16 +54,17 @@ class Answer:
     @property
     def is_right(self) -> bool:
         """Found, and more right than wrong; or rightly not found."""
-        return not self.found if self.iou is None else self.iou > 0.5
+        return not self.found if self.iou is None else self.iou > RIGHT
 
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """All that the demo did. seconds: by stage."""
+    """All that the demo did. views: those registered. held_out: those that answers are measured in."""
 
-    room: Room
     gaussians: Gaussians
+    splats: SplatArrays
     views: list[View]
+    held_out: list[View]
     field: LanguageField
     answers: list[Answer]
     seconds: dict[str, float]
@@ -79,66 +74,73 @@ class Story:
 
 def tell(
     folder: Path,
-    setup: Setup = Setup(),
+    questions: Sequence[Question] = QUESTIONS,
     *,
     overwrite: bool = False,
     threads: int = 0,
     track: Track = untracked,
 ) -> Story:
-    """Make the room's files in `folder`, register them, ask the QUESTIONS.
+    """Copy the scene to `folder`, mask and embed its photos, register them, ask the questions.
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
-    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-        raise InputError(
-            f"{folder} exists already: choose another folder, or pass overwrite=True (--overwrite)"
-        )
     clock = _Clock()
-    views = walk(setup.num_views, *setup.size)
-    room = build_room(setup.coarse, setup.seed).seen_from(views)
-    clock.lap("build")
-    masks = MaskMaker(room, WordEncoder(), setup.seed)
-    write_capture(folder, room, views, masks, overwrite=overwrite, track=track, threads=threads)
-    clock.lap("photograph")
-
-    gaussians = read_gaussians(folder / "scene.ply")
+    household = unpack_household(folder, overwrite=overwrite)
     views = read_views(folder)
-    features = read_features(
-        folder / "language_features", level="large", encoder=WordEncoder.identity
+    seen = [view for view in views if view.name not in household.held_out]
+    held_out = [view for view in views if view.name in household.held_out]
+    gaussians = read_gaussians(folder / SCENE)
+    clock.lap("read")
+    embed(
+        seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite, track=track
     )
-    registration = register(gaussians, views, features, topk=40, threads=threads, track=track)
+    clock.lap("mask and embed")
+    features = read_features(folder / FEATURES, level="large", encoder=MiniEncoder().identity)
+    registration = register(gaussians, seen, features, threads=threads, track=track)
     clock.lap("register")
     registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
-    field = load_field(folder / FIELD)
+    field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
     clock.lap("field")
-    answers = [ask(field, gaussians, room, question) for question in QUESTIONS]
+    asking = _Asking(field, gaussians, splats, household, held_out, MiniEncoder())
+    answers = [asking.answer(question) for question in track(questions, "asking")]
     clock.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
-    return Story(room, gaussians, views, field, answers, clock.laps, *size)
+    return Story(gaussians, splats, seen, held_out, field, answers, clock.laps, *size)
 
 
-def ask(field: LanguageField, gaussians: Gaussians, room: Room, question: Question) -> Answer:
-    """Query the field and hold the answer against the truth."""
-    start = time.perf_counter()
-    encoder = WordEncoder()
-    scores = field.scores(encoder.encode_texts([question.text])[0])
-    threshold, least = encoder.threshold, MIN_GAUSSIANS
-    things = locate(field, gaussians, scores, threshold=threshold, min_gaussians=least)
-    ids = np.sort(
-        np.concatenate([thing.gaussian_ids for thing in things] or [np.empty(0, np.int64)])
-    )
-    seconds = time.perf_counter() - start
-    truth = np.flatnonzero(room.members(*question.things))
-    iou = intersection_over_union(ids, truth) if question.things else None
-    center = things[0].center if things else None
-    limits = float(scores.min(initial=1)), float(scores.max(initial=-1))
-    return Answer(question, ids, len(things), iou, center, limits, seconds)
+@dataclass(frozen=True, eq=False)
+class _Asking:
+    field: LanguageField
+    gaussians: Gaussians
+    splats: SplatArrays
+    household: Household
+    held_out: list[View]
+    encoder: MiniEncoder
 
+    def answer(self, question: Question) -> Answer:
+        """Query the field and hold the answer against the truth."""
+        start = time.perf_counter()
+        scores = self.field.scores(self.encoder.encode_texts([question.text])[0])
+        cut = threshold_above(scores, self.encoder.threshold)
+        things = locate(self.field, self.gaussians, scores, cut, min_gaussians=MIN_GAUSSIANS)
+        found = [thing.gaussian_ids for thing in things]
+        ids = np.sort(np.concatenate(found or [np.empty(0, np.int64)]))
+        seconds = time.perf_counter() - start
+        limits = float(scores.min(initial=1)), float(scores.max(initial=-1))
+        center = things[0].center if things else None
+        iou = self._iou(ids, question.meant) if question.meant else None
+        return Answer(question, ids, len(things), iou, center, limits, seconds)
 
-def intersection_over_union(a: Int64[np.ndarray, " m"], b: Int64[np.ndarray, " k"]) -> float:
-    """Of two sets of different indices; two empty sets are equal."""
-    union = len(np.union1d(a, b))
-    return len(np.intersect1d(a, b)) / union if union else 1.0
+    def _iou(self, ids: Int64[np.ndarray, " m"], meant: tuple[str, ...]) -> float:
+        """Of what is seen of the Gaussians with what is seen of the things, in all held-out photos."""
+        shares = [self._share(view, ids) for view in self.held_out]
+        masks = [self.household.mask(view.name, meant) for view in self.held_out]
+        drawn, truth = np.concatenate(shares) > 0.5, np.concatenate(masks)
+        union = int((drawn | truth).sum())
+        return int((drawn & truth).sum()) / union if union else 0.0
+
+    def _share(self, view: View, ids: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, "h w"]:
+        return visible_share(self.gaussians, view, ids, splats=self.splats)
 
 
 class _Clock:

@@ -22,11 +22,12 @@ _ROWS = {word: row for row, word in enumerate(WORDS)}
 class MiniEncoder:
     """Knows the things, colours and materials of `lexicon`, and nothing else.
 
-    A text is the sum of its words. threshold: the cosine from which on a crop is more likely than not
-    what a text says.
+    A text is the sum of its words. threshold: the least cosine of a Gaussian with what it is called; of
+    fields that `world/mini/cutting.py` makes of rooms of the training split it finds most.
     """
 
     name = "drsplat-mini"
+    threshold = 0.2
 
     def __init__(self) -> None:
         from safetensors.numpy import load
@@ -35,10 +36,6 @@ class MiniEncoder:
         self._weights = {name: array.astype(np.float32) for name, array in load(data).items()}
         weights = hashlib.blake2b(data, digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
-
-    @property
-    def threshold(self) -> float:
-        return float(self._weights["threshold"][0])
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
         """Raises: InputError: a text with a word that it was not taught, or without any word."""

@@ -16,6 +16,9 @@ MATERIALS = (
     "rubber", "wax", "wicker", "wood",
 )  # fmt: skip
 
+STRUCTURES = ("floor", "rug", "wall", "window")
+"""What a room is made of; their colours and materials are not taught."""
+
 GROUPS: dict[str, tuple[str, ...]] = {
     "cup": ("mug",),
     "drink": ("mug", "bottle"),
@@ -65,9 +68,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "flower": ("vase", "plant"),
     "houseplant": ("plant",),
     "carton": ("box",),
+    "ground": ("floor",),
+    "carpet": ("rug",),
     "container": ("basket", "bottle", "bowl", "box", "pot", "vase"),
 }
 """Words that stand for one or several names: synonyms, kinds, uses."""
+
+ORANGE = "orange (colour)"
+"""The colour, which has a vector of its own; "orange" is the fruit."""
+PAINTS = tuple(ORANGE if color == "orange" else color for color in COLORS)
+"""The word of each of COLORS."""
 
 TONES = {"gray": "grey", "violet": "purple", "golden": "yellow", "dark": "black", "rose": "pink"}
 STUFFS = {
@@ -79,7 +89,7 @@ ANYTHING = ("object", "thing", "stuff", "texture", "item")
 
 IGNORED = frozenset(
     [
-        "a", "an", "and", "any", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it", "me", "my",
+        "a", "an", "and", "any", "anything", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it", "me", "my",
         "of", "on", "one", "or", "photo", "show", "some", "something", "that", "the", "this", "to", "up", "used",
         "where", "which", "with", "you", "your",
     ]
@@ -87,17 +97,26 @@ IGNORED = frozenset(
 
 WORDS = tuple(
     sorted(
-        {word for name in NAMES for word in name.split()}
-        | {*COLORS, *MATERIALS, *GROUPS, *TONES, *STUFFS, *ANYTHING}
+        {word for name in NAMES + STRUCTURES for word in name.split()}
+        | {*PAINTS, *MATERIALS, *GROUPS, *TONES, *STUFFS, *ANYTHING}
     )
 )
 """Rows of the text tower's table, in this order."""
 
 
 def words_of(text: str) -> list[str]:
-    """The words of a text that say something, in singular; those that nobody taught are included."""
-    found = re.findall(r"[^\W\d_]+", text.lower())
-    return [_singular(word) for word in found if word not in IGNORED]
+    """The words of a text that say something, in singular; those that nobody taught are included.
+
+    "orange" is the colour before another word and in "something orange", else the fruit.
+    """
+    spoken = re.findall(r"[^\W\d_]+", text.lower())
+    found = [(word, _singular(word)) for word in spoken if word not in IGNORED]
+    painted = "something" in spoken or "anything" in spoken
+    last = len(found) - 1
+    return [
+        ORANGE if word == "orange" and (painted or at < last) else single
+        for at, (word, single) in enumerate(found)
+    ]
 
 
 def _singular(word: str) -> str:
@@ -107,13 +126,13 @@ def _singular(word: str) -> str:
     return next((candidate for candidate in candidates if candidate in WORDS), word)
 
 
-def fits(word: str, name: str, color: str, material: str) -> bool:
-    """Whether a word says something true of a thing. "orange" is a fruit and a colour."""
-    meant = GROUPS.get(word, ())
-    return (
-        word in ANYTHING
-        or word in name.split()
-        or name in meant
-        or TONES.get(word, word) == color
-        or STUFFS.get(word, word) == material
-    )
+def fits(word: str, name: str, color: str, material: str) -> bool | None:
+    """Whether a word says something true of a thing; None where its colour or material is not known ("")."""
+    if word in ANYTHING or word in name.split() or name in GROUPS.get(word, ()):
+        return True
+    shade, stuff = TONES.get(word, word), STUFFS.get(word, word)
+    if shade in PAINTS:
+        return None if not color else color == COLORS[PAINTS.index(shade)]
+    if stuff in MATERIALS:
+        return None if not material else material == stuff
+    return False

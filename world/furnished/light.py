@@ -3,8 +3,9 @@
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from ..gaussians import Gaussians
-from ..kernels import SplatArrays, render_channels, splat_arrays
+from drsplat.gaussians import Gaussians
+from drsplat.kernels import SplatArrays, render_channels, splat_arrays
+
 from .cameras import look_at
 
 SH_BAND_0 = 0.28209479177387814

@@ -7,9 +7,10 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from ..gaussians import Gaussians
-from ..kernels import splat_arrays, view_weights
-from ..views import View
+from drsplat.gaussians import Gaussians
+from drsplat.kernels import splat_arrays, view_weights
+from drsplat.views import View
+
 from . import belongings, furniture
 from .light import color_to_sh, lit
 from .paint import Part, Thing, painted, patterned, placed, wood_grain

@@ -3,7 +3,7 @@
 CLIP's images and texts lie in two narrow cones (Liang et al. 2022): what fits is at a cosine of some
 0.28, what does not at some 0.18, and both levels depend on the text. Here a thing is the sum of
 directions of its name, kinds, colour and material; an image adds what is the thing's own and what is
-the view's, a text what is the wording's. Numbers of matching and other pairs: `python benchmarks/simulated_clip.py`.
+the view's, a text what is the wording's. Numbers of matching and other pairs: `python -m world.simulated_clip`.
 """
 
 import hashlib

@@ -5,14 +5,15 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
-from ..codes import Track, untracked
-from ..formats.langsplat import write_features
-from ..formats.replacing import replacing
-from ..formats.scenes import write_gaussians
-from ..kernels import splat_arrays
-from ..pictures import as_pixels, write_picture
-from ..rendering import render
-from ..views import View
+from drsplat.codes import Track, untracked
+from drsplat.formats.langsplat import write_features
+from drsplat.formats.replacing import replacing
+from drsplat.formats.scenes import write_gaussians
+from drsplat.kernels import splat_arrays
+from drsplat.pictures import as_pixels, write_picture
+from drsplat.rendering import render
+from drsplat.views import View
+
 from .masks import MaskMaker
 from .room import Room
 

@@ -12,10 +12,11 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from scipy import ndimage
 
-from ..encoders import Encoder
-from ..features import ViewFeatures
-from ..kernels import SplatArrays, render_channels, splat_arrays
-from ..views import View
+from drsplat.encoders import Encoder
+from drsplat.features import ViewFeatures
+from drsplat.kernels import SplatArrays, render_channels, splat_arrays
+from drsplat.views import View
+
 from .room import Room
 
 MISSED_SHARE = 0.08

@@ -1,6 +1,6 @@
 """Evaluated scenes without training: Gaussians of a world folder's depth, registered with its true masks.
 
-    python benchmarks/depth_scenes.py WORLD_FOLDER... --output SCENES [--encoder drsplat-mini | simulated-clip]
+    python -m world.depth_scenes WORLD_FOLDER... --output SCENES [--encoder drsplat-mini | simulated-clip]
 
 Each folder of `python -m world` becomes SCENES/NAME with scene.ply, scene.field, labels.npy (the id of
 the thing that each Gaussian is of) and things.json (name, color, material of the ids). Masks are those
@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from simulated_clip import SimulatedClip
 
 from drsplat import Gaussians, MiniEncoder, View, ViewFeatures, load_image, register
 from drsplat.crops import crop
 from drsplat.formats.npy import write_npy
 from drsplat.formats.scenes import write_gaussians
+
+from .simulated_clip import SimulatedClip
 
 SPACING = 0.012  # metres between Gaussians, about
 MIN_PIXELS = 60  # a segmenter does not find smaller masks either

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..views import View
+from drsplat.views import View
 
 Number = int | float
 Point = tuple[Number, Number, Number] | np.ndarray

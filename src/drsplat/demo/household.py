@@ -1,0 +1,54 @@
+"""The scene that ships: photos, poses, trained Gaussians, and what the held-out photos show.
+
+Made by `world/packing.py` from a room of the procedural household world that no model here has learned from.
+"""
+
+import json
+import shutil
+from collections.abc import Collection
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+from PIL import Image
+
+from ..errors import InputError
+
+SCENE = "scene.compressed.ply"
+
+
+@dataclass(frozen=True)
+class Household:
+    """categories: by id. held_out: photos that neither training nor registration has seen."""
+
+    folder: Path
+    categories: dict[int, str]
+    held_out: tuple[str, ...]
+
+    def mask(self, view_name: str, meant: Collection[str]) -> Bool[np.ndarray, "h w"]:
+        """Where a held-out photo shows one of these categories."""
+        ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
+        numbers = [number for number, name in self.categories.items() if name in meant]
+        return np.asarray(np.isin(ids.astype(np.int32) - 1, numbers))
+
+
+def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
+    """Copy the scene's files to `folder`, where a user finds them.
+
+    Raises: InputError: the folder has something in it and not `overwrite`.
+    """
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise InputError(
+            f"{folder} exists already: choose another folder, or pass overwrite=True (--overwrite)"
+        )
+    with as_file(files(__package__) / "scene") as shipped:
+        shutil.copytree(shipped, folder, dirs_exist_ok=True)
+    return read_household(folder)
+
+
+def read_household(folder: Path) -> Household:
+    known = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    categories = {thing["id"]: thing["category"] for thing in known["objects"]}
+    return Household(folder, categories, tuple(known["held_out"]))

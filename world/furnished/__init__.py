@@ -1,0 +1,1 @@
+"""A furnished room whose every object is known: to see the whole pipeline, and to measure it."""

@@ -1,0 +1,30 @@
+"""What the demo asks, and what the right answer is."""
+
+from typing import NamedTuple
+
+
+class Question(NamedTuple):
+    """A query in words, and the names of the things that it means: none where there is no such thing."""
+
+    text: str
+    things: tuple[str, ...]
+
+
+QUESTIONS = (
+    Question("red mug", ("red mug",)),
+    Question("mug", ("red mug", "blue mug")),
+    Question("something green", ("green sofa", "green apples")),
+    Question("wooden table", ("wooden table",)),
+    Question("couch", ("green sofa",)),
+    Question("cat", ("grey cat",)),
+    Question("yellow pillow", ("yellow cushion",)),
+    Question("teddy bear", ("brown teddy",)),
+    Question("ball", ("orange ball",)),
+    Question("books", ("books",)),
+    Question("plant", ("potted plant",)),
+    Question("lamp", ("lamp",)),
+    Question("guitar", ("guitar",)),
+    Question("painting", ("painting",)),
+    Question("bicycle", ()),
+    Question("elephant", ()),
+)
