@@ -47,6 +47,7 @@ _ALL = (
     Measure("voxel", "voxel mIoU", _segmentation("voxel", "miou")),
 )
 MEASURES = {measure.key: measure for measure in _ALL}
+PROTOCOL_OF = {"selection_tuned": "lerf-ovs", "volume_tuned": "scannet-volume"}
 
 
 def records_of(results: Results, masks: str, method: str) -> list[Record]:
@@ -55,14 +56,10 @@ def records_of(results: Results, masks: str, method: str) -> list[Record]:
 
 
 def values(results: Results, masks: str, method: str, key: str) -> list[float]:
-    """A number per scene; keys ending in _tuned are at the one threshold that is best over the scenes."""
-    records = records_of(results, masks, method)
-    if key.endswith("_tuned"):
+    """A number per scene; keys of PROTOCOL_OF are at the one threshold that is best over the scenes."""
+    if key in PROTOCOL_OF:
         return tuned(results, masks, method, PROTOCOL_OF[key])[1]
-    return [100 * MEASURES[key].pick(record) for record in records]
-
-
-PROTOCOL_OF = {"selection_tuned": "lerf-ovs", "volume_tuned": "scannet-volume"}
+    return [100 * MEASURES[key].pick(record) for record in records_of(results, masks, method)]
 
 
 def tuned(results: Results, masks: str, method: str, protocol: str) -> tuple[float, list[float]]:
