@@ -352,8 +352,9 @@ def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) ->
 
     evidence = evidence_of(np.random.default_rng(8), rows=300)
     whole = how(evidence).evidence.weights
-    monkeypatch.setattr(entries, "BLOCK", 32)
-    assert_array_equal(how(evidence).evidence.weights.toarray(), whole.toarray())
+    for name, size in (("BLOCK", 32), ("CELLS", 40)):
+        monkeypatch.setattr(entries, name, size)
+        assert_array_equal(how(evidence).evidence.weights.toarray(), whole.toarray())
 
 
 @every_weigher

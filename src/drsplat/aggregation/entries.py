@@ -6,7 +6,7 @@ look at one pixel; where masks meet it has several, and the smaller of them can 
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from ..evidence import Evidence, Segments
 
 BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay near the processor
+CELLS = 1 << 19  # of a block's tables: rows of many votes come in smaller blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +43,13 @@ class RowBlock:
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
 
-def row_block(weights: csr_array, begin: int, end: int) -> RowBlock:
-    """The entries of rows [begin, end); empty rows have no part in it."""
-    starts = weights.indptr[begin : end + 1].astype(np.int64)
-    lengths = np.diff(starts)
-    order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
-    entries = np.arange(lengths.max(initial=0))
-    filled = entries < lengths[order, None]
-    positions = np.where(filled, starts[order, None] + entries, starts[0])
-    if not len(order):
-        nothing = np.empty((0, 0))
-        return RowBlock(positions, positions, nothing, np.empty(0, np.int64))
+def row_block(weights: csr_array, rows: Int64[np.ndarray, " n"]) -> RowBlock:
+    """The entries of some rows, none of them empty, that come by falling length."""
+    starts = weights.indptr[rows].astype(np.int64)
+    lengths = weights.indptr[rows + 1] - starts
+    entries = np.arange(lengths[0])
+    filled = entries < lengths[:, None]
+    positions = np.where(filled, starts[:, None] + entries, starts[0])
     values = np.where(filled, weights.data[positions].astype(np.float64), 0.0)
     return RowBlock(positions, weights.indices[positions], values, filled.sum(axis=0))
 
@@ -68,16 +65,28 @@ def reweighted(
     """
     weights = evidence.weights
     changed = np.zeros(len(weights.data), np.float32)
+    lengths = np.diff(weights.indptr)
+    # Rows of like length go together, so that their tables are full.
+    order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
 
-    def work(begin: int) -> None:
-        block = row_block(weights, begin, min(begin + BLOCK, len(evidence)))
-        filled = block.filled
-        if filled.size:
-            changed[block.positions[filled]] = rule(block)[filled]
+    def work(rows: Int64[np.ndarray, " n"]) -> None:
+        block = row_block(weights, rows)
+        changed[block.positions[block.filled]] = rule(block)[block.filled]
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        list(pool.map(work, range(0, len(evidence), BLOCK)))
+        list(pool.map(work, _blocks(order, lengths)))
     return with_weights(evidence, changed)
+
+
+def _blocks(
+    order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]
+) -> Iterator[Int64[np.ndarray, " b"]]:
+    """Rows by falling length in blocks of at most BLOCK rows, and CELLS entries unless one row has more."""
+    begin = 0
+    while begin < len(order):
+        size = min(BLOCK, max(1, CELLS // int(lengths[order[begin]])))
+        yield order[begin : begin + size]
+        begin += size
 
 
 def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidence:
