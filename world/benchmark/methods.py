@@ -19,7 +19,7 @@ from drsplat.aggregation import Sampling, aggregator
 from drsplat.evaluation.scorers import Scorer, cosine_scorer
 
 from .masks import features_of
-from .rendered import RENDERED, rendered_scorer
+from .rendered import STEPS, rendered_scorer
 from .scenes import BenchScene
 from .scoring import Methods
 
@@ -77,10 +77,9 @@ class Workshop:
         return Methods(self._scorer(self.volume, name), self._scorer(self.points, name))
 
     def _scorer(self, registered: Registered, name: str) -> Scorer:
-        if name == RENDERED:
-            return rendered_scorer(
-                registered.gaussians, self.scene.views, registered.features, self.encoder,
-                self.threads,
-            )  # fmt: skip
+        if name in STEPS:
+            seen = {view: registered.features[view.name] for view in registered.views}
+            gaussians = registered.gaussians
+            return rendered_scorer(name, gaussians, seen, self.encoder, self.threads)
         field = registered.field(name, self.codebook, self.threads)
         return cosine_scorer(field, self.encoder, name, threads=self.threads)

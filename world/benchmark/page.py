@@ -9,7 +9,7 @@ from drsplat.formats.replacing import replacing
 
 from .numbers import Results, masks_of, methods_of
 from .reading import reading
-from .rendered import CONTRIBUTORS, DIRECTIONS, RENDERED, STEPS, WIDTH
+from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
 from .tables import (
     SEGMENTATION,
     SELECTION,
@@ -34,7 +34,8 @@ All methods of a scene share one codebook, that of the mean. Aggregators are tho
 _RENDERED = """\
 `{name}` is no aggregator but the rival: features that are fitted so that their *rendering* matches the embedding of the mask at each
 pixel, as LangSplat and LEGaussians optimise theirs, and then looked up in 3D like all others. It is our own least-squares form of that
-idea ({directions} directions, {steps} steps of conjugate gradients, photos {width} pixels wide, {contributors} Gaussians a pixel), not their code."""
+idea ({directions} directions, {steps} steps of conjugate gradients, photos {width} pixels wide, {contributors} Gaussians a pixel), not their code. `{one_step}` is its control: one step from zero is the mean on the same coarse pixels and directions. So
+`mean` minus `{one_step}` is what the coarseness costs, and `{one_step}` minus `{name}` what the fitting does."""
 _PROTOCOLS = """\
 - **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means over pairs of photo and
   category, then over scenes.
@@ -71,8 +72,8 @@ def _sections(results: Results) -> Iterator[str]:
     yield _METHODS
     if RENDERED in methods_of(results, masks[0]):
         yield _RENDERED.format(
-            name=RENDERED, directions=DIRECTIONS, steps=STEPS, width=WIDTH,
-            contributors=CONTRIBUTORS,
+            name=RENDERED, directions=DIRECTIONS, steps=STEPS[RENDERED], width=WIDTH,
+            contributors=CONTRIBUTORS, one_step=ONE_STEP,
         )  # fmt: skip
     yield _PROTOCOLS.format(
         side=results["voxel_side"],

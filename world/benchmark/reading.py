@@ -15,10 +15,13 @@ from .numbers import (
     tuned,
     values,
 )
-from .rendered import RENDERED
+from .rendered import ONE_STEP, RENDERED
 from .tables import COMPARED, COMPARED_WORDS, gain
 
-PAIRS = (("mean", RENDERED), ("robust", "mean"), ("inliers", "mean"), ("official", "mean"))
+PAIRS = (
+    ("mean", RENDERED), (ONE_STEP, RENDERED), ("robust", "mean"), ("inliers", "mean"), ("voting", "mean"),
+    ("official", "mean"),
+)  # fmt: skip
 FEW = 5  # of fewer scenes, no interval is believed
 
 

@@ -5,24 +5,28 @@ embedding of the mask at each pixel. Here that is the least-squares problem min 
 weights of pixels x Gaussians, E the masks' embeddings, solved by conjugate gradients from zero. There is no
 autoencoder: features are in the span of the embeddings' leading directions, far more than LangSplat's three.
 What is asked of the features is asked as of all others: per Gaussian, by cosine.
+
+One step from zero is along the weighted mean that registration takes, on the same coarse pixels: the
+control that tells what the fitting does from what the coarseness does.
 """
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 from scipy.sparse import csr_array, vstack
 
 from drsplat import Gaussians, MiniEncoder, View, ViewFeatures, splat_arrays, topk_contributions
 from drsplat.evaluation.scorers import COSINES, Scorer
 from drsplat.kernels import SplatArrays
 
-RENDERED = "rendered"
+RENDERED, ONE_STEP = "rendered", "rendered-one-step"
 WIDTH = 128  # pixels of what is rendered
 CONTRIBUTORS = 16  # of a pixel
 DIRECTIONS = 16
-STEPS = 30
+STEPS = {RENDERED: 30, ONE_STEP: 1}
+"""Of conjugate gradients, by method."""
 
 
 class _Part(NamedTuple):
@@ -33,21 +37,21 @@ class _Part(NamedTuple):
 
 
 def rendered_scorer(
+    name: str,
     gaussians: Gaussians,
-    views: list[View],
-    features: Mapping[str, ViewFeatures],
+    seen: Mapping[View, ViewFeatures],
     encoder: MiniEncoder,
     threads: int,
 ) -> Scorer:
     """Cosines with features that were fitted by rendering; NaN where no photo sees a Gaussian."""
     splats, embeddings = splat_arrays(gaussians), []
     parts = []
-    for view in views:
-        parts.append(_part(splats, view, features[view.name], threads))
-        embeddings.append(features[view.name].embeddings[parts[-1].segments])
+    for view, features in seen.items():
+        parts.append(_part(splats, view, features, threads))
+        embeddings.append(features.embeddings[parts[-1].segments])
     weights = csr_array(vstack([part.weights for part in parts], format="csr"))
     targets, basis = _leading(np.concatenate(embeddings))
-    fitted = least_squares(weights, targets, STEPS)
+    fitted = least_squares(weights, targets, STEPS[name])
     norms = np.linalg.norm(fitted, axis=1)
     norms[norms == 0] = np.nan
 
@@ -55,15 +59,16 @@ def rendered_scorer(
         query = basis @ encoder.encode_texts([text])[0]
         return np.asarray(fitted @ query / norms, np.float32)
 
-    about = {"directions": DIRECTIONS, "steps": STEPS, "width": WIDTH, "measure": "cosine"}
-    names = tuple(view.name for view in views)
-    return Scorer(RENDERED, len(gaussians), scores, encoder.threshold, COSINES, about, names)
+    about = {"directions": DIRECTIONS, "steps": STEPS[name], "width": WIDTH, "measure": "cosine"}
+    names = tuple(view.name for view in seen)
+    return Scorer(name, len(gaussians), scores, encoder.threshold, COSINES, about, names)
 
 
 def least_squares(
     weights: csr_array, targets: Float32[np.ndarray, "p r"], steps: int
 ) -> Float32[np.ndarray, "n r"]:
-    """Conjugate gradients on the normal equations, each column by itself, from zero.
+    """Conjugate gradients on the normal equations, from zero. All columns share their steps, so that the
+    first one keeps the directions of weights^T targets.
 
     Source: Hestenes and Stiefel 1952 (CGLS).
     """
@@ -71,17 +76,18 @@ def least_squares(
     found = np.zeros((weights.shape[1], targets.shape[1]), np.float32)
     residual = targets.copy()
     gradient = transposed @ residual
-    direction, size = gradient.copy(), _squares(gradient)
+    direction, size = gradient.copy(), _square(gradient)
     for _ in range(steps):
         moved = weights @ direction
-        length = _squares(moved)
-        step = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
-        found += direction * step.astype(np.float32)
-        residual -= moved * step.astype(np.float32)
+        length = _square(moved)
+        if not length > 0:
+            break
+        step = np.float32(size / length)
+        found += direction * step
+        residual -= moved * step
         gradient = transposed @ residual
-        before, size = size, _squares(gradient)
-        ratio = np.divide(size, before, out=np.zeros_like(size), where=before > 0)
-        direction = gradient + direction * ratio.astype(np.float32)
+        before, size = size, _square(gradient)
+        direction = gradient + direction * np.float32(size / before)
     return found
 
 
@@ -108,5 +114,5 @@ def _leading(
     return embeddings @ basis.T, basis
 
 
-def _squares(values: Float32[np.ndarray, "n r"]) -> Float64[np.ndarray, " r"]:
-    return np.asarray(np.square(values).sum(0, dtype=np.float64))
+def _square(values: Float32[np.ndarray, "n r"]) -> float:
+    return float(np.square(values).sum(dtype=np.float64))

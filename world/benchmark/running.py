@@ -20,13 +20,13 @@ from drsplat.formats.replacing import replacing
 from drsplat.search import ABSENT
 
 from .methods import Workshop
-from .rendered import RENDERED
+from .rendered import STEPS
 from .scenes import LABEL_SET, BenchScene, about, read_scene
 from .scoring import SWEEP, scored
 
 FORMAT, VERSION = "drsplat benchmark", 1
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-METHODS = (*AGGREGATORS, RENDERED)
+METHODS = (*AGGREGATORS, *STEPS)
 
 
 @dataclass(frozen=True)
