@@ -9,13 +9,13 @@ import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 from world.furnished.story import Story
 
+from command_line import Capture, answer_of, error_of, text_of
 from drsplat import (
     EncoderIdentity,
     WordEncoder,
@@ -34,38 +34,11 @@ from drsplat.demo.questions import QUESTIONS
 from drsplat.formats.npy import write_npy
 from drsplat.progress import peak_memory_bytes, track
 
-Capture = pytest.CaptureFixture[str]
-
 
 @pytest.fixture(scope="module")
 def room(story: Story, demo_folder: Path) -> Path:
     """The small demo's files."""
     return demo_folder
-
-
-def answer_of(capsys: Capture, *argv: object, code: int = 0) -> dict[str, Any]:
-    """The JSON object that a command prints, which is all it prints on stdout."""
-    capsys.readouterr()
-    assert main([*map(str, argv), "--json"]) == code
-    answer = json.loads(capsys.readouterr().out)
-    assert isinstance(answer, dict)
-    return answer
-
-
-def text_of(capsys: Capture, *argv: object, code: int = 0) -> str:
-    capsys.readouterr()
-    assert main([*map(str, argv)]) == code
-    return capsys.readouterr().out
-
-
-def error_of(capsys: Capture, *argv: object, code: int = 1) -> str:
-    """The one error on stderr; stdout stays empty."""
-    capsys.readouterr()
-    assert main([*map(str, argv)]) == code
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("drsplat: error: ")
-    return err
 
 
 def registering(room: Path, output: Path, codebook: Path | None = None) -> list[object]:

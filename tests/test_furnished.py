@@ -76,8 +76,8 @@ def test_room_is_deterministic_and_depends_on_the_seed() -> None:
 
 def test_every_question_is_about_things_in_the_room_or_about_none() -> None:
     names = {entry[0] for entry in INVENTORY}
-    assert all(set(question.things) <= names for question in QUESTIONS)
-    assert sum(not question.things for question in QUESTIONS) >= 2
+    assert all(set(question.meant) <= names for question in QUESTIONS)
+    assert sum(not question.meant for question in QUESTIONS) >= 2
 
 
 def test_lit_room_has_shadow_under_the_table() -> None:
@@ -163,7 +163,7 @@ def test_answers_are_right(story: Story) -> None:
     wrong = {a.question.text: a.iou for a in story.answers if not a.is_right}
     assert wrong == {}
     assert [a.question for a in story.answers] == list(QUESTIONS)
-    absent = [a for a in story.answers if not a.question.things]
+    absent = [a for a in story.answers if not a.question.meant]
     assert not any(a.found for a in absent)
 
 

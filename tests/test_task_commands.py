@@ -1,51 +1,25 @@
 """`drsplat select | locate | segment` on the demo's room, where every Gaussian is known."""
 
-import json
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 from world.furnished.story import Story, intersection_over_union
 
+from command_line import Capture, answer_of, error_of, text_of
 from drsplat import WordEncoder, load_field, read_gaussians, select
-from drsplat.cli import main
 from drsplat.commands.legend import class_colors, legend
 from drsplat.demo import story as household
 from drsplat.formats.npy import write_npy
 from drsplat.thresholds import share_threshold
 
-Capture = pytest.CaptureFixture[str]
-
 
 @pytest.fixture(scope="module")
 def room(story: Story, demo_folder: Path) -> Path:
     return demo_folder
-
-
-def answer_of(capsys: Capture, *argv: object, code: int = 0) -> dict[str, Any]:
-    capsys.readouterr()
-    assert main([*map(str, argv), "--json"]) == code
-    answer = json.loads(capsys.readouterr().out)
-    assert isinstance(answer, dict)
-    return answer
-
-
-def text_of(capsys: Capture, *argv: object) -> str:
-    capsys.readouterr()
-    assert main([*map(str, argv)]) == 0
-    return capsys.readouterr().out
-
-
-def error_of(capsys: Capture, *argv: object, code: int = 1) -> str:
-    capsys.readouterr()
-    assert main([*map(str, argv)]) == code
-    out, err = capsys.readouterr()
-    assert out == ""
-    return err
 
 
 def truth_of(story: Story, *names: str) -> np.ndarray:

@@ -1,14 +1,6 @@
-"""What the demo asks, and what the right answer is."""
+"""What is asked of the furnished room, and the names of the things that are meant."""
 
-from typing import NamedTuple
-
-
-class Question(NamedTuple):
-    """A query in words, and the names of the things that it means: none where there is no such thing."""
-
-    text: str
-    things: tuple[str, ...]
-
+from drsplat.demo.questions import Question
 
 QUESTIONS = (
     Question("red mug", ("red mug",)),

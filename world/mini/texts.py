@@ -30,7 +30,7 @@ def bank(size: int, rng: np.random.Generator) -> list[Text]:
     texts = []
     for _ in range(size):
         kind = rng.random()
-        noun = nouns[rng.integers(37 if rng.random() < 0.6 else len(nouns))]
+        noun = nouns[rng.integers(len(NAMES) if rng.random() < 0.6 else len(nouns))]
         words: list[str] = []
         if kind >= 0.88 or (kind < 0.75 and rng.random() < 0.45):
             words.append(str(rng.choice(paints)))

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from ..codes import Track, untracked
 from ..embedding import embed
+from ..evaluation.metrics import mask_iou
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
 from ..formats.langsplat import read_features
@@ -19,6 +20,7 @@ from ..graph import GraphSegmenter
 from ..kernels import SplatArrays, splat_arrays
 from ..mini import MiniEncoder
 from ..pictures import visible_share
+from ..progress import Stopwatch
 from ..registration import register
 from ..tasks import locate
 from ..thresholds import threshold_above
@@ -35,8 +37,8 @@ RIGHT = 0.5  # least IoU of an answer that is called right
 class Answer:
     """gaussian_ids: of all that was found. center: of the best instance, in metres, or None.
 
-    iou: with the truth, over the pixels of all held-out photos; None where nothing is right. scores:
-    lowest and highest of the field.
+    iou: with the truth, in the demo over the pixels of all held-out photos; None where nothing is right.
+    scores: lowest and highest of the field.
     """
 
     question: Question
@@ -84,28 +86,28 @@ def tell(
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
-    clock = _Clock()
+    watch = Stopwatch()
     household = unpack_household(folder, overwrite=overwrite)
     views = read_views(folder)
     seen = [view for view in views if view.name not in household.held_out]
     held_out = [view for view in views if view.name in household.held_out]
     gaussians = read_gaussians(folder / SCENE)
-    clock.lap("read")
+    watch.lap("read")
     embed(
         seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite, track=track
     )
-    clock.lap("mask and embed")
+    watch.lap("mask and embed")
     features = read_features(folder / FEATURES, level="large", encoder=MiniEncoder().identity)
     registration = register(gaussians, seen, features, threads=threads, track=track)
-    clock.lap("register")
+    watch.lap("register")
     registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
     field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
-    clock.lap("field")
+    watch.lap("field")
     asking = _Asking(field, gaussians, splats, household, held_out, MiniEncoder())
     answers = [asking.answer(question) for question in track(questions, "asking")]
-    clock.lap("query")
+    watch.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
-    return Story(gaussians, splats, seen, held_out, field, answers, clock.laps, *size)
+    return Story(gaussians, splats, seen, held_out, field, answers, watch.seconds, *size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,19 +137,7 @@ class _Asking:
         """Of what is seen of the Gaussians with what is seen of the things, in all held-out photos."""
         shares = [self._share(view, ids) for view in self.held_out]
         masks = [self.household.mask(view.name, meant) for view in self.held_out]
-        drawn, truth = np.concatenate(shares) > 0.5, np.concatenate(masks)
-        union = int((drawn | truth).sum())
-        return int((drawn & truth).sum()) / union if union else 0.0
+        return mask_iou(np.concatenate(shares) > 0.5, np.concatenate(masks))
 
     def _share(self, view: View, ids: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, "h w"]:
         return visible_share(self.gaussians, view, ids, splats=self.splats)
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.laps[name], self._last = now - self._last, now
