@@ -1,5 +1,6 @@
 // Picks the kernels for this machine at run time.
 #include "kernels.h"
+#include "scan.h"
 
 #include <cstdlib>
 #include <cstring>
@@ -12,12 +13,16 @@ namespace portable { extern const Kernels table; }
 namespace v2 { extern const Kernels table; }
 namespace v3 { extern const Kernels table; }
 namespace v4 { extern const Kernels table; }
+namespace v4_vbmi { extern const ScanKernels scan_table; }
 #endif
 
 namespace {
 
 struct Available {
-  const Kernels *list[5] = {};  // null at the end
+  const Kernels *list[6] = {};  // null at the end
+#if DRSPLAT_X86
+  Kernels with_bytes;  // v4, but for the scans
+#endif
   Available() {
     int n = 0;
 #if DRSPLAT_X86
@@ -26,6 +31,11 @@ struct Available {
     const bool has_v3 = has_v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
     const bool has_v4 = has_v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
                         __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd");
+    if (has_v4 && __builtin_cpu_supports("avx512vbmi")) {
+      with_bytes = v4::table;
+      with_bytes.name = "v4_vbmi", with_bytes.scan = &v4_vbmi::scan_table;
+      list[n++] = &with_bytes;
+    }
     if (has_v4) list[n++] = &v4::table;
     if (has_v3) list[n++] = &v3::table;
     if (has_v2) list[n++] = &v2::table;

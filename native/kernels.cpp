@@ -21,10 +21,11 @@ namespace DRSPLAT_ISA {
 #include "gradients.h"
 #include "optimization.h"
 
+extern const ScanKernels scan_table;  // scan_kernels.cpp
 extern const Kernels table;
 const Kernels table = {
     DRSPLAT_STRING(DRSPLAT_ISA), project, tile_spans, tile_weights, tile_contributions, tile_render, sh_colors, weighted_rows, pq_encode, pq_scores,
-    activate, splat_colors, tile_forward, tile_backward, splats_backward, ssim_rows, ssim_partials, loss_gradient, adam};
+    activate, splat_colors, tile_forward, tile_backward, splats_backward, ssim_rows, ssim_partials, loss_gradient, adam, &scan_table};
 
 }  // namespace DRSPLAT_ISA
 }  // namespace drsplat

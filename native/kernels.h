@@ -128,6 +128,8 @@ struct AdamStep {
 };
 constexpr int kAdamHead = 3;
 
+struct ScanKernels;  // scan.h
+
 struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
@@ -150,6 +152,8 @@ struct Kernels {
   void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
   void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin, int row_end, float *gradient, double *row_sums);
   void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &);
+
+  const ScanKernels *scan;
 };
 
 // Every instruction set that this build holds and this machine runs, best first; null at the end.

@@ -13,14 +13,16 @@ from pathlib import Path
 
 NATIVE = Path(__file__).resolve().parent.parent / "native"
 LEVELS = {"portable": [], **{level: [f"-march=x86-64-{level}"] for level in ("v2", "v3", "v4")}}
+BYTES = {"v4_vbmi": ["-march=x86-64-v4", "-mavx512vbmi"]}
+UNITS = {"kernels.cpp": LEVELS, "scan_kernels.cpp": LEVELS | BYTES}
 
 
-def shared_weak_symbols(level: str, folder: Path) -> list[str]:
-    """Weak symbols, demangled, outside the namespace drsplat::LEVEL."""
+def shared_weak_symbols(unit: str, level: str, folder: Path) -> list[str]:
+    """Weak symbols of a unit, demangled, outside the namespace drsplat::LEVEL."""
     target = folder / f"{level}.o"
     compiler = os.environ.get("CXX", "g++")
-    flags = ["-O1", "-std=c++17", "-fPIC", "-w", *LEVELS[level], f"-DDRSPLAT_ISA={level}"]
-    subprocess.run([compiler, *flags, "-c", NATIVE / "kernels.cpp", "-o", target], check=True)
+    flags = ["-O1", "-std=c++17", "-fPIC", "-w", *UNITS[unit][level], f"-DDRSPLAT_ISA={level}"]
+    subprocess.run([compiler, *flags, "-c", NATIVE / unit, "-o", target], check=True)
     listing = subprocess.run(
         ["nm", "-C", target], check=True, capture_output=True, text=True
     ).stdout
@@ -33,12 +35,16 @@ def main() -> int:
         print("not an x86-64 machine: there is only one copy of the kernels")
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        shared = {level: shared_weak_symbols(level, Path(folder)) for level in LEVELS}
-    for level, names in shared.items():
+        shared = {
+            (unit, level): shared_weak_symbols(unit, level, Path(folder))
+            for unit, levels in UNITS.items()
+            for level in levels
+        }
+    for (unit, level), names in shared.items():
         for name in names:
-            print(f"{level}: {name} is weak and outside drsplat::{level}", file=sys.stderr)
+            print(f"{unit}: {name} is weak and outside drsplat::{level}", file=sys.stderr)
     print(
-        f"{', '.join(LEVELS)}: no weak symbol outside its own namespace"
+        f"{', '.join(LEVELS | BYTES)}: no weak symbol outside its own namespace"
         if not any(shared.values())
         else ""
     )

@@ -1,6 +1,18 @@
 """The native core: arrays in, arrays out. `kernels.reference` is its slow float64 twin."""
 
 from .algebra import pq_encode, pq_scores, weighted_rows
+from .scan import (
+    GroupedRows,
+    QueryTables,
+    Scanning,
+    group_codes,
+    lookup_tables,
+    rows_of_groups,
+    scan_above,
+    scan_best,
+    scan_scores,
+    scan_top,
+)
 from .splatting import (
     Contributions,
     Rendering,
@@ -17,14 +29,24 @@ from .splatting import (
 
 __all__ = [
     "Contributions",
+    "GroupedRows",
+    "QueryTables",
     "Rendering",
+    "Scanning",
     "SplatArrays",
     "Triples",
     "available_isas",
     "default_isa",
+    "group_codes",
+    "lookup_tables",
     "pq_encode",
     "pq_scores",
     "render_channels",
+    "rows_of_groups",
+    "scan_above",
+    "scan_best",
+    "scan_scores",
+    "scan_top",
     "sh_colors",
     "splat_arrays",
     "topk_contributions",

@@ -1,0 +1,123 @@
+// Python face of scan.cpp. As in bindings.cpp, only what memory safety needs is checked here.
+#include "bindings.h"
+#include "scan_rows.h"
+
+#include <nanobind/stl/optional.h>
+
+#include <optional>
+
+using namespace drsplat;
+
+namespace {
+
+using Codes = Array<uint8_t, 3>;
+using Floats = Array<float, 1>;
+using Ids = Array<uint16_t, 1>;
+using Luts = Array<float, 3>;
+using Coarse = Array<float, 2>;
+
+struct Asked {
+  const ScanKernels &kernels;
+  GroupedRows rows;
+  QueryTables tables;
+  Precision precision;
+  int threads;
+};
+
+// rows: codes (groups, L, 256), inverse norms (n), coarse ids (n) or None. tables: (Q, L, 256), (Q, C) or None.
+// how: error, wide, threads, isa.
+Asked asked_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &how) {
+  require(rows.size() == 3 && tables.size() == 2 && how.size() == 4, "(codes, norms, ids), (luts, coarse), (error, wide, threads, isa)");
+  // Not converted: the tuples keep the arrays alive, and nothing would a copy.
+  const auto codes = nb::cast<Codes>(rows[0], false);
+  const auto norms = nb::cast<Floats>(rows[1], false);
+  const auto ids = nb::cast<std::optional<Ids>>(rows[2], false);
+  const auto luts = nb::cast<Luts>(tables[0], false);
+  const auto coarse = nb::cast<std::optional<Coarse>>(tables[1], false);
+  const size_t n = norms.shape(0), subvectors = codes.shape(1), queries = luts.shape(0);
+  require(codes.shape(2) == kGroupRows && codes.shape(0) == (n + kGroupRows - 1) / kGroupRows, "codes (ceil(n / 256), L, 256) for n inverse norms");
+  require(subvectors > 0 && subvectors < (1u << 16) && luts.shape(1) == subvectors && luts.shape(2) == 256, "tables (Q, L, 256), 0 < L < 65536");
+  require(queries > 0 && queries <= (1u << 16), "1 to 65536 queries");
+  require(bool(ids) == bool(coarse), "coarse ids and coarse tables together");
+  require(!ids || (ids->shape(0) == n && coarse->shape(0) == queries && coarse->shape(1) < (1u << 17)), "a coarse id per row and a coarse table per query");
+  const float error = nb::cast<float>(how[0]);
+  require(error > 0, "an error above 0");
+  return {*kernels_named(nb::cast<std::string>(how[3])).scan,
+          {codes.data(), norms.data(), ids ? ids->data() : nullptr, n, (uint32_t)subvectors},
+          {luts.data(), coarse ? coarse->data() : nullptr, (uint32_t)queries, coarse ? (uint32_t)coarse->shape(1) : 0},
+          {error, nb::cast<uint32_t>(how[1])},
+          thread_count(nb::cast<int>(how[2]))};
+}
+
+nb::tuple found_of(const std::vector<CandidateRow> &found) {
+  std::vector<int64_t> rows(found.size());
+  std::vector<float> scores(found.size());
+  for (size_t i = 0; i < found.size(); i++) rows[i] = found[i].row, scores[i] = found[i].score;
+  return nb::make_tuple(to_numpy(std::move(rows)), to_numpy(std::move(scores)));
+}
+
+nb::object scores_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &how) {
+  const Asked a = asked_of(rows, tables, how);
+  Fresh<float> scores(a.tables.queries * a.rows.rows);
+  {
+    nb::gil_scoped_release release;
+    scan_scores(a.kernels, a.rows, a.tables, a.precision, a.threads, scores.get());
+  }
+  return scores.numpy({a.tables.queries, a.rows.rows});
+}
+
+nb::tuple above_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &how, float threshold, std::optional<Floats> floor) {
+  const Asked a = asked_of(rows, tables, how);
+  require(a.tables.queries == 1 && (!floor || floor->shape(0) == a.rows.rows), "one query, and a floor per row");
+  std::vector<CandidateRow> found;
+  {
+    nb::gil_scoped_release release;
+    found = scan_above(a.kernels, a.rows, a.tables, a.precision, floor ? floor->data() : nullptr, threshold, a.threads);
+  }
+  return found_of(found);
+}
+
+nb::tuple top_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &how, uint32_t count) {
+  const Asked a = asked_of(rows, tables, how);
+  require(a.tables.queries == 1 && count > 0, "one query, and a count above 0");
+  std::vector<CandidateRow> found;
+  {
+    nb::gil_scoped_release release;
+    found = scan_top(a.kernels, a.rows, a.tables, a.precision, count, a.threads);
+  }
+  return found_of(found);
+}
+
+nb::tuple best_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &how) {
+  const Asked a = asked_of(rows, tables, how);
+  const size_t n = a.rows.rows;
+  Fresh<int32_t> winner(n);
+  Fresh<float> best(n), runner_up(n);
+  {
+    nb::gil_scoped_release release;
+    scan_best(a.kernels, a.rows, a.tables, a.precision, a.threads, winner.get(), best.get(), runner_up.get());
+  }
+  return nb::make_tuple(winner.numpy({n}), best.numpy({n}), runner_up.numpy({n}));
+}
+
+nb::object lookup_tables_of(Array<float, 3> centroids, Array<float, 2> queries, int threads, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t subvectors = centroids.shape(0), dim = centroids.shape(2), count = queries.shape(0);
+  require(centroids.shape(1) == 256 && subvectors > 0 && subvectors * dim == queries.shape(1) && subvectors < (1u << 24) && dim < (1u << 24) && count < (1u << 24), "centroids (L, 256, D / L) and queries (Q, D)");
+  Fresh<float> tables(count * subvectors * 256);
+  {
+    nb::gil_scoped_release release;
+    lookup_tables(*kernels.scan, centroids.data(), queries.data(), (uint32_t)count, (uint32_t)subvectors, (uint32_t)dim, thread_count(threads), tables.get());
+  }
+  return tables.numpy({count, subvectors, 256});
+}
+
+}  // namespace
+
+void bind_scan(nb::module_ &m) {
+  m.def("scan_scores", &scores_of, "rows"_a, "tables"_a, "how"_a);
+  m.def("scan_above", &above_of, "rows"_a, "tables"_a, "how"_a, "threshold"_a, "floor"_a.none());
+  m.def("scan_top", &top_of, "rows"_a, "tables"_a, "how"_a, "count"_a);
+  m.def("scan_best", &best_of, "rows"_a, "tables"_a, "how"_a);
+  m.def("lookup_tables", &lookup_tables_of, "centroids"_a, "queries"_a, "threads"_a, "isa"_a);
+}

@@ -1,0 +1,48 @@
+// From sums of look-ups to what was asked.
+
+static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse_count, uint64_t first_row, uint32_t count, const float *sums, float *out) {
+  const float *scale = rows.inverse_norms + first_row;
+  if (!rows.coarse_ids) {
+    for (uint32_t i = 0; i < count; i++) out[i] = sums[i] * scale[i];
+    return;
+  }
+  const uint16_t *ids = rows.coarse_ids + first_row;
+  for (uint32_t i = 0; i < count; i++) {
+    const float term = ids[i] < coarse_count ? coarse[ids[i]] : 0.f;
+    out[i] = (sums[i] + term) * scale[i];
+  }
+}
+
+static uint32_t above(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count, CandidateRow *out) {
+  uint32_t found = 0;
+  for (uint32_t i = 0; i < count; i++) {
+    const float margin = floor ? scores[i] - floor[i] : scores[i];
+    out[found] = {scores[i], (int64_t)(first_row + i)};
+    found += margin > threshold;
+  }
+  return found;
+}
+
+static void compete(const float *__restrict sums, const float *__restrict scale, int32_t index, uint32_t count, int32_t *__restrict winner, float *__restrict best, float *__restrict runner_up) {
+  for (uint32_t i = 0; i < count; i++) {
+    const float score = sums[i] * scale[i], other = best[i] < score ? best[i] : score;
+    runner_up[i] = runner_up[i] < other ? other : runner_up[i];
+    winner[i] = best[i] < score ? index : winner[i];
+    best[i] = best[i] < score ? score : best[i];
+  }
+}
+
+static void lookup_tables(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *scratch, float *tables) {
+  for (uint32_t m = begin; m < end; m++) {
+    const float *from = centroids + (size_t)m * 256 * dim;
+    for (uint32_t c = 0; c < 256; c++)
+      for (uint32_t d = 0; d < dim; d++) scratch[d * 256 + c] = from[c * dim + d];
+    for (uint32_t q = 0; q < count; q++) {
+      const float *part = queries + ((size_t)q * subvectors + m) * dim;
+      float *table = tables + ((size_t)q * subvectors + m) * 256;
+      for (uint32_t c = 0; c < 256; c++) table[c] = 0.f;
+      for (uint32_t d = 0; d < dim; d++)
+        for (uint32_t c = 0; c < 256; c++) table[c] += part[d] * scratch[d * 256 + c];
+    }
+  }
+}

@@ -1,0 +1,195 @@
+"""Search in product-quantised codes (native): every score, those above a threshold, the best.
+
+Codes lie in groups of 256 rows, sub-vector by sub-vector, so that a scan is one stream through memory. What
+is looked up in them are tables, one per query: a score is (sum of look-ups + coarse term) / norm. On a
+machine with AVX-512 VBMI the tables are rounded to whole steps and summed in bytes, elsewhere they are
+float32; docs/search.md tells which is used when. Every function is the same to the bit for any number of
+threads, and may be called from several threads at once.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64, Integer, UInt8, UInt16
+
+from .. import _native
+from ..errors import InputError
+from .algebra import CENTROIDS
+from .splatting import _checked_isa
+
+GROUP = 256
+ERROR = 1e-4  # of a score, never exceeded
+HYBRID_ERROR = 2e-3  # of a score, six standard deviations
+HYBRID_WIDE = 16
+
+
+class GroupedRows(NamedTuple):
+    """Coded features. codes: see `group_codes`. coarse_ids: a row of the coarse table each, or None."""
+
+    codes: UInt8[np.ndarray, "g L 256"]
+    inverse_norms: Float32[np.ndarray, " n"]
+    coarse_ids: UInt16[np.ndarray, " n"] | None = None
+
+
+class QueryTables(NamedTuple):
+    """What queries give for each code, and for each coarse centroid or None."""
+
+    luts: Float32[np.ndarray, "q L 256"]
+    coarse: Float32[np.ndarray, "q C"] | None = None
+
+
+class Scanning(NamedTuple):
+    """How to scan. error: by how much a sum of look-ups may be off, at most.
+
+    wide: 0, or only so many sub-vectors, of the widest range, have tables of more than one byte, and `error`
+    is six standard deviations of the rounding: faster. threads: 0 takes all cores. isa: of
+    `available_isas()`, "" the best; only those that look up bytes round at all.
+    """
+
+    error: float = ERROR
+    wide: int = 0
+    threads: int = 0
+    isa: str = ""
+
+
+def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]:
+    """Rows of codes as groups of 256 rows, sub-vector by sub-vector; the last is filled with zeros."""
+    count, subvectors = codes.shape
+    grouped = np.empty((-(-count // GROUP), subvectors, GROUP), np.uint8)
+    whole = count // GROUP
+    grouped[:whole] = codes[: whole * GROUP].reshape(whole, GROUP, subvectors).transpose(0, 2, 1)
+    if whole < len(grouped):
+        rest = codes[whole * GROUP :]
+        grouped[whole], grouped[whole, :, : len(rest)] = 0, rest.T
+    return grouped
+
+
+def rows_of_groups(
+    grouped: UInt8[np.ndarray, "g L 256"], rows: Integer[np.ndarray, " b"]
+) -> UInt8[np.ndarray, "b L"]:
+    """Codes of some rows, one after the other."""
+    return np.asarray(grouped[rows // GROUP, :, rows % GROUP])
+
+
+def lookup_tables(
+    centroids: Float32[np.ndarray, "L c d"],
+    queries: Float32[np.ndarray, "q D"],
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Float32[np.ndarray, "q L c"]:
+    """The inner product of each part of each query with each centroid of that part.
+
+    Raises: InputError: centroids are not (L, 256, D / L).
+    Twin: kernels.reference_scan.lookup_tables.
+    """
+    subvectors, count, dim = centroids.shape
+    if count != CENTROIDS or subvectors * dim != queries.shape[1] or dim == 0:
+        raise InputError(
+            f"queries of {queries.shape[1]} numbers do not fit centroids {centroids.shape}: "
+            f"expected (L, {CENTROIDS}, D / L)"
+        )
+    arrays = np.ascontiguousarray(centroids), np.ascontiguousarray(queries)
+    return np.asarray(_native.lookup_tables(*arrays, threads, _checked_isa(isa)))
+
+
+def scan_scores(
+    rows: GroupedRows, tables: QueryTables, how: Scanning = Scanning()
+) -> Float32[np.ndarray, "q n"]:
+    """score_i = (sum_m lut[m, codes[i, m]] + coarse[coarse_ids[i]]) * inverse_norms[i], for each query.
+
+    Raises: InputError: arrays that do not fit each other.
+    Source: Jegou et al. 2011, asymmetric distance; Dr. Splat Eq. 5-6.
+    Twin: kernels.reference_scan.scan_scores.
+    """
+    return np.asarray(_native.scan_scores(*_checked(rows, tables, how)))
+
+
+def scan_above(
+    rows: GroupedRows,
+    tables: QueryTables,
+    threshold: float,
+    floor: Float32[np.ndarray, " n"] | None = None,
+    how: Scanning = Scanning(),
+) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+    """Rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
+
+    Raises: InputError: more than one query, or arrays that do not fit each other.
+    """
+    asked = _checked(rows, tables, how)
+    _one_query(tables)
+    if floor is not None:
+        if floor.shape != rows.inverse_norms.shape:
+            raise InputError(f"expected a floor per row, got {floor.shape}")
+        floor = np.ascontiguousarray(floor)
+    found, scores = _native.scan_above(*asked, float(threshold), floor)
+    return np.asarray(found).view(np.int64), np.asarray(scores)  # else "long long"
+
+
+def scan_top(
+    rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = Scanning()
+) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+    """The `count` best rows and their scores, best first, ties to the lower row; of one query.
+
+    Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.
+    """
+    asked = _checked(rows, tables, how)
+    _one_query(tables)
+    if count < 1:
+        raise InputError(f"expected to be asked for 1 row or more, got {count}")
+    found, scores = _native.scan_top(*asked, min(count, len(rows.inverse_norms) + 1))
+    return np.asarray(found).view(np.int64), np.asarray(scores)  # else "long long"
+
+
+def scan_best(
+    rows: GroupedRows, tables: QueryTables, how: Scanning = Scanning()
+) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """For each row the query of the highest score (ties to the first), that score, and the next highest.
+
+    Of one query the next highest is -inf.
+
+    Raises: InputError: arrays that do not fit each other.
+    """
+    index, scores, runner_up = _native.scan_best(*_checked(rows, tables, how))
+    return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
+
+
+_Asked = tuple[tuple[object, ...], tuple[object, ...], tuple[object, ...]]
+
+
+def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _Asked:
+    codes, norms, ids = rows
+    count, subvectors = len(norms), codes.shape[1]
+    if codes.shape != (-(-count // GROUP), subvectors, GROUP) or not 0 < subvectors < 1 << 16:
+        raise InputError(
+            f"expected codes ({-(-count // GROUP)}, L, {GROUP}) for {count} rows, got {codes.shape}"
+        )
+    queries = len(tables.luts)
+    if tables.luts.shape[1:] != (subvectors, CENTROIDS) or not 0 < queries <= 1 << 16:
+        raise InputError(
+            f"expected tables (Q, {subvectors}, {CENTROIDS}) of 1 to 65536 queries for these codes, "
+            f"got {tables.luts.shape}"
+        )
+    if (ids is None) != (tables.coarse is None):
+        raise InputError("coarse ids belong with coarse tables, and only with them")
+    if ids is not None and tables.coarse is not None:
+        if ids.shape != (count,) or len(tables.coarse) != queries or tables.coarse.shape[1] > 65535:
+            raise InputError(
+                f"expected {count} coarse ids and tables ({queries}, up to 65535), "
+                f"got {ids.shape} and {tables.coarse.shape}"
+            )
+        if int(ids.max(initial=0)) >= max(tables.coarse.shape[1], 1):
+            raise InputError(f"coarse id {ids.max()} of {tables.coarse.shape[1]} coarse centroids")
+    if not how.error > 0 or how.wide < 0:
+        raise InputError(f"expected an error above 0 and wide of 0 or more, got {how}")
+    arrays = (codes, norms, ids), tables
+    whole = tuple(
+        tuple(None if part is None else np.ascontiguousarray(part) for part in parts)
+        for parts in arrays
+    )
+    return whole[0], whole[1], (how.error, how.wide, how.threads, _checked_isa(how.isa))
+
+
+def _one_query(tables: QueryTables) -> None:
+    if len(tables.luts) != 1:
+        raise InputError(f"expected the tables of one query, got {len(tables.luts)}")
