@@ -1,5 +1,6 @@
 """Codebooks: what coding keeps, and the authors' own index."""
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,18 +11,20 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.codes import (
+    Code,
     Codebook,
     Codes,
     from_official_bytes,
     load_codebook,
     official_bytes,
+    pq_code,
     read_faiss_codebook,
     save_codebook,
     train_codebook,
 )
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.kernels import reference_algebra
+from drsplat.kernels import reference_algebra, reference_scan
 from fields import OFFICIAL_INDEX, unit_rows
 
 CLIP = EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 512)
@@ -65,10 +68,84 @@ def test_scores_are_cosines_of_what_is_decoded(residual: bool) -> None:
     assert_allclose(book.decode(codes), decoded, atol=1e-6)
     norms = np.linalg.norm(decoded, axis=1)
     assert_allclose(book.inverse_norms(codes), 1 / norms, rtol=1e-5)
-    sums = book.lookup_table(query)[np.arange(6), codes.codes].sum(axis=1)
-    bias = book.coarse_scores(query)
-    sums = sums if bias is None else sums + bias[codes.coarse_ids]
-    assert_allclose(sums * book.inverse_norms(codes), decoded @ query / norms, atol=1e-5)
+    code = pq_code(book, codes)
+    assert_allclose(code.scores(query[None])[0], decoded @ query / norms, atol=1e-4)
+    assert_allclose(code.decode(np.arange(500)), decoded / norms[:, None], atol=1e-6)
+
+
+@both_kinds
+@pytest.mark.parametrize("queries", [1, 3, 20, 300])
+def test_all_answers_of_a_code_are_of_one_mind(residual: bool, queries: int) -> None:
+    book, rng = small_codebook(residual), np.random.default_rng(2)
+    code, asked = pq_code(book, random_codes(rng, book, 700)), unit_rows(rng, queries, 24)
+    assert isinstance(code, Code)
+    assert (len(code), code.dim) == (700, 24)
+    assert code.nbytes == 3 * 256 * 6 + 700 * (6 if residual else 4)
+    scores = code.scores(asked)
+    index, best, runner_up = reference_scan.best(scores)
+    found = code.best(asked)
+    few = queries <= 16
+    assert_allclose(found.scores, best, rtol=0, atol=0 if few else 2e-3)
+    assert_allclose(found.runner_up, runner_up, rtol=0, atol=0 if few else 2e-3)
+    clear = best - runner_up > (0 if few else 4e-3)
+    assert clear.mean() > 0.9
+    assert_array_equal(found.index[clear], index[clear])
+    rows, theirs = code.select(asked[0], 0.1)
+    assert_array_equal(rows, np.flatnonzero(scores[0] > 0.1))
+    assert_array_equal(theirs, scores[0, rows])
+    floor = scores[-1]
+    rows, _ = code.select(asked[0], 0.1, floor)
+    assert_array_equal(rows, np.flatnonzero(scores[0] - floor > np.float32(0.1)))
+    assert_array_equal(code.top(asked[0], 33).rows, reference_scan.top(scores[0], 33))
+    some = np.array([699, 3, 3, 256])
+    assert_allclose(code.rows(some).scores(asked), scores[:, some], rtol=0, atol=1e-4)
+    assert code.scores(asked[:0]).shape == (0, 700)
+    with pytest.raises(InputError, match="one or more queries"):
+        code.best(asked[:0])
+
+
+def test_codes_in_groups_are_the_same_codes() -> None:
+    book, rng = small_codebook(True), np.random.default_rng(3)
+    codes = random_codes(rng, book, 300)
+    code = pq_code(book, codes)
+    assert_array_equal(code.codes().codes, codes.codes)
+    assert_array_equal(official_bytes(code.codes()), official_bytes(codes))
+    assert code.codes().coarse_ids is not None
+    dirty = code.grouped.copy()
+    dirty[-1, :, 44:] = 255
+    marked = replace(code, grouped=dirty)  # what lies past the last row means nothing
+    query = unit_rows(rng, 1, 24)
+    assert_array_equal(marked.scores(query), code.scores(query))
+    assert_array_equal(marked.top(query[0], 1000).rows, code.top(query[0], 1000).rows)
+
+
+def test_a_code_that_does_not_fit_its_codebook_is_refused() -> None:
+    book, rng = small_codebook(True), np.random.default_rng(4)
+    code = pq_code(book, random_codes(rng, book, 300))
+    ids = code.coarse_ids
+    assert ids is not None
+    bad: list[tuple[dict[str, object], str]] = [
+        ({"grouped": code.grouped[:1]}, "grouped codes: expected uint8"),
+        ({"grouped": code.grouped[:, :5]}, "grouped codes: expected uint8"),
+        ({"inverse_norms": -code.inverse_norms}, "0 or more"),
+        ({"inverse_norms": code.inverse_norms * np.float32(np.nan)}, "finite"),
+        ({"coarse_ids": None}, "belong with a residual"),
+        ({"coarse_ids": ids + np.uint16(60000)}, "coarse id 6"),
+    ]
+    for changes, message in bad:
+        with pytest.raises(InputError, match=message):
+            replace(code, **changes)
+
+
+def test_short_rows_get_finer_tables() -> None:
+    """Scores are divided by norms: of a row ten times too short the error would be ten times as large."""
+    book, rng = small_codebook(), np.random.default_rng(5)
+    small = Codebook(book.centroids / 10, None, book.encoder)
+    code = pq_code(small, random_codes(rng, small, 2000))
+    query = unit_rows(rng, 1, 24)
+    decoded = code.codebook.decode(code.codes()).astype(np.float64)
+    exact = decoded @ query[0] / np.linalg.norm(decoded, axis=1)
+    assert_allclose(code.scores(query)[0], exact, rtol=0, atol=1e-4)
 
 
 @few
@@ -200,8 +277,8 @@ def test_what_does_not_belong_together_is_refused() -> None:
         plain.decode(codes)
     with pytest.raises(InputError, match="coarse id 65535"):
         residual.decode(Codes(codes.codes, np.full(5, 65535, np.uint16)))
-    with pytest.raises(InputError, match="query"):
-        plain.lookup_table(np.zeros(23, np.float32))
+    with pytest.raises(InputError, match="queries of 24 numbers, got 23"):
+        plain.tables(np.zeros((1, 23), np.float32))
     with pytest.raises(InputError, match=r"cannot train 7 .* divides 24"):
         train_codebook(unit_rows(np.random.default_rng(0), 9, 24), 7, encoder=SMALL)
     with pytest.raises(InputError, match="official"):

@@ -80,6 +80,9 @@ def use_field(path: Path) -> None:
     query = np.array([1, 2, 3, 4], np.float32)
     with np.errstate(all="ignore"):
         field.scores(query, threads=1)
+        assert (field.select(query, -2.0, threads=1).rows < len(field)).all()
+        assert len(field.top(query, 5, threads=1).rows) <= len(field)
+        field.best(np.stack([query, -query]), threads=1)
         field.feature(slice(None))
         if field.evidence is not None:
             field.evidence.features(0, len(field), threads=1)

@@ -171,8 +171,7 @@ def test_a_field_gives_its_registration_back(registration):
     assert same(back, registration)
     assert len(field) == registration.num_registered
     bare = type(field)(
-        *(getattr(field, n) for n in ("gaussian_ids", "codes", "coarse_ids", "inverse_norms")),
-        *(getattr(field, n) for n in ("codebook", "encoder", "scene", "num_gaussians")),
+        *(getattr(field, n) for n in ("gaussian_ids", "code", "encoder", "scene", "num_gaussians"))
     )
     with pytest.raises(InputError, match="no evidence"):
         Registration.from_field(bare)

@@ -191,7 +191,9 @@ def test_several_python_threads_at_once(isa: str) -> None:
     alone = [scan_scores(*each, Scanning(isa=isa)) for each in asked]
     with ThreadPoolExecutor(8) as pool:
         for _ in range(3):
-            together = pool.map(lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked)
+            together = pool.map(
+                lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked
+            )
             for a, b in zip(alone, together, strict=True):
                 assert_array_equal(a, b)
 

@@ -177,8 +177,7 @@ def test_a_click_passes_over_gaussians_without_feature(
     fewer = replace(
         field,
         gaussian_ids=field.gaussian_ids[kept],
-        codes=field.codes[kept],
-        inverse_norms=field.inverse_norms[kept],
+        code=field.code.rows(np.flatnonzero(kept)),
         evidence=None,
         negatives=None,
     )

@@ -22,6 +22,8 @@ __all__ = [
     "Answer",
     "embed_query",
     "feature_at",
+    "fits_all",
+    "fits_but_not",
     "null_rises",
     "query",
     "relevancy_from_scores",
@@ -40,6 +42,8 @@ ABSENT = (
 """Words that hardly any capture answers: how high their scores rise is chance."""
 
 LOWEST = -1.0  # a cosine that no threshold selects
+AT_ONCE = 16  # queries that compete exactly in one scan
+CHUNK = 8  # queries whose scores are held at once
 _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not\s+|\s+but\s+not\s+", re.IGNORECASE)
 
 
@@ -113,6 +117,41 @@ def without(
     return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
 
 
+def fits_but_not(
+    field: LanguageField,
+    query: Float32[np.ndarray, " D"],
+    rivals: Float32[np.ndarray, "c D"],
+    *,
+    threads: int = 0,
+) -> Float32[np.ndarray, " r"]:
+    """Cosines of a query, LOWEST where a rival fits as well or better; one scan for up to 15 rivals.
+
+    Raises: MismatchError: vectors of another dimension. InputError: one without direction.
+    """
+    if len(rivals) >= AT_ONCE:
+        maxima = field.score_negatives(rivals, threads=threads).maxima
+        return without(field.scores(query, threads=threads), maxima)
+    best = field.best(np.concatenate([query[None], rivals]), threads=threads)
+    wins = (best.index == 0) & (best.scores > best.runner_up)
+    return np.asarray(np.where(wins, best.scores, np.float32(LOWEST)))
+
+
+def fits_all(
+    field: LanguageField, queries: Float32[np.ndarray, "c D"], *, threads: int = 0
+) -> Float32[np.ndarray, " r"]:
+    """The lowest cosine of several queries, "mug and red": high where all of them fit.
+
+    Raises: MismatchError: vectors of another dimension. InputError: one without direction, or none.
+    """
+    if not len(queries):
+        raise InputError("expected one or more queries that are all to fit")
+    lowest = np.full(len(field), np.inf, np.float32)
+    for begin in range(0, len(queries), CHUNK):
+        scores = field.scores(queries[begin : begin + CHUNK], threads=threads)
+        lowest = np.minimum(lowest, scores.min(axis=0))
+    return lowest
+
+
 def null_rises(
     field: LanguageField,
     encoder: Encoder,
@@ -127,7 +166,10 @@ def null_rises(
     """
     field.check_encoder(encoder.identity)
     embeddings = np.asarray(encoder.encode_texts(texts), np.float32)
-    return np.array([rise(field.scores(one, threads=threads), peak) for one in embeddings])
+    chunks = (embeddings[begin : begin + CHUNK] for begin in range(0, len(embeddings), CHUNK))
+    return np.array(
+        [rise(one, peak) for chunk in chunks for one in field.scores(chunk, threads=threads)]
+    )
 
 
 def feature_at(
@@ -184,7 +226,10 @@ def query(
     """
     compared = text_negatives(field, encoder, negatives, threads=threads)
     wanted, unwanted = split_negation(text)
-    scores = field.scores(embed_query(encoder, field, wanted), threads=threads)
+    vector = embed_query(encoder, field, wanted)
     if unwanted:
-        scores = without(scores, rival_scores(field, encoder, wanted, unwanted, threads=threads))
+        rivals = [embed_query(encoder, field, f"{word} {wanted}") for word in unwanted]
+        scores = fits_but_not(field, vector, np.stack(rivals), threads=threads)
+    else:
+        scores = field.scores(vector, threads=threads)
     return Answer(scores, relevancy_from_scores(scores, compared.maxima))

@@ -1,25 +1,32 @@
-"""Product quantisation: a feature as one byte per sub-vector.
+"""Codes: what features are kept as and searched in. Product quantisation: one byte per sub-vector.
 
 A plain codebook is the paper's. A residual one is what its authors publish: a code is then the
 index of a coarse centroid plus the bytes of what that centroid leaves over.
 Source: Dr. Splat Sec. B; Jegou et al. 2011.
 """
 
+from .code import Best, Code, Hits
 from .codebook import Codebook, Codes, train_codebook
 from .files import codebook_from_tensors, encoder_from_json, load_codebook, save_codebook
 from .kmeans import Track, untracked
 from .official import OfficialRows, from_official_bytes, official_bytes, read_faiss_codebook
+from .pq_code import PQCode, pq_code
 
 __all__ = [
+    "Best",
+    "Code",
     "Codebook",
     "Codes",
+    "Hits",
     "OfficialRows",
+    "PQCode",
     "Track",
     "codebook_from_tensors",
     "encoder_from_json",
     "from_official_bytes",
     "load_codebook",
     "official_bytes",
+    "pq_code",
     "read_faiss_codebook",
     "save_codebook",
     "train_codebook",

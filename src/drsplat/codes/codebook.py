@@ -12,7 +12,7 @@ from jaxtyping import Float32, Integer, UInt8, UInt16
 
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
-from ..kernels import pq_encode, pq_scores
+from ..kernels import QueryTables, lookup_tables, pq_encode, pq_scores
 from ..kernels.algebra import CENTROIDS
 from .kmeans import Track, train_centroids, untracked
 
@@ -140,16 +140,27 @@ class Codebook:
         norms = np.sqrt(squared)
         return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))
 
-    def lookup_table(self, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, "L c"]:
-        """Inner product of each part of the query with each centroid of that part."""
-        parts = self._checked(query).reshape(self.num_subvectors, 1, -1)
-        return np.asarray((parts * self.centroids.astype(np.float64)).sum(axis=2), np.float32)
+    def tables(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> QueryTables:
+        """What each query gives for each code: its inner products with all centroids.
 
-    def coarse_scores(self, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " C"] | None:
-        """Inner product of the query with each coarse centroid; None for a plain codebook."""
+        Raises: InputError: queries of another dimension.
+        """
+        if queries.shape[1] != self.dim:
+            raise InputError(f"expected queries of {self.dim} numbers, got {queries.shape[1]}")
+        luts = lookup_tables(self.centroids, queries, threads=threads)
         if self.coarse is None:
-            return None
-        return np.asarray(np.einsum("cd,d->c", self.coarse, self._checked(query)))
+            return QueryTables(luts)
+        blocks = (
+            self.coarse[begin : begin + CENTROIDS]
+            for begin in range(0, len(self.coarse), CENTROIDS)
+        )
+        parts = [
+            lookup_tables(np.resize(block, (1, CENTROIDS, self.dim)), queries, threads=threads)[
+                :, 0, : len(block)
+            ]
+            for block in blocks
+        ]
+        return QueryTables(luts, np.concatenate(parts, axis=1))
 
     def check(self, codes: Codes) -> None:
         """Refuse codes that this codebook cannot have made.
@@ -159,23 +170,22 @@ class Codebook:
         """
         if codes.codes.ndim != 2 or codes.codes.shape[1] != self.num_subvectors:
             raise InputError(f"expected codes (n, {self.num_subvectors}), got {codes.codes.shape}")
-        if (codes.coarse_ids is None) != (self.coarse is None):
+        self.check_coarse_ids(codes.coarse_ids, len(codes.codes))
+
+    def check_coarse_ids(self, ids: UInt16[np.ndarray, " n"] | None, rows: int) -> None:
+        """Raises: InputError: ids missing, superfluous, out of range or not one per row."""
+        if (ids is None) != (self.coarse is None):
             raise InputError("coarse ids belong with a residual codebook, and only with one")
-        if self.coarse is not None and codes.coarse_ids is not None:
-            if codes.coarse_ids.shape != (len(codes.codes),):
+        if self.coarse is not None and ids is not None:
+            if ids.shape != (rows,) or ids.dtype != np.uint16:
                 raise InputError(
-                    f"expected {len(codes.codes)} coarse ids, got {codes.coarse_ids.shape}"
+                    f"expected {rows} coarse ids (uint16), got {ids.dtype} {ids.shape}"
                 )
-            largest = int(codes.coarse_ids.max(initial=0))
+            largest = int(ids.max(initial=0))
             if largest >= len(self.coarse):
                 raise InputError(
                     f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids"
                 )
-
-    def _checked(self, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
-        if query.shape != (self.dim,):
-            raise InputError(f"expected a query of {self.dim} numbers, got {query.shape}")
-        return query
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Its arrays by name, as they are written to files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -112,16 +113,30 @@ class Asking:
 
     def about(self, text: str) -> Asked:
         """To a text; "mug, not red" leaves out what "red mug" fits as well."""
-        from ..search import LOWEST, embed_query, rival_scores, split_negation, without
+        return next(iter(self.about_each([text])))
 
-        wanted, unwanted = split_negation(text)
-        unwanted = (*unwanted, *self.ask.unwanted)
-        query = embed_query(self.encoder, self.field, wanted)
-        answer = self._of(query, own=self.own_threshold, words=True)
+    def about_each(self, texts: Sequence[str]) -> Iterator[Asked]:
+        """To each of several texts, scored several at a time."""
+        import numpy as np
+
+        from ..search import CHUNK, embed_query, split_negation
+
+        for begin in range(0, len(texts), CHUNK):
+            split = [split_negation(text) for text in texts[begin : begin + CHUNK]]
+            queries = [embed_query(self.encoder, self.field, wanted) for wanted, _ in split]
+            scores = self.field.scores(np.stack(queries), threads=self.threads)
+            for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
+                answer = self._measured(query, own, own=self.own_threshold, words=True)
+                yield self._without(answer, own, wanted, (*unwanted, *self.ask.unwanted))
+
+    def _without(
+        self, answer: Asked, scores: np.ndarray, wanted: str, unwanted: tuple[str, ...]
+    ) -> Asked:
+        from ..search import LOWEST, rival_scores, without
+
         if not unwanted:
             return answer
         rivals = rival_scores(self.field, self.encoder, wanted, unwanted, threads=self.threads)
-        scores = self.field.scores(query, threads=self.threads)
         values = answer.values.copy()
         values[without(scores, rivals) == LOWEST] = LOWEST if answer.measure == "cosine" else 0.0
         return replace(answer, values=values)
@@ -137,11 +152,20 @@ class Asking:
         """The built-in encoders' cosines mean something."""
         return getattr(self.encoder, "threshold", None)
 
-    def _of(self, query: np.ndarray, *, own: float | None = None, words: bool = False) -> Asked:
+    def _of(self, query: np.ndarray, *, own: float | None = None) -> Asked:
+        return self._measured(query, self.field.scores(query, threads=self.threads), own=own)
+
+    def _measured(
+        self,
+        query: np.ndarray,
+        scores: np.ndarray,
+        *,
+        own: float | None = None,
+        words: bool = False,
+    ) -> Asked:
         from ..search import relevancy_from_scores
 
         ask, uncertain = self.ask, words and self.ask.encoder is not None and own is None
-        scores = self.field.scores(query, threads=self.threads)
         if ask.threshold == AUTO or not (ask.relevancy or ask.negatives or uncertain):
             cut = self._threshold(scores, self._cosine_default(own), words)
             return Asked(self.field, query, scores, "cosine", *cut)

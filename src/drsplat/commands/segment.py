@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene = None if arguments.scene is None else read_gaussians(arguments.scene)
     if scene is not None:
         asking.field.check_scene(scene)
-    answers = [asking.about(name) for name in classes]
+    answers = list(asking.about_each(classes))
     thresholds = [answer.threshold for answer in answers]
     labels = segment(asking.field, (answer.values for answer in answers), thresholds)
     report = {

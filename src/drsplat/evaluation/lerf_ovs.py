@@ -113,8 +113,8 @@ def predict(
     splats = splat_arrays(gaussians)
     peaks: dict[str, dict[str, list[float] | None]] = {}
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
-    for category in track(scene.categories, f"{scene.name}: queries"):
-        scores = scorer.scores(category)
+    categories = track(scene.categories, f"{scene.name}: queries")
+    for category, scores in zip(categories, scorer.each(scene.categories), strict=True):
         at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
         for name, (choose, _) in chosen.items():
             picked[name][category] = at[name] = _finite(choose(scores))

@@ -121,8 +121,8 @@ def predict_classes(
     best, found = np.full(count, -np.inf, np.float32), np.zeros(count, np.int32)
     chosen = choosers or {}
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
-    for number, prompt in track(list(enumerate(scene.labels.prompts, 1)), f"{scene.name}: classes"):
-        scores = scorer.scores(prompt)
+    numbers = track(range(1, len(scene.labels.prompts) + 1), f"{scene.name}: classes")
+    for number, scores in zip(numbers, scorer.each(scene.labels.prompts), strict=True):
         higher = scores > best  # NaN is not
         found[higher], best[higher] = number, scores[higher]
         if keep_scores:

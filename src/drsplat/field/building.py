@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..aggregation import MEAN, MEAN_RECORD, Aggregated, AggregatorRecord
-from ..codes import Codebook, Codes, Track, train_codebook, untracked
+from ..codes import Codebook, Codes, Track, pq_code, train_codebook, untracked
 from ..codes.codebook import BLOCK, TRAINING_POINTS
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
@@ -61,11 +61,9 @@ def build_field(
     if not directed.all():  # embeddings that cancel out exactly
         rows = np.flatnonzero(directed)
         seen, codes = seen[rows], codes.rows(rows)
-    norms = codebook.inverse_norms(codes, threads=threads)
+    code = pq_code(codebook, codes, threads=threads)
     ids, kept = seen.astype(np.uint32), evidence.rows(seen)
-    return LanguageField(
-        ids, *codes, norms, codebook, encoder, scene, len(evidence), kept, aggregator=record
-    )
+    return LanguageField(ids, code, encoder, scene, len(evidence), kept, aggregator=record)
 
 
 def _scene_codebook(

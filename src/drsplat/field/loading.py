@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from ..aggregation import record_from_json
-from ..codes import codebook_from_tensors, encoder_from_json
+from ..codes import PQCode, codebook_from_tensors, encoder_from_json
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
 from ..formats.field_folder import read_manifest
 from ..formats.tensors import check_tensors, map_tensors
+from ..kernels import group_codes
 from .language_field import (
     CODES,
     EVIDENCE,
@@ -26,10 +27,10 @@ MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {
     "gaussian_ids": ("uint32", "r"),
-    "codes": ("uint8", "r L"),
     "coarse_ids": ("uint16", "r"),
     "inverse_norms": ("float32", "r"),
 }
+_CODES = {1: {"codes": ("uint8", "r L")}, 2: {"grouped_codes": ("uint8", "g L k")}}
 
 
 def load_field(path: str | os.PathLike[str]) -> LanguageField:
@@ -44,42 +45,61 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
         raise FormatError(
             f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}"
         )
-    if manifest.get("version") != VERSION:
+    version = manifest.get("version")
+    if type(version) is not int or not 1 <= version <= VERSION:
         raise FormatError(
-            f"{path}: version {ascii(manifest.get('version'))[:20]} of drsplat "
-            f"{ascii(manifest.get('drsplat'))[:20]}; this one reads {VERSION}: upgrade, or register "
+            f"{path}: version {ascii(version)[:20]} of drsplat "
+            f"{ascii(manifest.get('drsplat'))[:20]}; this one reads 1 to {VERSION}: upgrade, or register "
             "again"
         )
     tensors, _ = _tied(path, CODES, manifest)
-    listed = manifest.get("codebook")
-    if not isinstance(listed, dict):
-        raise FormatError(f"{path}: expected the hash and encoder of the codebook")
-    codebook = codebook_from_tensors(
-        tensors, listed.get("encoder"), listed.get("hash"), str(path / CODES)
-    )
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
-    optional = {name for name in ("coarse_ids",) if name not in tensors}
-    check_tensors(
-        tensors, {k: v for k, v in _ARRAYS.items() if k not in optional}, str(path / CODES)
-    )
+    code = _pq_code(tensors, _codebook_listed(manifest, version, path), version, str(path / CODES))
     try:
         return LanguageField(
             tensors["gaussian_ids"],
-            tensors["codes"],
-            tensors.get("coarse_ids"),
-            tensors["inverse_norms"],
-            codebook,
+            code,
             encoder_from_json(manifest.get("encoder"), str(path)),
             scene,
             count,
             _evidence(path, manifest),
-            _negatives(path, manifest, codebook.dim),
+            _negatives(path, manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
+
+
+def _codebook_listed(
+    manifest: dict[str, object], version: int, path: Path
+) -> tuple[object, object]:
+    """Hash of the codebook, and its encoder; version 1 knew no other code."""
+    listed = manifest.get("codebook" if version == 1 else "code")
+    if not isinstance(listed, dict):
+        raise FormatError(f"{path}: expected the hash and encoder of the codebook")
+    if version == 1:
+        return listed.get("hash"), listed.get("encoder")
+    if listed.get("kind") != PQCode.kind:
+        raise FormatError(
+            f"{path}: features kept as {ascii(listed.get('kind'))[:40]}; this version of drsplat reads "
+            f"'{PQCode.kind}'"
+        )
+    return listed.get("codebook"), listed.get("encoder")
+
+
+def _pq_code(tensors: _Tensors, listed: tuple[object, object], version: int, where: str) -> PQCode:
+    """Codes as they are scanned: those of version 1 are brought into that order."""
+    expected_hash, encoder = listed
+    codebook = codebook_from_tensors(tensors, encoder, expected_hash, where)
+    expected = {k: v for k, v in _ARRAYS.items() if k != "coarse_ids" or k in tensors}
+    check_tensors(tensors, expected | _CODES[version], where)
+    grouped = tensors["grouped_codes"] if version > 1 else group_codes(tensors["codes"])
+    try:
+        return PQCode(codebook, grouped, tensors.get("coarse_ids"), tensors["inverse_norms"])
+    except InputError as error:
+        raise FormatError(f"{where}: {error}") from error
 
 
 def _has(manifest: dict[str, object], name: str) -> bool:

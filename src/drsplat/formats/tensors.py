@@ -23,6 +23,7 @@ _DTYPES = {
 }  # fmt: skip
 _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 _MAX_HEADER = 64 << 20
+LINE = 64  # bytes that a processor reads at once
 
 
 def write_tensors(
@@ -40,8 +41,8 @@ def write_tensors(
     for name, array in arrays.items():
         if array.dtype not in _NAMES:
             raise InputError(f"tensor '{name}': safetensors has no name for {array.dtype}")
-    # Widest first, as the format's own library does: then every tensor is aligned to its items.
-    order = sorted(arrays, key=lambda name: (-arrays[name].dtype.itemsize, name))
+    # Those of whole cache lines, which then begin at one, then the widest: so all are aligned to their items.
+    order = sorted(arrays, key=lambda name: (_misfit(arrays[name]), name))
     header: dict[str, object] = {"__metadata__": dict(metadata)} if metadata else {}
     offset = 0
     for name in order:
@@ -53,11 +54,15 @@ def write_tensors(
         }
         offset = end
     text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
+    text += b" " * (-(8 + len(text)) % LINE)
     with replacing(path, overwrite) as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
             file.write(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+
+
+def _misfit(array: np.ndarray) -> tuple[bool, int]:
+    return array.nbytes % LINE != 0, -array.dtype.itemsize
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -52,6 +52,9 @@ class Scanning(NamedTuple):
     isa: str = ""
 
 
+EXACT = Scanning()
+
+
 def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]:
     """Rows of codes as groups of 256 rows, sub-vector by sub-vector; the last is filled with zeros."""
     count, subvectors = codes.shape
@@ -94,7 +97,7 @@ def lookup_tables(
 
 
 def scan_scores(
-    rows: GroupedRows, tables: QueryTables, how: Scanning = Scanning()
+    rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT
 ) -> Float32[np.ndarray, "q n"]:
     """score_i = (sum_m lut[m, codes[i, m]] + coarse[coarse_ids[i]]) * inverse_norms[i], for each query.
 
@@ -110,7 +113,7 @@ def scan_above(
     tables: QueryTables,
     threshold: float,
     floor: Float32[np.ndarray, " n"] | None = None,
-    how: Scanning = Scanning(),
+    how: Scanning = EXACT,
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
     """Rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
 
@@ -127,7 +130,7 @@ def scan_above(
 
 
 def scan_top(
-    rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = Scanning()
+    rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = EXACT
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
     """The `count` best rows and their scores, best first, ties to the lower row; of one query.
 
@@ -142,7 +145,7 @@ def scan_top(
 
 
 def scan_best(
-    rows: GroupedRows, tables: QueryTables, how: Scanning = Scanning()
+    rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT
 ) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
     """For each row the query of the highest score (ties to the first), that score, and the next highest.
 

@@ -1,0 +1,76 @@
+"""What every code can do: the features of n rows, kept small, and searched without being decoded."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64, Integer
+
+
+class Hits(NamedTuple):
+    """Rows that were found, and their scores."""
+
+    rows: Int64[np.ndarray, " h"]
+    scores: Float32[np.ndarray, " h"]
+
+
+class Best(NamedTuple):
+    """Of several queries, for each row: the index of the best, its score, the second best score.
+
+    Of equals the first is the best. With one query the second best score is -inf.
+    """
+
+    index: Int32[np.ndarray, " n"]  # type: ignore[assignment]  # hides tuple.index
+    scores: Float32[np.ndarray, " n"]
+    runner_up: Float32[np.ndarray, " n"]
+
+
+@runtime_checkable
+class Code(Protocol):
+    """Coded features of n rows.
+
+    Queries are unit vectors, and a score is the cosine with the decoded feature; 0 for a row without
+    direction. threads: 0 takes all cores; all answers are the same to the bit for any number of them.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Its name in files."""
+
+    @property
+    def dim(self) -> int: ...
+
+    @property
+    def nbytes(self) -> int:
+        """Of all rows together, without what they share."""
+
+    def __len__(self) -> int: ...
+
+    def scores(
+        self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
+    ) -> Float32[np.ndarray, "q n"]:
+        """Of every row, for each query; the same whether a query is asked alone or among others."""
+
+    def select(
+        self,
+        query: Float32[np.ndarray, " D"],
+        threshold: float,
+        floor: Float32[np.ndarray, " n"] | None = None,
+        *,
+        threads: int = 0,
+    ) -> Hits:
+        """Rows whose score, minus the row's `floor`, exceeds the threshold; ascending."""
+
+    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+        """The `count` best rows, best first, ties to the lower row."""
+
+    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+        """The best query of each row; there is never a matrix of queries and rows."""
+
+    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+        """Unit features of some rows; zero for a row without direction."""
+
+    def rows(self, index: Integer[np.ndarray, " b"]) -> "Code":
+        """The code of some rows."""
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """All of it as arrays by name, as they are written to files."""
