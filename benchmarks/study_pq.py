@@ -20,9 +20,8 @@ import numpy as np
 from machine import describe, interleaved
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
-from drsplat.codes import Codes
+from drsplat.codes import Codes, pq_code
 from drsplat.evaluation.svg import bars
-from drsplat.kernels import pq_scores
 
 SUBVECTORS = (128, 64, 32)
 RATIOS = (32, 16, 8)
@@ -64,11 +63,9 @@ def search_times(points: int, dim: int, repeats: int, threads: int) -> dict[str,
     for parts in SUBVECTORS:
         centroids = rng.normal(size=(parts, 256, dim // parts)).astype(np.float32)
         codes = rng.integers(0, 256, (points, parts), np.uint8)
-        norms = np.ones(points, np.float32)
         book = Codebook(centroids, None, EncoderIdentity("random", dim))
-        rivals[f"ours {parts}"] = lambda b=book, c=codes, n=norms: pq_scores(
-            c, b.lookup_table(query), n, None, threads=threads
-        )
+        code = pq_code(book, Codes(codes), np.ones(points, np.float32))
+        rivals[f"ours {parts}"] = lambda c=code: c.scores(query[None], threads=threads)
         index = faiss_index(centroids, codes, threads)
         if index is not None:
             rivals[f"FAISS {parts}"] = lambda i=index: i.search(query[None], 100)

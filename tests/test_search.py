@@ -18,6 +18,8 @@ from drsplat.search import (
     NEGATIVES,
     embed_query,
     feature_at,
+    fits_all,
+    fits_but_not,
     null_rises,
     query,
     split_negation,
@@ -25,7 +27,7 @@ from drsplat.search import (
     without,
 )
 from drsplat.thresholds import rise
-from fields import ToyEncoder, toy_field
+from fields import ToyEncoder, toy_field, unit_rows
 
 
 def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:
@@ -162,6 +164,19 @@ def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(
         assert_array_equal(feature, field.feature(np.array([at]))[0])
         seen += 1
     assert seen > 5
+
+
+def test_combined_queries_are_what_their_parts_say() -> None:
+    field, rng = toy_field(), np.random.default_rng(20)
+    query, others = unit_rows(rng, 1, 32)[0], unit_rows(rng, 20, 32)
+    scores, rivals = field.scores(query), field.scores(others)
+    for count in (1, 3, 15, 16, 20):
+        left = fits_but_not(field, query, others[:count])
+        assert_array_equal(left, without(scores, rivals[:count].max(axis=0)))
+        assert_array_equal(fits_all(field, others[:count]), rivals[:count].min(axis=0))
+    assert (fits_but_not(field, query, query[None]) == LOWEST).all()  # as well, but not better
+    with pytest.raises(InputError, match="one or more queries"):
+        fits_all(field, others[:0])
 
 
 def test_a_click_passes_over_gaussians_without_feature(
