@@ -26,8 +26,8 @@ Memory aligned(size_t bytes) {
   return memory;
 }
 
-constexpr uint64_t kBlockRows = 16 * kPairRows;      // handed to a thread at once
-constexpr uint64_t kManyBlockRows = 64 * kPairRows;  // the same where tables of many queries pass by
+constexpr uint64_t kBlockRows = 16 * kPairRows;       // handed to a thread at once
+constexpr uint64_t kManyBlockRows = 128 * kPairRows;  // the same where tables of many queries pass by
 
 // A prepared scan; `next` hands out blocks of rows.
 struct Scan {
@@ -39,7 +39,8 @@ struct Scan {
   std::atomic<uint64_t> next{0};
 
   Scan(const ScanKernels &kernels_, const GroupedRows &rows_, const QueryTables &tables_, Precision precision, int threads)
-      : kernels(kernels_), rows(rows_), tables(tables_), prepared(aligned(kernels.prepared_bytes(rows.subvectors, tables.queries))), block_rows(tables.queries > kQueryTile ? kManyBlockRows : kBlockRows) {
+      : kernels(kernels_), rows(rows_), tables(tables_),
+        prepared(aligned(kernels.prepared_bytes(rows.subvectors, tables.queries))), block_rows(tables.queries > kQueryTile ? kManyBlockRows : kBlockRows) {
     std::atomic<uint32_t> tile{0};
     const uint32_t tiles = (tables.queries + kQueryTile - 1) / kQueryTile;
     parallel((int)std::max(1u, std::min((uint32_t)threads, tiles)), [&](int) {

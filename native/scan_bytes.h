@@ -104,19 +104,34 @@ static uint32_t digits_of(const float *table, float low, float per_step, int shi
   return _mm512_reduce_max_epu32(largest);
 }
 
+// How many bytes in a row may be added before they are widened. A power of two for a whole run, so that the
+// processor foresees the flushes; 1 where not even pairs fit.
+static uint32_t packing_of(const uint32_t *largest, uint32_t count) {
+  for (uint32_t pack = kTile; pack > 1; pack /= 2) {
+    bool fits = true;
+    for (uint32_t begin = 0; begin < count; begin += pack) {
+      uint32_t held = 0;
+      for (uint32_t i = begin; i < begin + pack && i < count; i++) held += largest[i];
+      fits = fits && held <= 255;
+    }
+    if (fits) return pack;
+  }
+  return 1;
+}
+
 static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32_t last, int shift, uint32_t mask, Run &run) {
   const float per_step = 1.f / plan.step;
-  uint32_t held = 0, flushes = 0;  // `held`: the largest sum of bytes not yet widened
-  run.end = run.begin;
+  uint32_t largest[kTile], count = 0;
   for (uint32_t m = first; m < last; m++) {
-    const uint32_t largest = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, plan.tables + 256 * (size_t)run.end);
-    if (largest == 0) continue;
-    if (held + largest > 255) plan.steps[run.end - 1].flush = 1, held = 0, flushes++;
-    plan.steps[run.end++] = {(uint16_t)(m - first), 0};
-    held += largest;
+    const uint32_t at = run.begin + count;
+    largest[count] = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, plan.tables + 256 * (size_t)at);
+    if (largest[count] == 0) continue;
+    plan.steps[at] = {(uint16_t)(m - first), 0};
+    count++;
   }
-  if (run.end > run.begin) plan.steps[run.end - 1].flush = 1, flushes++;
-  run.packed = 3 * flushes < 2 * (run.end - run.begin);
+  const uint32_t pack = packing_of(largest, count);
+  run.end = run.begin + count, run.packed = pack > 1;
+  for (uint32_t i = 0; i < count; i++) plan.steps[run.begin + i].flush = (i + 1) % pack == 0 || i + 1 == count;
 }
 
 static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, BytePlan &plan) {
@@ -152,7 +167,7 @@ enum Prefetch { kNothing, kFirst, kSecond };  // one group at a time: more reque
 INLINE __m512i look_up(const __m512i *table, const uint8_t *from) {
   __m512i codes = _mm512_loadu_si512(from);
   __asm__("" : "+v"(codes));  // else GCC loads once for each use, and loads are what the loop waits for
-  return _mm512_mask_blend_epi8(_mm512_movepi8_mask(codes), _mm512_permutex2var_epi8(table[0], codes, table[1]), _mm512_permutex2var_epi8(table[2], codes, table[3]));
+  return _mm512_mask_blend_epi8(_mm512_cmplt_epi8_mask(codes, _mm512_setzero_si512()), _mm512_permutex2var_epi8(table[0], codes, table[1]), _mm512_permutex2var_epi8(table[2], codes, table[3]));
 }
 
 template <Prefetch Ahead, bool Packed>
@@ -164,6 +179,7 @@ static void accumulate(const BytePlan &plan, Run run, const CodeTile &codes, boo
 #pragma GCC unroll 8
     for (int b = 0; b < 8; b++) even[b] = sums.even[b], odd[b] = sums.odd[b];
   }
+  const __m512i second = _mm512_set1_epi16(1 << 8);  // as pairs of bytes: takes the odd one of two rows
   for (uint32_t s = run.begin; s < run.end; s++) {
     const uint8_t *entries = plan.tables + 256 * (size_t)s;
     const __m512i table[4] = {_mm512_loadu_si512(entries), _mm512_loadu_si512(entries + 64), _mm512_loadu_si512(entries + 128), _mm512_loadu_si512(entries + 192)};
@@ -178,7 +194,7 @@ static void accumulate(const BytePlan &plan, Run run, const CodeTile &codes, boo
         bytes[b] = _mm512_add_epi8(bytes[b], found);
       } else {
         even[b] = _mm512_add_epi16(even[b], found);
-        odd[b] = _mm512_add_epi16(odd[b], _mm512_srli_epi16(found, 8));
+        odd[b] = _mm512_add_epi16(odd[b], _mm512_maddubs_epi16(found, second));
       }
     }
     if (Packed && plan.steps[s].flush) {
