@@ -102,8 +102,8 @@ nb::tuple best_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tupl
 
 nb::object lookup_tables_of(Array<float, 3> centroids, Array<float, 2> queries, int threads, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
-  const size_t subvectors = centroids.shape(0), dim = centroids.shape(2), count = queries.shape(0);
-  require(centroids.shape(1) == 256 && subvectors > 0 && subvectors * dim == queries.shape(1) && subvectors < (1u << 24) && dim < (1u << 24) && count < (1u << 24), "centroids (L, 256, D / L) and queries (Q, D)");
+  const size_t subvectors = centroids.shape(0), dim = centroids.shape(1), count = queries.shape(0);
+  require(centroids.shape(2) == 256 && subvectors > 0 && dim > 0 && subvectors * dim == queries.shape(1) && subvectors < (1u << 24) && dim < (1u << 24) && count < (1u << 24), "centroids (L, D / L, 256) and queries (Q, D)");
   Fresh<float> tables(count * subvectors * 256);
   {
     nb::gil_scoped_release release;

@@ -100,9 +100,8 @@ void lookup_tables(const ScanKernels &kernels, const float *centroids, const flo
   const bool small = (uint64_t)count * subvectors * dim < 1 << 14;  // threads cost more than that
   const int workers = small ? 1 : (int)std::min<uint32_t>((uint32_t)threads, subvectors);
   parallel(workers, [&](int t) {
-    std::vector<float> scratch((size_t)256 * dim);
     const Part part = part_of(subvectors, workers, t);
-    kernels.lookup_tables(centroids, queries, count, subvectors, dim, part.begin, part.end, scratch.data(), tables);
+    kernels.lookup_tables(centroids, queries, count, subvectors, dim, part.begin, part.end, tables);
   });
 }
 

@@ -54,8 +54,8 @@ struct ScanKernels {
   uint32_t (*above)(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count, CandidateRow *out);
   // Let query `index` compete with sum * scale: `best` and `runner_up` are the two highest so far, ties to the earlier.
   void (*compete)(const float *sums, const float *scale, int32_t index, uint32_t count, int32_t *winner, float *best, float *runner_up);
-  // tables[q][m][c] = <queries[q][m], centroids[m][c]> for sub-vectors [begin, end).
-  void (*lookup_tables)(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *scratch, float *tables);
+  // tables[q][m][c] = sum over d of queries[q][m][d] * centroids[m][d][c], for sub-vectors [begin, end).
+  void (*lookup_tables)(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *tables);
 };
 
 }  // namespace drsplat

@@ -80,7 +80,7 @@ static float ranked_width(const Range *ranges, uint32_t subvectors, uint32_t ran
 static float step_of(const Range *ranges, uint32_t subvectors, Precision precision) {
   const float finest = ranked_width(ranges, subvectors, 0) / kMaxSteps;
   // Half a step for each: never off by more than 0.95 error, and by less where more costs next to nothing.
-  float step = 1.9f * precision.error / (float)(subvectors < 64 ? 64 : subvectors);
+  float step = 1.9f * precision.error / (float)(subvectors < 32 ? 32 : subvectors);
   if (precision.wide) {
     const float largest = precision.error / (6.f * __builtin_sqrtf((float)subvectors / 12.f));
     step = ranked_width(ranges, subvectors, precision.wide) / 255.f;

@@ -32,17 +32,14 @@ static void compete(const float *__restrict sums, const float *__restrict scale,
   }
 }
 
-static void lookup_tables(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *scratch, float *tables) {
+static void lookup_tables(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *tables) {
   for (uint32_t m = begin; m < end; m++) {
-    const float *from = centroids + (size_t)m * 256 * dim;
-    for (uint32_t c = 0; c < 256; c++)
-      for (uint32_t d = 0; d < dim; d++) scratch[d * 256 + c] = from[c * dim + d];
     for (uint32_t q = 0; q < count; q++) {
-      const float *part = queries + ((size_t)q * subvectors + m) * dim;
-      float *table = tables + ((size_t)q * subvectors + m) * 256;
-      for (uint32_t c = 0; c < 256; c++) table[c] = 0.f;
-      for (uint32_t d = 0; d < dim; d++)
-        for (uint32_t c = 0; c < 256; c++) table[c] += part[d] * scratch[d * 256 + c];
+      const float *part = queries + ((size_t)q * subvectors + m) * dim, *from = centroids + (size_t)m * dim * 256;
+      float *__restrict table = tables + ((size_t)q * subvectors + m) * 256;
+      for (uint32_t c = 0; c < 256; c++) table[c] = part[0] * from[c];
+      for (uint32_t d = 1; d < dim; d++)
+        for (uint32_t c = 0; c < 256; c++) table[c] += part[d] * from[d * 256 + c];
     }
   }
 }

@@ -104,6 +104,21 @@ def test_all_answers_of_a_code_are_of_one_mind(residual: bool, queries: int) -> 
         code.best(asked[:0])
 
 
+def test_any_number_of_coarse_centroids() -> None:
+    plain, rng = small_codebook(), np.random.default_rng(6)
+    for count in (1, 256, 257, 600):
+        book = Codebook(plain.centroids, unit_rows(rng, count, 24), plain.encoder)
+        queries = unit_rows(rng, 3, 24)
+        terms = book.tables(queries).coarse
+        assert terms is not None
+        assert_allclose(terms, queries @ unit_coarse(book).T, atol=1e-6)
+
+
+def unit_coarse(book: Codebook) -> np.ndarray:
+    assert book.coarse is not None
+    return book.coarse
+
+
 def test_codes_in_groups_are_the_same_codes() -> None:
     book, rng = small_codebook(True), np.random.default_rng(3)
     codes = random_codes(rng, book, 300)

@@ -237,7 +237,7 @@ def test_laws(seed: int, subvectors: int, count: int, queries: int) -> None:
 @pytest.mark.parametrize(("subvectors", "dim"), [(1, 512), (4, 1), (128, 4), (16, 3)])
 def test_tables_are_inner_products(isa: str, subvectors: int, dim: int) -> None:
     rng = np.random.default_rng(9)
-    centroids = rng.normal(size=(subvectors, 256, dim)).astype(np.float32)
+    centroids = rng.normal(size=(subvectors, dim, 256)).astype(np.float32)
     queries = rng.normal(size=(5, subvectors * dim)).astype(np.float32)
     found = lookup_tables(centroids, queries, isa=isa, threads=2)
     assert_allclose(found, reference_scan.lookup_tables(centroids, queries), atol=1e-4)
@@ -277,4 +277,4 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(InputError, match="z80"):
         scan_scores(rows, one, Scanning(isa="z80"))
     with pytest.raises(InputError, match="do not fit centroids"):
-        lookup_tables(np.zeros((2, 256, 3), np.float32), np.zeros((1, 5), np.float32))
+        lookup_tables(np.zeros((2, 3, 256), np.float32), np.zeros((1, 5), np.float32))

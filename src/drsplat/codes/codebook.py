@@ -147,20 +147,21 @@ class Codebook:
         """
         if queries.shape[1] != self.dim:
             raise InputError(f"expected queries of {self.dim} numbers, got {queries.shape[1]}")
-        luts = lookup_tables(self.centroids, queries, threads=threads)
+        by_part, by_block = self._by_number
+        luts = lookup_tables(by_part, queries, threads=threads)
         if self.coarse is None:
             return QueryTables(luts)
-        blocks = (
-            self.coarse[begin : begin + CENTROIDS]
-            for begin in range(0, len(self.coarse), CENTROIDS)
-        )
-        parts = [
-            lookup_tables(np.resize(block, (1, CENTROIDS, self.dim)), queries, threads=threads)[
-                :, 0, : len(block)
-            ]
-            for block in blocks
-        ]
-        return QueryTables(luts, np.concatenate(parts, axis=1))
+        blocks = [lookup_tables(block[None], queries, threads=threads) for block in by_block]
+        return QueryTables(luts, np.concatenate(blocks, axis=2)[:, 0, : len(self.coarse)])
+
+    @cached_property
+    def _by_number(self) -> tuple[Float32[np.ndarray, "L d c"], Float32[np.ndarray, "b D c"]]:
+        """Centroids, and blocks of 256 coarse ones, as `lookup_tables` reads them."""
+        by_part = np.ascontiguousarray(self.centroids.transpose(0, 2, 1))
+        coarse = np.empty((0, self.dim), np.float32) if self.coarse is None else self.coarse
+        padded = np.zeros((-(-len(coarse) // CENTROIDS), CENTROIDS, self.dim), np.float32)
+        padded.reshape(-1, self.dim)[: len(coarse)] = coarse
+        return by_part, np.ascontiguousarray(padded.transpose(0, 2, 1))
 
     def check(self, codes: Codes) -> None:
         """Refuse codes that this codebook cannot have made.

@@ -7,11 +7,11 @@ from .scan import GroupedRows, QueryTables, rows_of_groups
 
 
 def lookup_tables(
-    centroids: Float[np.ndarray, "L c d"], queries: Float[np.ndarray, "q D"]
+    centroids: Float[np.ndarray, "L d c"], queries: Float[np.ndarray, "q D"]
 ) -> Float64[np.ndarray, "q L c"]:
     """The inner product of each part of each query with each centroid of that part."""
-    parts = queries.astype(np.float64).reshape(len(queries), len(centroids), 1, -1)
-    return np.asarray((parts * centroids.astype(np.float64)).sum(axis=3))
+    parts = queries.astype(np.float64).reshape(len(queries), len(centroids), -1, 1)
+    return np.asarray((parts * centroids.astype(np.float64)).sum(axis=2))
 
 
 def scan_scores(rows: GroupedRows, tables: QueryTables) -> Float64[np.ndarray, "q n"]:

@@ -75,7 +75,7 @@ def rows_of_groups(
 
 
 def lookup_tables(
-    centroids: Float32[np.ndarray, "L c d"],
+    centroids: Float32[np.ndarray, "L d c"],
     queries: Float32[np.ndarray, "q D"],
     *,
     threads: int = 0,
@@ -83,14 +83,16 @@ def lookup_tables(
 ) -> Float32[np.ndarray, "q L c"]:
     """The inner product of each part of each query with each centroid of that part.
 
-    Raises: InputError: centroids are not (L, 256, D / L).
+    centroids: number by number, (L, D / L, 256).
+
+    Raises: InputError: centroids of another shape.
     Twin: kernels.reference_scan.lookup_tables.
     """
-    subvectors, count, dim = centroids.shape
+    subvectors, dim, count = centroids.shape
     if count != CENTROIDS or subvectors * dim != queries.shape[1] or dim == 0:
         raise InputError(
             f"queries of {queries.shape[1]} numbers do not fit centroids {centroids.shape}: "
-            f"expected (L, {CENTROIDS}, D / L)"
+            f"expected (L, D / L, {CENTROIDS})"
         )
     arrays = np.ascontiguousarray(centroids), np.ascontiguousarray(queries)
     return np.asarray(_native.lookup_tables(*arrays, threads, _checked_isa(isa)))
