@@ -87,9 +87,10 @@ struct Best {
     found.resize(count);
     cutoff = found.back().score;
   }
-  void offer(const float *scores, uint64_t first, uint32_t rows, size_t count) {
-    for (uint32_t i = 0; i < rows; i++)
-      if (scores[i] >= cutoff) found.push_back({scores[i], (int64_t)(first + i)});
+  void offer(const ScanKernels &kernels, const float *scores, uint64_t first, uint32_t rows, size_t count) {
+    CandidateRow some[kPairRows + 1];
+    const float below = std::nextafter(cutoff, -std::numeric_limits<float>::infinity());
+    found.insert(found.end(), some, some + kernels.above(scores, nullptr, below, first, rows, some));
     if (found.size() >= 2 * count + 1024) shrink(count);
   }
 };
@@ -132,7 +133,7 @@ std::vector<CandidateRow> scan_top(const ScanKernels &kernels, const GroupedRows
   std::vector<Best> of_thread((size_t)std::max(threads, 1));
   scan.run(threads, [&](int thread, uint64_t, uint32_t, uint64_t row, uint32_t n, float *sums) {
     scan.finish(0, row, n, sums, sums);
-    of_thread[(size_t)thread].offer(sums, row, n, count);
+    of_thread[(size_t)thread].offer(kernels, sums, row, n, count);
   });
   std::vector<CandidateRow> all;
   for (const Best &best : of_thread) all.insert(all.end(), best.found.begin(), best.found.end());

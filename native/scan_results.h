@@ -15,10 +15,19 @@ static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse
 
 static uint32_t above(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count, CandidateRow *out) {
   uint32_t found = 0;
-  for (uint32_t i = 0; i < count; i++) {
-    const float margin = floor ? scores[i] - floor[i] : scores[i];
-    out[found] = {scores[i], (int64_t)(first_row + i)};
-    found += margin > threshold;
+  for (uint32_t begin = 0; begin < count; begin += 16) {
+    const uint32_t end = begin + 16 < count ? begin + 16 : count;
+    float margins[16];
+    int any = 0;
+    if (end == begin + 16)
+      for (uint32_t i = 0; i < 16; i++) margins[i] = floor ? scores[begin + i] - floor[begin + i] : scores[begin + i], any |= margins[i] > threshold;
+    else
+      for (uint32_t i = begin; i < end; i++) margins[i - begin] = floor ? scores[i] - floor[i] : scores[i], any = 1;
+    if (!any) continue;
+    for (uint32_t i = begin; i < end; i++) {
+      out[found] = {scores[i], (int64_t)(first_row + i)};
+      found += margins[i - begin] > threshold;
+    }
   }
   return found;
 }
