@@ -23,7 +23,7 @@ from ..kernels.scan import ERROR, GROUP, HYBRID_ERROR, HYBRID_WIDE
 from .code import Best, Hits
 from .codebook import Codebook, Codes
 
-FEW = 16  # queries whose tables are kept whole in a search for the best
+FEW = 16  # queries among which the best is chosen exactly
 BATCH = 256  # queries whose tables are held at once
 MOST_SCALE = 64.0  # rows shorter than 1 / 64 are not given finer tables
 
@@ -77,7 +77,7 @@ class PQCode:
     def scores(
         self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
     ) -> Float32[np.ndarray, "q n"]:
-        """See Code. Off by at most 1e-4; FEW or fewer queries at a time need no more memory."""
+        """See Code. Off by at most 1e-4."""
         batches = [
             scan_scores(self._rows, tables, self._exact(threads))
             for tables in self._tables(queries, threads)
