@@ -256,7 +256,8 @@ def test_a_strip_one_pixel_wide_has_three_corners_as_labels_need(turned: bool) -
     mask[4, 3:17] = True
     (corners,) = contours.polygons(mask.T if turned else mask)
     ends = {(3, 4), (16, 4)}
-    assert len(corners) == 3 and set(corners) == {(y, x) if turned else (x, y) for x, y in ends}
+    assert len(corners) == 3
+    assert set(corners) == {(y, x) if turned else (x, y) for x, y in ends}
 
 
 def test_denoising_keeps_edges_and_averages_noise() -> None:
