@@ -33,7 +33,12 @@ from drsplat import LanguageField, MiniEncoder, WordEncoder, load_field
 from drsplat.errors import InputError
 from drsplat.mini.lexicon import COLORS, NAMES
 from drsplat.search import ABSENT, NEGATIVES, null_rises
-from drsplat.thresholds import automatic_threshold, mixture_threshold, otsu_threshold
+from drsplat.thresholds import (
+    automatic_threshold,
+    mixture_threshold,
+    otsu_threshold,
+    threshold_above,
+)
 
 LEAST = 40  # Gaussians: fewer are specks
 GRID = np.linspace(-0.2, 1, 121)
@@ -145,6 +150,7 @@ def score(
         "mixture, null": cosine.iou(mixture if there else nothing),
         "peak": cosine.iou(automatic_threshold(cosines)),
         "auto (peak, null)": cosine.iou(automatic_threshold(cosines, rises)),
+        "own, raised": cosine.iou(threshold_above(cosines, getattr(encoder, "threshold", 0.5))),
         "auto, null of negatives": cosine.iou(
             automatic_threshold(cosines, None if click else nulls["negative rises"])
         ),

@@ -19,6 +19,7 @@ from drsplat.aggregation.outliers import OutlierRejection
 from drsplat.aggregation.pruning import Pruned
 from drsplat.aggregation.reliability import reliability, resultant_lengths
 from drsplat.aggregation.tempering import Tempered
+from drsplat.aggregation.trust import MaskTrust, surpluses
 from drsplat.errors import InputError
 from drsplat.evidence import Evidence, Segments
 from fields import random_weights, unit_rows
@@ -200,6 +201,74 @@ def test_tempering_by_hand() -> None:
     assert_allclose(features(Tempered(0.5), evidence), [[3 / 10**0.5, 1 / 10**0.5]], atol=1e-6)
     assert_allclose(features(Tempered(0.0), evidence), [[0.5**0.5, 0.5**0.5]], atol=1e-6)
     assert_allclose(features(Tempered(1.0), evidence), features(aggregator("mean"), evidence))
+
+
+def slow_trust(evidence: Evidence, sharpness: float) -> np.ndarray:
+    """Weights, dense; mask by mask and row by row."""
+    weights = evidence.weights.toarray().astype(float)
+    e = evidence.embeddings.astype(float)
+    rows, masks = weights.shape
+    agreement, level = np.zeros(weights.shape), np.zeros(rows)
+    for i in range(rows):
+        for j in np.flatnonzero(weights[i]):
+            whole = weights[i] @ e
+            rest = whole - weights[i, j] * e[j]
+            alone = np.linalg.norm(rest) <= 1e-3 * np.linalg.norm(whole)
+            agreement[i, j] = 1 if alone else e[j] @ rest / np.linalg.norm(rest)
+        if weights[i].any():
+            level[i] = (weights[i] * agreement[i]).sum() / weights[i].sum()
+    trust = np.ones(masks)
+    for j in range(masks):
+        held = np.flatnonzero(weights[:, j])
+        if len(held):
+            surplus = agreement[held, j] - level[held]
+            trust[j] = np.exp(sharpness * np.average(surplus, weights=weights[held, j]))
+    changed = np.zeros(weights.shape)
+    for i in range(rows):
+        for view in range(len(evidence.segments.view_names)):
+            of = (evidence.segments.views == view) & (weights[i] > 0)
+            if of.any():
+                changed[i, of] = weights[i, of] * np.average(trust[of], weights=weights[i, of])
+    return changed
+
+
+@few
+@given(seeds, st.sampled_from([0.5, 4.0]))
+def test_trust_is_that_of_the_twin(seed: int, sharpness: float) -> None:
+    evidence = evidence_of(np.random.default_rng(seed))
+    found = MaskTrust(sharpness)(evidence, 1).weights.toarray()
+    # Agreements are float32: where a vote outweighs its row a thousandfold, little is left of the rest.
+    assert_allclose(found, slow_trust(evidence, sharpness), rtol=2e-3)
+
+
+def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewhere() -> None:
+    """Mask 0 is called something else in rows 0 to 2; in row 3 it is alone with one other."""
+    weights = np.ones((4, 4), np.float32)
+    weights[3, 2:] = 0
+    e = np.eye(4, dtype=np.float32)[[1, 0, 0, 0]]
+    segments = Segments(("a", "b", "c", "d"), np.arange(4, dtype=np.int32), np.zeros(4, np.int32))
+    evidence = Evidence(csr_array(weights), segments, e)
+    assert surpluses(evidence)[0] < -0.3
+    assert (surpluses(evidence)[1:] > 0).all()
+    mean, trusted = (features(how, evidence) for how in (AGGREGATORS["mean"], MaskTrust()))
+    assert (trusted[:, 0] > mean[:, 0] + 0.01).all()
+
+
+def test_trust_keeps_the_proportions_within_a_photo() -> None:
+    evidence = evidence_of(np.random.default_rng(3), per_view=3)
+    before, after = evidence.weights.toarray(), MaskTrust()(evidence, 1).weights.toarray()
+    for view in range(7):
+        of = evidence.segments.views == view
+        seen = before[:, of].sum(1) > 0
+        shares = (w[seen][:, of] / w[seen][:, of].sum(1, keepdims=True) for w in (before, after))
+        assert_allclose(*shares, atol=1e-6)
+
+
+def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence = evidence_of(np.random.default_rng(5), rows=200)
+    whole = MaskTrust()(evidence, 1).weights.data
+    monkeypatch.setattr("drsplat.aggregation.trust.ENTRIES", 37)
+    assert_allclose(MaskTrust()(evidence, 1).weights.data, whole, rtol=1e-6)
 
 
 def test_reliability_by_hand() -> None:

@@ -42,26 +42,26 @@ def accuracy(features: Aggregated, story) -> float:
     return right / len(features)
 
 
-def test_robust_loses_nothing_where_all_labels_are_right(story, registration: Registration) -> None:
+def test_robust_loses_little_where_all_labels_are_right(story, registration: Registration) -> None:
     mean, robust = (
         accuracy(aggregator(name)(registration.evidence, story.gaussians), story)
         for name in ("mean", "robust")
     )
     assert mean > 0.85
-    assert robust > mean - 0.002
+    assert robust > mean - 0.005
 
 
-@pytest.mark.parametrize(("share", "gain"), [(0.2, 0.01), (0.4, 0.03)])
+@pytest.mark.parametrize(("share", "gain"), [(0.2, 0.025), (0.4, 0.08)])
 def test_robust_is_better_the_more_labels_are_wrong(
     share: float, gain: float, story, registration: Registration
 ) -> None:
     evidence = mislabelled(registration, story, share)
     named = {
         name: accuracy(aggregator(name)(evidence, story.gaussians), story)
-        for name in ("mean", "tempered", "robust-without-voting", "robust")
+        for name in ("mean", "tempered", "trusted", "robust")
     }
     assert named["robust"] > named["mean"] + gain
-    assert named["tempered"] > named["mean"] + gain / 2
+    assert named["trusted"] > named["tempered"] > named["mean"] + gain / 2
 
 
 def test_the_command_takes_an_aggregator_by_name(story, demo_folder: Path, tmp_path, capsys):

@@ -57,7 +57,7 @@ def results() -> dict[str, Any]:
         for method, gain in (("mean", 0.0), ("robust", 0.1))
     ]
     return {
-        "drsplat": "0", "label_set": "household", "sweep": [0.2, 0.4, 0.6], "voxel_side": 0.05, "absent_words": 0,
+        "drsplat": "0", "label_set": "household", "sweep": [0.2, 0.4, 0.6], "voxel_side": 0.05,
         "encoder": {"name": "e", "weights": "w", "threshold": 0.5},
         "segmenter": {"name": "graph", "weights": "w"},
         "scenes": dict.fromkeys("abcde", about), "records": records,

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
-from drsplat import cli
+from drsplat import WordEncoder, cli
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import published, report, svg, tables, thresholds
 from drsplat.evaluation.choosers import automatic_choosers
@@ -92,6 +92,20 @@ def test_choosers_let_absent_gaussians_have_no_say() -> None:
         assert np.isfinite(choose(scores))
     otsu = automatic_choosers(cosine_scorer(toy_field(), ToyEncoder()))["otsu"][0]
     assert 0.12 < otsu(scores) < 0.9
+
+
+def test_the_automatic_threshold_is_the_encoders_own_where_it_has_one() -> None:
+    """As `drsplat select` has it: never below the encoder's, and more where the peak is high."""
+    encoder = WordEncoder()
+    unit = np.eye(2, encoder.identity.dim, dtype=np.float32)
+    scorer = feature_scorer(unit, encoder)
+    choose, how = automatic_choosers(scorer)["automatic"]
+    assert scorer.least == encoder.threshold
+    assert "the encoder's" in how
+    low, high = np.full(100, 0.1, np.float32), np.full(100, 0.999, np.float32)
+    assert choose(low) == encoder.threshold
+    assert choose(2 * high) == pytest.approx(0.6 * 2 * 0.999)
+    assert relevant(scorer).least is None
 
 
 def lerf_result(pairs: dict[str, int], miou: float = 0.5) -> dict:

@@ -14,7 +14,9 @@ from drsplat import WordEncoder, load_field, read_gaussians, select
 from drsplat.commands.legend import class_colors, legend
 from drsplat.demo import story as household
 from drsplat.formats.npy import write_npy
-from drsplat.thresholds import share_threshold
+from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
+from drsplat.search import ABSENT, null_rises
+from drsplat.thresholds import automatic_threshold, share_threshold
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +104,35 @@ def test_the_automatic_threshold_finds_what_is_there(
     out = tmp_path / "ids.npy"
     argv = ["select", room / "room.field", text, "--threshold", "auto", "--save", out]
     report = answer_of(capsys, *argv)
-    assert (report["threshold_rule"], report["measure"]) == ("auto", "cosine")
+    assert (report["threshold_rule"], report["measure"]) == ("encoder", "cosine")
     found = np.load(out, allow_pickle=False)
     assert intersection_over_union(found, truth_of(story, *things)) > 0.85
     if not things:
         nothing = ["locate", *argv[1:5], "--scene", room / "scene.ply"]
         assert text_of(capsys, *nothing).startswith("Nothing found")
+
+
+@pytest.mark.parametrize("text", ["red mug", "elephant"])
+def test_without_a_threshold_of_its_own_an_encoder_is_asked_for_what_is_absent(
+    text: str, room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    """The same embeddings from a file, which says nothing of a threshold."""
+    words = WordEncoder()
+    vocabulary, out = tmp_path / "words.safetensors", tmp_path / "ids.npy"
+    texts = (text, *ABSENT)
+    known = VocabularyEncoder(words.identity, texts, words.encode_texts(texts))
+    write_vocabulary(vocabulary, known)
+    report = answer_of(
+        capsys, "select", room / "room.field", text, "--vocabulary", vocabulary,
+        "--threshold", "auto", "--save", out,
+    )  # fmt: skip
+    scores = story.field.scores(words.encode_texts([text])[0])
+    rises = null_rises(story.field, words)
+    assert report["threshold_rule"] == "auto"
+    assert report["threshold"] == pytest.approx(automatic_threshold(scores, rises), abs=1e-6)
+    found = np.load(out, allow_pickle=False)
+    meant = truth_of(story, *([text] if text == "red mug" else []))
+    assert intersection_over_union(found, meant) > 0.85
 
 
 def test_auto_is_of_cosines(room: Path, capsys: Capture) -> None:
@@ -226,7 +251,7 @@ def test_segment_with_other_thresholds(
     sofa, elephant, mug = auto["classes"]
     assert (elephant["num_gaussians"], mug["name"]) == (0, "mug, not red")
     assert mug["num_gaussians"] == pytest.approx(len(truth_of(story, "blue mug")), rel=0.15)
-    assert sofa["threshold"] != mug["threshold"]
+    assert sofa["threshold"] == mug["threshold"] == WordEncoder.threshold
     relevant = answer_of(capsys, *argv, "--relevancy", "--threshold", "0.9")
     assert relevant["measure"] == "relevancy"
     assert relevant["num_labelled"] < every["num_labelled"]

@@ -250,6 +250,16 @@ def test_polygons_fill_to_their_mask(seed: int) -> None:
     assert (filled & ~binary_fill_holes(mask)).sum() == 0
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_strip_one_pixel_wide_has_three_corners_as_labels_need(turned: bool) -> None:
+    mask = np.zeros((20, 20), np.bool_)
+    mask[4, 3:17] = True
+    (corners,) = contours.polygons(mask.T if turned else mask)
+    ends = {(3, 4), (16, 4)}
+    assert len(corners) == 3
+    assert set(corners) == {(y, x) if turned else (x, y) for x, y in ends}
+
+
 def test_denoising_keeps_edges_and_averages_noise() -> None:
     rng = np.random.default_rng(0)
     albedo = np.where(np.arange(40)[None, :, None] < 20, 0.2, 0.8) * np.ones((30, 40, 3))

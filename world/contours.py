@@ -36,4 +36,5 @@ def _outline(piece: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
         heading = (step + 5) % 8 if step % 2 else (step + 6) % 8  # from the last empty neighbour on
         if (x, y) == first and heading == 0:
             break
-    return [point for k, point in enumerate(trail) if turns[k] != turns[k - 1]]
+    corners = [point for k, point in enumerate(trail) if turns[k] != turns[k - 1]]
+    return corners if len(corners) > 2 else [*corners, corners[-1]]  # a strip one pixel wide

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drsplat.formats.replacing import replacing
+from drsplat.thresholds import CUT
 
 from .numbers import Results, masks_of, methods_of
 from .reading import reading
@@ -43,8 +44,8 @@ _PROTOCOLS = """\
   one class at a time by threshold. **Voxel**, `voxel@1`: the same classes compared in voxels of {side:g} m.
 - **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity 0.9, nothing trained; OpenGaussian
   trains theirs. So these numbers rank methods, and do not compare with papers.
-- Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is found in each query's scores
-  ([tasks.md](tasks.md)); the encoder knows {absent} words of absent things to compare with, and without any, something is always found. *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers report it: never compare it
+- Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is that of `drsplat select`: the
+  fixed one, or {cut:g} of the query's 40th highest cosine where that is more ([tasks.md](tasks.md)). *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers report it: never compare it
   with the other two."""
 _AGAIN = """\
 ```bash
@@ -78,7 +79,7 @@ def _sections(results: Results) -> Iterator[str]:
     yield _PROTOCOLS.format(
         side=results["voxel_side"],
         threshold=results["encoder"]["threshold"],
-        absent=results["absent_words"],
+        cut=CUT,
         sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),
     )
     for kind in masks:

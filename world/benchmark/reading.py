@@ -19,7 +19,7 @@ from .rendered import ONE_STEP, RENDERED
 from .tables import COMPARED, COMPARED_WORDS, gain
 
 PAIRS = (
-    ("mean", RENDERED), (ONE_STEP, RENDERED), ("robust", "mean"), ("inliers", "mean"), ("voting", "mean"),
+    ("mean", RENDERED), (ONE_STEP, RENDERED), ("robust", "mean"), ("trusted", "mean"), ("voting", "mean"),
     ("official", "mean"),
 )  # fmt: skip
 FEW = 5  # of fewer scenes, no interval is believed

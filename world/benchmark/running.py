@@ -14,10 +14,8 @@ from typing import Any
 from drsplat import GraphSegmenter, MiniEncoder
 from drsplat.aggregation import AGGREGATORS
 from drsplat.encoders import identity_json
-from drsplat.errors import InputError
 from drsplat.evaluation.voxel import SIDE
 from drsplat.formats.replacing import replacing
-from drsplat.search import ABSENT
 
 from .methods import Workshop
 from .rendered import STEPS
@@ -122,24 +120,11 @@ def results_of(
         "encoder": {**identity_json(MiniEncoder().identity), "threshold": MiniEncoder().threshold},
         "segmenter": dict(GraphSegmenter().identity),
         "label_set": LABEL_SET,
-        "absent_words": absent_words(MiniEncoder()),
         "sweep": list(SWEEP),
         "voxel_side": SIDE,
         "scenes": scenes,
         "records": list(records),
     }
-
-
-def absent_words(encoder: MiniEncoder) -> int:
-    """How many words of things that are nowhere the encoder knows: the automatic threshold asks them."""
-    known = 0
-    for text in ABSENT:
-        try:
-            encoder.encode_texts([text])
-        except InputError:
-            continue
-        known += 1
-    return known
 
 
 def write_results(path: Path, results: dict[str, Any]) -> None:

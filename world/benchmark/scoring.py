@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from drsplat.evaluation import lerf_ovs, scannet_points, scannet_volume, voxel
-from drsplat.evaluation.choosers import automatic_choosers
+from drsplat.evaluation.choosers import AUTOMATIC, automatic_choosers
 from drsplat.evaluation.predictions import FIXED, Chooser, sweep_column
 from drsplat.evaluation.scorers import Scorer
 
@@ -16,7 +16,6 @@ from .scenes import BenchScene
 
 SWEEP = tuple(k / 20 for k in range(2, 13))
 """Thresholds that the tuned one is chosen from."""
-AUTOMATIC = "automatic"
 DIGITS = 5
 
 

@@ -19,6 +19,7 @@ from .pruning import Pruned
 from .record import AggregatorRecord
 from .sampling import CENTRES, Sampling
 from .tempering import Tempered
+from .trust import MaskTrust
 from .voting import ModeVoting
 
 Step = Callable[[Evidence, int], Evidence]
@@ -133,9 +134,9 @@ _ALL = (
     Aggregator("median", steps=(CosineMedian(),)),
     Aggregator("inliers", steps=(OutlierRejection(),)),
     Aggregator("tempered", steps=(Tempered(),)),
+    Aggregator("trusted", steps=(MaskTrust(),)),
     Aggregator("voting", voting=ModeVoting()),
-    Aggregator("robust-without-voting", steps=(Tempered(), OutlierRejection())),
-    Aggregator("robust", steps=(Tempered(), OutlierRejection()), voting=ModeVoting()),
+    Aggregator("robust", steps=(MaskTrust(),), voting=ModeVoting()),
 )
 AGGREGATORS: Mapping[str, Aggregator] = MappingProxyType({a.name: a for a in _ALL})
 """By name."""

@@ -54,28 +54,33 @@ def row_block(weights: csr_array, rows: Int64[np.ndarray, " n"]) -> RowBlock:
     return RowBlock(positions, weights.indices[positions], values, filled.sum(axis=0))
 
 
-def reweighted(
-    evidence: Evidence,
-    rule: Callable[[RowBlock], Float64[np.ndarray, "n k"]],
-    threads: int = 0,
-) -> Evidence:
-    """The evidence with the weights that `rule` gives to each block of rows; those of 0 are dropped.
+Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
+"""A number per entry of a block."""
+
+
+def reweighted(evidence: Evidence, rule: Rule, threads: int = 0) -> Evidence:
+    """The evidence with the weights that `rule` gives to each block of rows; those of 0 are dropped."""
+    return with_weights(evidence, entry_values(evidence, rule, threads))
+
+
+def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np.ndarray, " e"]:
+    """What `rule` says of each entry of W, in the order of its arrays.
 
     Blocks do not depend on each other, so that any number of threads gives the same bits.
     """
     weights = evidence.weights
-    changed = np.zeros(len(weights.data), np.float32)
+    values = np.zeros(len(weights.data), np.float32)
     lengths = np.diff(weights.indptr)
     # Rows of like length go together, so that their tables are full.
     order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
 
     def work(rows: Int64[np.ndarray, " n"]) -> None:
         block = row_block(weights, rows)
-        changed[block.positions[block.filled]] = rule(block)[block.filled]
+        values[block.positions[block.filled]] = rule(block)[block.filled]
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         list(pool.map(work, _blocks(order, lengths)))
-    return with_weights(evidence, changed)
+    return values
 
 
 def _blocks(

@@ -32,8 +32,8 @@ class ModeVoting:
 
     neighbours: int = 20
     bandwidth: float = 0.1
-    margin: float = 0.5
-    footprint: float = 1.0
+    margin: float = 0.0
+    footprint: float = 0.5
 
     def donors(
         self,

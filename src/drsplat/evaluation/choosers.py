@@ -7,22 +7,40 @@ from jaxtyping import Float32, Float64
 
 from ..errors import InputError
 from ..search import ABSENT
-from ..thresholds import automatic_threshold, mixture_threshold, otsu_threshold, rise
+from ..thresholds import (
+    CUT,
+    automatic_threshold,
+    mixture_threshold,
+    otsu_threshold,
+    rise,
+    threshold_above,
+)
 from .predictions import Chooser
 from .scorers import Scorer
+
+AUTOMATIC = "automatic"
 
 Scores = Float32[np.ndarray, " N"]
 
 
 def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
     """By column, a function from scores to a threshold and what it does in words."""
-    rises = _absent_rises(scorer)
-    how = f"per query, from its scores and those of {len(rises)} words that nothing answers"
     return {
-        "automatic": (_of_known(lambda known: automatic_threshold(known, rises)), how),
+        AUTOMATIC: _automatic(scorer),
         "otsu": (_of_known(otsu_threshold), "per query, Otsu's split of its scores"),
         "mixture": (_of_known(mixture_threshold), "per query, two Gaussians fitted to its scores"),
     }
+
+
+def _automatic(scorer: Scorer) -> tuple[Chooser, str]:
+    """As `drsplat select` chooses it: of the encoder's own threshold, or of words of what is not there."""
+    least = scorer.least
+    if least is not None:
+        how = f"per query, the encoder's {least:g} or {CUT:g} of the peak of its scores"
+        return _of_known(lambda known: threshold_above(known, least)), how
+    rises = _absent_rises(scorer)
+    how = f"per query, from its scores and those of {len(rises)} words that nothing answers"
+    return _of_known(lambda known: automatic_threshold(known, rises)), how
 
 
 def _of_known(choose: Callable[[Scores], float]) -> Chooser:

@@ -29,7 +29,8 @@ class Scorer:
     """A method on one scene.
 
     scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in
-    tables. threshold: the fixed one, chosen without the scenes that are scored. sweep: thresholds
+    tables. threshold: the fixed one, chosen without the scenes that are scored. least: the encoder's own,
+    below which its scores say that nothing is meant; None where it has none. sweep: thresholds
     that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of
     the photos that it was made from, None where nobody knows. several: the scores of a few texts at
     once, where that takes less time.
@@ -42,6 +43,7 @@ class Scorer:
     sweep: tuple[float, ...]
     about: Mapping[str, object] = field(default_factory=dict)
     views: tuple[str, ...] | None = None
+    least: float | None = None
     several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
 
     def each(self, texts: Sequence[str]) -> Iterator[Scores]:
@@ -80,7 +82,15 @@ def cosine_scorer(
     }
     views = None if known.evidence is None else known.evidence.segments.view_names
     return Scorer(
-        name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views, several
+        name,
+        known.num_gaussians,
+        scores,
+        _fixed(encoder),
+        COSINES,
+        about,
+        views,
+        _own(encoder),
+        several,
     )
 
 
@@ -106,7 +116,8 @@ def feature_scorer(
         "encoder": encoder.identity.name,
         "measure": "cosine",
     }
-    return Scorer(name, len(features), scores, _fixed(encoder), COSINES, about)
+    threshold, least = _fixed(encoder), _own(encoder)
+    return Scorer(name, len(features), scores, threshold, COSINES, about, least=least)
 
 
 def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
@@ -137,6 +148,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
         threshold=RELEVANCY_THRESHOLD,
         sweep=RELEVANCIES,
         about=about,
+        least=None,
     )
 
 
@@ -178,5 +190,10 @@ def _cosines(features: Float[np.ndarray, "N D"], unit: Float32[np.ndarray, " D"]
     return scores
 
 
+def _own(encoder: Encoder) -> float | None:
+    return getattr(encoder, "threshold", None)
+
+
 def _fixed(encoder: Encoder) -> float:
-    return float(getattr(encoder, "threshold", COSINE_THRESHOLD))
+    own = _own(encoder)
+    return COSINE_THRESHOLD if own is None else own
