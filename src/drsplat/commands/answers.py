@@ -188,10 +188,7 @@ class Asking:
             return share_threshold(values, ask.top_share), "top share"
         cut, rule = default if ask.threshold is None else (ask.threshold, "given")
         if cut == AUTO and words and self.own_threshold is not None:
-            cut, rule = (
-                self.own_threshold,
-                ENCODER,
-            )  # it knows what fits: no absent words are needed
+            cut, rule = self.own_threshold, ENCODER  # knows what fits: no absent words are needed
         if cut == AUTO:
             return automatic_threshold(values, self._null_rises if words else None), AUTO
         return threshold_above(values, float(cut)) if rule == ENCODER else float(cut), rule
