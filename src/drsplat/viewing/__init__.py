@@ -1,0 +1,4 @@
+"""Seeing a scene answer: what is shown, picked, painted and saved, apart from how a browser shows it.
+
+Only `window` knows viser. Source: Dr. Splat Sec. F "Broader application".
+"""

@@ -1,0 +1,169 @@
+"""One file with a scene and its answers, for someone who has only a browser."""
+
+import base64
+import html
+import json
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8, UInt16
+
+from ..errors import InputError
+from ..formats.replacing import replacing
+from ..tasks import Instance
+from . import painting
+from .cameras import FOV_DEGREES
+from .shown import Frame, Shown
+
+MOST = 200_000
+"""Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
+MOST_WORDS = 65_535
+BACKGROUND = (0.078, 0.086, 0.106)
+KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2"}
+
+
+@dataclass(frozen=True, eq=False)
+class PageAnswer:
+    """One query with its answer. heat: per shown Gaussian in [0, 1]; owners: 0, or 1 for the first thing.
+
+    eyes: places in the world to see each thing from.
+    """
+
+    text: str
+    heat: Float32[np.ndarray, " m"]
+    owners: UInt8[np.ndarray, " m"]
+    things: Sequence[Instance]
+    eyes: Sequence[Float64[np.ndarray, " 3"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """eye, target, up: of the first look, in the world. features: their colours, in [0, 1].
+
+    best_words: per shown Gaussian 0, or 1 for the first of `words`.
+    """
+
+    title: str
+    shown: Shown
+    answers: Sequence[PageAnswer]
+    eye: Float64[np.ndarray, " 3"]
+    target: Float64[np.ndarray, " 3"]
+    up: Float64[np.ndarray, " 3"]
+    features: Float32[np.ndarray, "m 3"] | None = None
+    words: Sequence[str] = ()
+    best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
+
+
+def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> int:
+    """Write the page; returns its size in bytes.
+
+    Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`.
+    """
+    if len(page.shown) > MOST:
+        raise InputError(
+            f"a page holds up to {MOST:,} Gaussians, got {len(page.shown):,}: show fewer of them"
+        )
+    arrays = _arrays(page)
+    layout, blob = packed(arrays)
+    parts = {
+        "TITLE": html.escape(page.title),
+        "HEADER": _in_script(json.dumps(_header(page) | {"arrays": layout})),
+        "BLOB": base64.b64encode(zlib.compress(blob, 6)).decode(),
+        "SCRIPT": _own("page.js"),
+    }
+    text = filled(_own("page.html"), parts).encode()
+    with replacing(path, overwrite) as file:
+        file.write(text)
+    return len(text)
+
+
+def filled(template: str, parts: Mapping[str, str]) -> str:
+    """The template with each @NAME@ replaced; what is put in is not looked through again."""
+    return re.sub(r"@([A-Z]+)@", lambda match: parts[match[1]], template)
+
+
+def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, int]], bytes]:
+    """Arrays one after the other, little endian: name, kind, offset in bytes and count of each."""
+    layout, parts, offset = [], [], 0
+    for name, array in arrays.items():
+        data = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+        layout.append((name, KINDS[array.dtype.name], offset, array.size))
+        parts.append(data + bytes(-len(data) % 4))
+        offset += len(parts[-1])
+    return layout, b"".join(parts)
+
+
+def _arrays(page: Page) -> dict[str, np.ndarray]:
+    shown = page.shown
+    arrays: dict[str, np.ndarray] = {
+        "centers": shown.centers,
+        "covariances": shown.covariances.astype(np.float16),
+        "rgb": _bytes(shown.rgb),
+        "opacity": _bytes(shown.opacities),
+    }
+    if page.features is not None:
+        arrays["features"] = _bytes(page.features)
+    if page.best_words is not None:
+        arrays["words"] = page.best_words
+    for number, answer in enumerate(page.answers):
+        arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
+    return arrays
+
+
+def _header(page: Page) -> dict[str, Any]:
+    frame = page.shown.frame
+    return {
+        "about": f"{len(page.shown):,} Gaussians. {page.shown.said}".strip(),
+        "eye": frame.shown(page.eye).tolist(),
+        "target": frame.shown(page.target).tolist(),
+        "up": page.up.tolist(),
+        "fov": FOV_DEGREES,
+        "background": BACKGROUND,
+        "heat": painting.HEAT.tolist(),
+        "look": {
+            "dim": painting.DIM, "floor": painting.DIM_FLOOR, "tint": painting.TINT,
+            "glow": painting.GLOW, "warmth": painting.WARMTH,
+        },
+        "words": list(page.words)[:MOST_WORDS],
+        "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
+    }  # fmt: skip
+
+
+def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
+    things = [
+        {
+            "center": frame.shown(thing.center).tolist(),
+            "axes": thing.axes.tolist(),
+            "extent": (thing.extent * frame.scale).tolist(),
+            "eye": frame.shown(eye).tolist(),
+            "said": said_of(thing),
+        }
+        for thing, eye in zip(answer.things, answer.eyes, strict=True)
+    ]
+    return {"text": answer.text, "accent": painting.accent(number), "things": things}
+
+
+def said_of(thing: Instance) -> str:
+    """Score, size and place of a thing, in scene units."""
+    place = ", ".join(f"{x:.2f}" for x in thing.center)
+    size = " x ".join(f"{x:.2f}" for x in thing.extent)
+    return f"{thing.score:.2f} · size {size} · at {place}"
+
+
+def _bytes(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _in_script(text: str) -> str:
+    """JSON that cannot end the script element that it is in."""
+    return text.replace("<", "\\u003c")
+
+
+def _own(name: str) -> str:
+    return (files(__package__) / name).read_text(encoding="utf-8")

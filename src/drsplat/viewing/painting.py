@@ -1,0 +1,112 @@
+"""Colours of Gaussians that say something: how well they answer, what was found, what they are."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int32, UInt8
+
+from ..field import LanguageField
+
+Colors = Float32[np.ndarray, "n 3"]
+Values = Float32[np.ndarray, " n"]
+
+ACCENTS = (
+    (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220),
+    (255, 95, 60), (200, 215, 60),
+)  # fmt: skip
+"""Of several queries at once, in the order they were given."""
+
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another is meant
+TINT, GLOW = 0.6, 0.25  # share of the query's colour in what was found; more light than it had
+WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
+HEAT = np.array(
+    [(0.05, 0.06, 0.20), (0.17, 0.24, 0.62), (0.16, 0.62, 0.72), (0.62, 0.80, 0.30), (0.98, 0.72, 0.16), (0.86, 0.14, 0.10)],
+    np.float32,
+)  # fmt: skip
+"""Dark blue to red, of rising warmth; evenly spaced."""
+FEATURE_SAMPLE = 20_000
+
+
+def accent(number: int) -> tuple[int, int, int]:
+    return ACCENTS[number % len(ACCENTS)]
+
+
+def dimmed(rgb: Colors) -> Colors:
+    """Dark and without colour, so that what is not dimmed stands out."""
+    grey = DIM_FLOOR + DIM * (rgb @ LUMA)
+    return np.repeat(grey[:, None], 3, axis=1).astype(np.float32)
+
+
+def heat_of(values: Values, threshold: float) -> Values:
+    """0 at the median and below, 0.5 at the threshold, 1 at the highest value.
+
+    Where nothing is above the threshold, nothing is warmer than 0.5.
+    """
+    middle, top = float(np.median(values)), float(values.max(initial=0))
+    middle, top = min(middle, threshold - 1e-6), max(top, threshold + 1e-6)
+    below = (values - middle) / (2 * (threshold - middle))
+    above = 0.5 + (values - threshold) / (2 * (top - threshold))
+    return np.clip(np.where(values <= threshold, below, above), 0, 1).astype(np.float32)
+
+
+def heat_colors(heat: Values) -> Colors:
+    """Heat in [0, 1] to `HEAT`, with straight lines between its colours."""
+    at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
+    low = np.minimum(at.astype(np.int64), len(HEAT) - 2)
+    share = (at - low)[:, None].astype(np.float32)
+    return np.asarray(HEAT[low] * (1 - share) + HEAT[low + 1] * share)
+
+
+def highlighted(
+    rgb: Colors, heat: Values, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]
+) -> Colors:
+    """What was found in bright colours of its query, the rest dimmed and faintly warm where it nearly fits.
+
+    owners: the number of the query that found a Gaussian, -1 for none of them.
+    """
+    warmth = (WARMTH * np.clip(heat - 0.25, 0, 1))[:, None]
+    painted = dimmed(rgb) * (1 - warmth) + heat_colors(heat) * warmth
+    palette = np.array(accents, np.float32).reshape(-1, 3) / 255
+    found = owners >= 0
+    bright = np.clip(rgb[found] * (1 + GLOW) + 0.08, 0, 1)
+    painted[found] = (1 - TINT) * bright + TINT * palette[owners[found]] * (
+        0.45 + 0.55 * (bright @ LUMA)[:, None]
+    )
+    return np.clip(painted, 0, 1).astype(np.float32)
+
+
+def class_painted(
+    rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[np.ndarray, "c 3"]
+) -> Colors:
+    """Classes in their colours, shaded by the scene's own light; dimmed where there is none."""
+    painted = dimmed(rgb)
+    found = labels >= 0
+    shade = 0.5 + 0.5 * (rgb[found] @ LUMA)[:, None]
+    painted[found] = palette[labels[found]].astype(np.float32) / 255 * shade
+    return painted
+
+
+def feature_colors(
+    field: LanguageField, rgb: Colors, registered: Bool[np.ndarray, " n"], seed: int = 0
+) -> Colors:
+    """The three main directions of the field's features as red, green and blue; dimmed without a feature.
+
+    rgb, registered: of every Gaussian of the scene. The directions are those of a sample of
+    `FEATURE_SAMPLE` rows, and each colour spans 98 of 100 of these.
+    """
+    painted, rows = dimmed(rgb), len(field)
+    if rows < 3:
+        return painted
+    chosen = np.random.default_rng(seed).permutation(rows)[:FEATURE_SAMPLE]
+    sample = field.feature(np.sort(chosen)).astype(np.float64)
+    middle = sample.mean(0)
+    axes = np.linalg.svd(sample - middle, full_matrices=False)[2][:3]
+    low, high = np.quantile((sample - middle) @ axes.T, (0.01, 0.99), axis=0)
+    colors, block = np.empty((rows, 3), np.float32), 1 << 16
+    for begin in range(0, rows, block):
+        part = np.arange(begin, min(begin + block, rows))
+        at = (field.feature(part) - middle) @ axes.T
+        colors[part] = np.clip((at - low) / np.maximum(high - low, 1e-9), 0, 1)
+    painted[registered] = 0.08 + 0.9 * colors
+    return painted
