@@ -98,7 +98,7 @@
       if (d > high) high = d;
     }
     const scale = (buckets - 1) / Math.max(high - low, 1e-9), starts = new Uint32Array(buckets + 1);
-    for (let i = 0; i < count; i++) starts[(keys[i] = (high - depth[i]) * scale) + 1]++;
+    for (let i = 0; i < count; i++) { keys[i] = (high - depth[i]) * scale; starts[keys[i] + 1]++; }
     for (let k = 0; k < buckets; k++) starts[k + 1] += starts[k];
     for (let i = 0; i < count; i++) order[starts[keys[i]]++] = i;
   }
