@@ -27,8 +27,8 @@ from drsplat import (
     write_cameras_json,
     write_gaussians,
 )
+from drsplat.asking.defaults import COSINE_THRESHOLD
 from drsplat.cli import VERBS, main
-from drsplat.commands.answers import COSINE_THRESHOLD
 from drsplat.demo import story as household
 from drsplat.demo.questions import QUESTIONS
 from drsplat.formats.npy import write_npy

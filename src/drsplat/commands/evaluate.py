@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, add_query_encoders, encoder_for, finite, tracker
+from .options import add_overwrite, add_query_encoders, finite, tracker
 
 if TYPE_CHECKING:
     from ..encoders import Encoder
@@ -239,6 +239,7 @@ def _scorer(arguments: argparse.Namespace, index: int, gaussians: Gaussians) -> 
     from dataclasses import replace
 
     from .. import load_field
+    from ..asking import encoder_for
     from ..evaluation.scorers import cosine_scorer, feature_scorer, read_features, relevant
 
     if arguments.features:

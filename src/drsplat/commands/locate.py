@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .answers import MIN_GAUSSIANS, Asked, asked
+from ..asking.defaults import MIN_GAUSSIANS
+from .answers import asked
 from .options import count
 from .query_options import (
     add_output_options,
@@ -19,6 +20,7 @@ from .query_options import (
 )
 
 if TYPE_CHECKING:
+    from ..asking import Asked
     from ..gaussians import Gaussians
     from ..tasks import Instance
 

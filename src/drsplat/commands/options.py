@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..codes import Track
-    from ..encoders import Encoder
-    from ..field import LanguageField
     from ..views import View
 
 LEVEL_HELP = (
@@ -74,26 +71,6 @@ def views_of(arguments: argparse.Namespace, capture: str) -> list[View]:
     )
 
 
-def view_named(views: Sequence[View], name: str) -> View:
-    """By file name, with or without suffix.
-
-    Raises: InputError: there is none.
-    """
-    from ..errors import InputError
-
-    for view in views:
-        if name in (
-            view.name,
-            str(Path(view.name).with_suffix("")),
-            Path(view.name).name,
-            Path(view.name).stem,
-        ):
-            return view
-    raise InputError(
-        f"there is no view '{name}': this capture has {len(views)}, from '{views[0].name}' to '{views[-1].name}'"
-    )
-
-
 def add_query_encoders(parser: argparse.ArgumentParser) -> None:
     """--encoder, --device, --vocabulary: what turns words into vectors."""
     parser.add_argument(
@@ -110,57 +87,6 @@ def add_query_encoders(parser: argparse.ArgumentParser) -> None:
         help="texts and their vectors from the encoder that embedded the masks, instead of the encoder itself: JSON "
         "{text: [numbers]} or safetensors",
     )  # fmt: skip
-
-
-def encoder_for(
-    field: LanguageField, vocabulary: str | None, encoder: str | None = None, device: str = "auto"
-) -> Encoder:
-    """What turns words into queries of this field.
-
-    Raises: InputError: a field of another encoder than the built-in one, and neither its name nor a
-    vocabulary; or both. MismatchError: another encoder, or one of another dimension where the field
-    does not say who made it.
-    """
-    from .. import WordEncoder, read_vocabulary
-    from ..errors import InputError, MismatchError
-    from ..mini import MiniEncoder
-
-    if encoder is not None:
-        if vocabulary is not None:
-            raise InputError("--encoder and --vocabulary both say who embeds the words: drop one")
-        return _loaded_encoder(field, encoder, device)
-    if vocabulary is not None:
-        # JSON does not say who made it, and neither does a field registered without --encoder-name
-        anonymous = Path(vocabulary).suffix == ".json" or field.encoder.name == "unknown"
-        words = read_vocabulary(vocabulary, name=field.encoder.name if anonymous else None)
-        if anonymous and words.identity.dim != field.encoder.dim:
-            raise MismatchError(
-                f"{vocabulary}: its vectors have {words.identity.dim} numbers, those of this field "
-                f"{field.encoder.dim}: embed the texts with the encoder of the masks, '{field.encoder.name}'"
-            )
-        return words
-    if field.encoder.matches(WordEncoder.identity):
-        return WordEncoder()
-    if field.encoder.name == MiniEncoder.name:
-        return _loaded_encoder(field, MiniEncoder.name, device)
-    raise InputError(
-        f"the masks of this field were embedded by '{field.encoder.name}' ({field.encoder.dim}-d), so words must be "
-        "too: pass --encoder NAME (its folder, or its id on the Hugging Face hub), --vocabulary FILE (JSON {text: "
-        "[numbers]}) of texts embedded with it, or one query with "
-        f"--vector FILE.npy ({field.encoder.dim} numbers)"
-    )
-
-
-def _loaded_encoder(field: LanguageField, name: str, device: str) -> Encoder:
-    """Checked against the field; a field that does not know its encoder takes the given one's word."""
-    from ..adapters.loading import load_encoder
-    from ..encoders import EncoderIdentity
-
-    encoder = load_encoder(name, device)
-    if field.encoder.name == "unknown" and encoder.identity.dim == field.encoder.dim:
-        encoder.identity = EncoderIdentity("unknown", field.encoder.dim)
-    field.check_encoder(encoder.identity)
-    return encoder
 
 
 def tracker(arguments: argparse.Namespace) -> Track:

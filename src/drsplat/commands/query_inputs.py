@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..encoders import Encoder
     from ..gaussians import Gaussians
     from ..views import View
 
@@ -36,28 +35,6 @@ def split_click(text: str) -> tuple[str, tuple[float, float]]:
     if match is None:
         raise InputError(f"--click {text}: expected VIEW:X,Y in pixels, e.g. photo_003:210,140")
     return match[1], (float(match[2]), float(match[3]))
-
-
-def embedded_image(encoder: Encoder, path: str) -> np.ndarray:
-    """A picture of a thing as the masks were: padded with black to a square.
-
-    Raises: InputError: an encoder of words only.
-    """
-    import numpy as np
-
-    from ..crops import crop
-    from ..encoders import ImageEncoder
-    from ..errors import InputError
-
-    if not isinstance(encoder, ImageEncoder):
-        raise InputError(
-            f"{encoder.identity.name} sees no images: pass --encoder NAME, the model that embedded the masks"
-        )
-    picture = read_picture(path)
-    height, width = picture.shape[:2]
-    square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))
-    vector: np.ndarray = encoder.encode_images([square])[0]
-    return vector
 
 
 def read_picture(path: str) -> np.ndarray:

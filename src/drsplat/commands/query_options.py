@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .answers import AUTO, COSINE_THRESHOLD, RELEVANCY_THRESHOLD, Ask, Asked
+from ..asking.defaults import AUTO, COSINE_THRESHOLD, RELEVANCY_THRESHOLD
+from .answers import Ask
 from .options import (
     add_capture_options,
     add_overwrite,
     add_query_encoders,
     finite,
     new_output,
-    view_named,
     views_of,
 )
 from .query_inputs import Click, split_click
@@ -20,6 +20,7 @@ from .query_inputs import Click, split_click
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..asking import Asked
     from ..gaussians import Gaussians
     from ..views import View
 
@@ -139,6 +140,8 @@ def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".
 
 def ask_of(arguments: argparse.Namespace, scene: Gaussians | None) -> Ask:
     """What the options of `add_query_options` say."""
+    from ..asking import view_named
+
     click = None
     if arguments.click is not None and scene is not None:
         name, xy = split_click(arguments.click)
@@ -208,6 +211,7 @@ def draw(arguments: argparse.Namespace, scene: Gaussians, ids: np.ndarray, note:
 
 def chosen_view(arguments: argparse.Namespace, scene: Gaussians, ids: np.ndarray) -> View:
     """The view named, else the one that shows most of the Gaussians at `ids`."""
+    from ..asking import view_named
     from ..pictures import best_views
 
     views = views_of(arguments, arguments.views)

@@ -13,7 +13,6 @@ from .options import (
     finite,
     new_output,
     tracker,
-    view_named,
     views_of,
 )
 
@@ -76,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_gaussians, splat_arrays
+    from ..asking import view_named
     from ..progress import Stopwatch
 
     watch = Stopwatch()
@@ -114,7 +114,8 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     import numpy as np
 
     from .. import load_field, locate
-    from .answers import MIN_GAUSSIANS, Ask, asked
+    from ..asking.defaults import MIN_GAUSSIANS
+    from .answers import Ask, asked
 
     if arguments.query is None:
         return None

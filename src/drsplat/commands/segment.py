@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .answers import Ask, Asked, Asking
+from .answers import Ask, AskedOf
 from .options import add_query_encoders
 from .query_options import add_measure_options, add_output_options, check_outputs, chosen_view
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..asking import Asked
     from ..gaussians import Gaussians
 
 SUMMARY = "label every Gaussian with the best of some classes, or with none of them"
@@ -45,7 +46,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     check_outputs(arguments)
     classes = _classes(arguments)
-    asking = Asking(load_field(arguments.field), _ask(arguments), arguments.threads)
+    asking = AskedOf(load_field(arguments.field), _ask(arguments), arguments.threads)
     scene = None if arguments.scene is None else read_gaussians(arguments.scene)
     if scene is not None:
         asking.field.check_scene(scene)

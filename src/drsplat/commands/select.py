@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .answers import Asked, asked
+from .answers import asked
 from .query_options import (
     add_output_options,
     add_query_options,
@@ -20,6 +20,8 @@ from .query_options import (
 
 if TYPE_CHECKING:
     import numpy as np
+
+    from ..asking import Asked
 
 SUMMARY = "select the Gaussians that a query fits: by a threshold, an automatic one or a share"
 EXAMPLES = """\

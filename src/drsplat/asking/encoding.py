@@ -1,0 +1,65 @@
+"""Who turns words into queries of a field."""
+
+from collections.abc import Callable
+from copy import copy
+from pathlib import Path
+
+from ..adapters.loading import load_encoder
+from ..encoders import Encoder, EncoderIdentity
+from ..errors import InputError, MismatchError
+from ..field import LanguageField
+from ..formats.vocabulary import read_vocabulary
+from ..mini import MiniEncoder
+from ..words import WordEncoder
+
+Load = Callable[[str, str], Encoder]
+
+
+def encoder_for(
+    field: LanguageField,
+    vocabulary: str | None = None,
+    encoder: str | None = None,
+    device: str = "auto",
+    load: Load = load_encoder,
+) -> Encoder:
+    """What turns words into queries of this field.
+
+    load: what makes an encoder of a name and a device; several fields can share its models.
+
+    Raises: InputError: a field of another encoder than the built-in one, and neither its name nor a
+    vocabulary; or both. MismatchError: another encoder, or one of another dimension where the field
+    does not say who made it.
+    """
+    if encoder is not None:
+        if vocabulary is not None:
+            raise InputError("--encoder and --vocabulary both say who embeds the words: drop one")
+        return _loaded_encoder(field, encoder, device, load)
+    if vocabulary is not None:
+        # JSON does not say who made it, and neither does a field registered without --encoder-name
+        anonymous = Path(vocabulary).suffix == ".json" or field.encoder.name == "unknown"
+        words = read_vocabulary(vocabulary, name=field.encoder.name if anonymous else None)
+        if anonymous and words.identity.dim != field.encoder.dim:
+            raise MismatchError(
+                f"{vocabulary}: its vectors have {words.identity.dim} numbers, those of this field "
+                f"{field.encoder.dim}: embed the texts with the encoder of the masks, '{field.encoder.name}'"
+            )
+        return words
+    if field.encoder.matches(WordEncoder.identity):
+        return WordEncoder()
+    if field.encoder.name == MiniEncoder.name:
+        return _loaded_encoder(field, MiniEncoder.name, device, load)
+    raise InputError(
+        f"the masks of this field were embedded by '{field.encoder.name}' ({field.encoder.dim}-d), so words must be "
+        "too: pass --encoder NAME (its folder, or its id on the Hugging Face hub), --vocabulary FILE (JSON {text: "
+        "[numbers]}) of texts embedded with it, or one query with "
+        f"--vector FILE.npy ({field.encoder.dim} numbers)"
+    )
+
+
+def _loaded_encoder(field: LanguageField, name: str, device: str, load: Load) -> Encoder:
+    """Checked against the field; a field that does not know its encoder takes the given one's word."""
+    encoder = copy(load(name, device))
+    if field.encoder.name == "unknown" and encoder.identity.dim == field.encoder.dim:
+        encoder.identity = EncoderIdentity("unknown", field.encoder.dim)
+    field.check_encoder(encoder.identity)
+    return encoder

@@ -1,0 +1,46 @@
+"""The best words for a feature."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..encoders import Encoder
+from ..errors import InputError
+from ..field import LanguageField
+from ..formats.vocabulary import VocabularyEncoder
+from ..mini import MiniEncoder
+from ..mini.lexicon import COLORS, NAMES, STRUCTURES
+
+
+def own_vocabulary(encoder: Encoder) -> tuple[str, ...] | None:
+    """The texts that an encoder can be asked for by itself, None where it takes any."""
+    if isinstance(encoder, MiniEncoder):
+        colored = tuple(f"{color} {name}" for name in NAMES for color in COLORS)
+        return (*NAMES, *STRUCTURES, *colored)
+    if isinstance(encoder, VocabularyEncoder):
+        return encoder.texts
+    return None
+
+
+def best_names(
+    encoder: Encoder,
+    field: LanguageField,
+    feature: Float32[np.ndarray, " D"],
+    vocabulary: Sequence[str] | None,
+    top: int,
+) -> list[tuple[str, float]]:
+    """The `top` texts of the highest cosine with a unit feature, best first.
+
+    Raises: InputError: no texts. MismatchError: another encoder.
+    """
+    texts = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
+    if not texts:
+        raise InputError(
+            f"the encoder '{encoder.identity.name}' takes any words: say which to choose from"
+        )
+    field.check_encoder(encoder.identity)
+    vectors = np.asarray(encoder.encode_texts(texts), np.float32)
+    scores = vectors @ feature
+    order = np.argsort(-scores, kind="stable")[:top]
+    return [(texts[at], float(scores[at])) for at in order]

@@ -1,0 +1,60 @@
+"""From a point of the world to the Gaussian that is there."""
+
+import numpy as np
+from jaxtyping import Integer
+
+from ..errors import InputError
+from ..gaussians import Gaussians
+
+FAR = 3.0  # standard deviations
+SLACK = 0.01  # of the scene's size: people and models round their numbers
+NEAREST = 64  # candidates by the distance of centres
+
+
+def nearest_gaussian(
+    gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: tuple[float, float, float]
+) -> int:
+    """Row of the candidate that covers a point of the world best.
+
+    Of the 64 candidates with the nearest centres, the one of highest density at the point (opacity times
+    the Gaussian's fall-off); where all have fallen off, the nearest centre.
+
+    Raises: InputError: a point that is not finite, no candidates, or none near the point.
+    """
+    at = np.asarray(point, np.float64)
+    if at.shape != (3,) or not np.isfinite(at).all():
+        raise InputError(f"expected a point of three finite numbers, got {point}")
+    if not len(candidates):
+        raise InputError("no Gaussian of this scene has a feature")
+    means = gaussians.means[candidates].astype(np.float64)
+    distances = np.linalg.norm(means - at, axis=1)
+    near = np.argsort(distances, kind="stable")[:NEAREST]
+    ids = np.asarray(candidates)[near].astype(np.int64)
+    deviations = _deviations(gaussians, ids, at)
+    if deviations.min() > FAR and distances[near[0]] > SLACK * _size(means):
+        x, y, z = means[near[0]]
+        raise InputError(
+            f"nothing with a feature is at {at[0]:g}, {at[1]:g}, {at[2]:g}: the nearest Gaussian is "
+            f"{distances[near[0]]:.3g} away, at {x:.3f}, {y:.3f}, {z:.3f}"
+        )
+    density = gaussians.opacities[ids] * np.exp(-0.5 * np.minimum(deviations, 30.0) ** 2)
+    return int(ids[density.argmax()] if deviations.min() <= FAR else ids[0])
+
+
+def _deviations(
+    gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.ndarray
+) -> np.ndarray:
+    """Distance of each Gaussian's centre in its own standard deviations."""
+    few = gaussians.subset(ids)
+    xx, xy, xz, yy, yz, zz = few.covariances().T
+    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)
+    matrices = matrices + 1e-12 * np.eye(3)
+    offsets = point - few.means.astype(np.float64)
+    solved = np.linalg.solve(matrices, offsets[..., None])[..., 0]
+    return np.asarray(np.sqrt(np.maximum((offsets * solved).sum(1), 0)))
+
+
+def _size(means: np.ndarray) -> float:
+    """Diagonal of the box of the middle 98 %: stray Gaussians do not count."""
+    low, high = np.quantile(means, (0.01, 0.99), axis=0)
+    return float(np.linalg.norm(high - low))

@@ -1,0 +1,23 @@
+"""Views by the names that people use."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import InputError
+from ..views import View
+
+
+def view_named(views: Sequence[View], name: str) -> View:
+    """By file name, with or without suffix.
+
+    Raises: InputError: there is none.
+    """
+    if not views:
+        raise InputError(f"there is no view '{name}': this scene has none")
+    for view in views:
+        path = Path(view.name)
+        if name in (view.name, str(path.with_suffix("")), path.name, path.stem):
+            return view
+    raise InputError(
+        f"there is no view '{name}': this capture has {len(views)}, from '{views[0].name}' to '{views[-1].name}'"
+    )
