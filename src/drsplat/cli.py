@@ -18,7 +18,7 @@ from .errors import DrSplatError, DrSplatWarning
 
 # in the order of the pipeline
 VERBS = (
-    "train", "inspect", "embed", "codebook", "register", "select", "locate", "segment", "render",
+    "train", "inspect", "embed", "codebook", "register", "select", "locate", "segment", "render", "view",
     "evaluate", "demo", "doctor",
 )  # fmt: skip
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141

@@ -1,29 +1,17 @@
 """Colours of classes, on Gaussians and in pictures with a legend."""
 
-import colorsys
-
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Int32
 from PIL import Image, ImageDraw, ImageFont
 
 from ..gaussians import Gaussians
 from ..kernels import render_channels, splat_arrays
+from ..palette import class_colors
 from ..pictures import INK, PAPER, OtherPixels, Pixels
 from ..views import View
 
 SH_C0 = 0.28209479177387814  # of 3DGS: colour = 0.5 + SH_C0 * coefficient
-GOLDEN = 0.6180339887498949  # of a turn: hues far from each other, however many
 GREY = 0.35  # how much of its own light a Gaussian without class keeps, around a middle grey
-
-
-def class_colors(count: int) -> UInt8[np.ndarray, "c 3"]:
-    """A colour per class: hues apart, and neighbours in the list of different light."""
-    hsv = [
-        ((0.02 + GOLDEN * i) % 1, (0.85, 0.6)[i % 2], (0.95, 0.75)[i // 2 % 2])
-        for i in range(count)
-    ]
-    rgb = np.array([colorsys.hsv_to_rgb(*one) for one in hsv]).reshape(count, 3)
-    return np.asarray(np.round(255 * rgb), np.uint8)
 
 
 def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -> Gaussians:

@@ -9,11 +9,14 @@ from ..errors import InputError
 from ..gaussians import Gaussians
 from ..tasks import Instance
 from ..views import View
+from .shown import RADIUS, Frame
 
 Vector = Float64[np.ndarray, " 3"]
 SNAP_COSINE = np.cos(np.radians(20))
 ASIDE, ABOVE = 2.6, 0.45  # distance to a thing in its own sizes; height above it over that distance
-LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small thing fills the picture with noise
+LEAST_SIZE = (
+    0.04  # of a scene's radius: nearer than that a small thing fills the picture with noise
+)
 FOV_DEGREES = 55.0
 UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
 
@@ -39,6 +42,18 @@ def named_up(text: str) -> Vector:
     if len(text) != 2 or text[0] not in "+-" or text[1] not in "xyz":
         raise InputError(f"--up {text}: expected one of +x -x +y -y +z -z")
     return np.eye(3)["xyz".index(text[1])] * (1 if text[0] == "+" else -1)
+
+
+def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector, Vector]:
+    """Where to begin, and what to look at: from one of the photos, else from outside at the middle."""
+    if not views:
+        side = np.array([0.8, 0.5, 0.3])
+        side = side - (side @ up) * up + 0.4 * up
+        return frame.center + 1.5 * RADIUS / frame.scale * side, frame.center
+    view = views[len(views) // 2]
+    ahead = view.cam_from_world[2, :3]
+    reach = max(float(ahead @ (frame.center - view.center)), 1 / frame.scale)
+    return view.center, view.center + reach * ahead
 
 
 def looking_at(
@@ -73,7 +88,9 @@ def before(thing: Instance, gaussians: Gaussians, views: Sequence[View], up: Vec
     size = size_of(thing, gaussians)
     if views:
         eyes = np.stack([view.center for view in views])
-        nearest = eyes[np.argsort(np.linalg.norm(eyes - thing.center, axis=1))[: len(eyes) // 3 + 1]]
+        nearest = eyes[
+            np.argsort(np.linalg.norm(eyes - thing.center, axis=1))[: len(eyes) // 3 + 1]
+        ]
         side = (nearest - thing.center).mean(0)
     else:
         side = np.array([0.8, 0.5, 0.3])

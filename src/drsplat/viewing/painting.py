@@ -18,7 +18,7 @@ ACCENTS = (
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another is meant
-TINT, GLOW = 0.6, 0.25  # share of the query's colour in what was found; more light than it had
+TINT, GLOW = 0.5, 0.25  # share of the query's colour in what was found; more light than it had
 WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
 HEAT = np.array(
     [(0.05, 0.06, 0.20), (0.17, 0.24, 0.62), (0.16, 0.62, 0.72), (0.62, 0.80, 0.30), (0.98, 0.72, 0.16), (0.86, 0.14, 0.10)],

@@ -81,11 +81,16 @@ def shown_of(gaussians: Gaussians, budget: int) -> Shown:
         ids,
         frame.shown(part.means.astype(np.float64)).astype(np.float32),
         np.clip(covariances, -MOST_VARIANCE, MOST_VARIANCE),
-        np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1).astype(np.float32),
+        base_colors(part),
         part.opacities,
         frame,
         len(gaussians) - len(ids),
     )
+
+
+def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
+    """Without what depends on the direction of view, in [0, 1]."""
+    return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
 
 
 def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m"]:

@@ -1,0 +1,161 @@
+"""drsplat view: a scene in the browser that answers words; or a page of it, to send to someone."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import add_overwrite, add_query_encoders, count, new_output
+
+if TYPE_CHECKING:
+    from ..asking import AskableScene
+    from ..viewing.session import Session
+
+SUMMARY = "see a scene in the browser and ask it, or write a page of it that needs no server"
+EXAMPLES = """\
+  drsplat view drsplat-demo
+  drsplat view room.field --scene scene.ply --views capture --ask "red mug; lamp"
+  drsplat view drsplat-demo --export page.html --ask "red vase; couch; something to eat"
+
+Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; --host 0.0.0.0
+lets everyone on the network look, ask and save."""
+BUDGET = 1_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "field",
+        help="what `drsplat register` wrote, or a folder with a field, its scene and photos",
+    )
+    parser.add_argument("--scene", metavar="SCENE", help="the Gaussians that were registered")
+    parser.add_argument(
+        "--views",
+        metavar="CAPTURE",
+        help="the photos: their cameras, and what speaks for an answer",
+    )
+    parser.add_argument(
+        "--ask", metavar="TEXT", default="", help='ask this first; several: "mug; lamp"'
+    )
+    parser.add_argument(
+        "--words", metavar="A,B,C",
+        help="what a click chooses its name from (default: the encoder's own words, or things of a household)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--max-gaussians", type=count, metavar="N",
+        help=f"show the N most significant ones (default: {BUDGET:,}; {200_000:,} in a page)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--up", metavar="AXIS", help="+x -x +y -y +z or -z (default: as the photos were held)"
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="(default: 127.0.0.1)")
+    parser.add_argument("--port", type=count, default=8080, help="(default: 8080)")
+    parser.add_argument(
+        "--save-dir", default=".", metavar="DIR", help="where files are saved (default: here)"
+    )
+    parser.add_argument(
+        "--export", metavar="PAGE.html", help="write a page with the answers to --ask, and leave"
+    )
+    add_overwrite(parser)
+    add_query_encoders(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    if arguments.export:
+        return _export(arguments)
+    return _serve(arguments)
+
+
+def show(answer: dict[str, Any]) -> None:
+    if "page" in answer:
+        print(
+            f"{answer['page']}: {answer['num_shown']:,} Gaussians, {answer['bytes'] / 1e6:.1f} MB"
+        )
+        for one in answer["queries"]:
+            print(f"  {one['text']}: {one['num_instances'] or 'nothing'} found")
+
+
+def _export(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..errors import InputError
+    from ..viewing.cameras import first_look
+    from ..viewing.exporting import page_of
+    from ..viewing.page import MOST, write_page
+    from ..viewing.results import split_queries
+
+    new_output(arguments.export, arguments.overwrite, ".html")
+    texts = split_queries(arguments.ask)
+    if not texts:
+        raise InputError('a page holds answers: pass --ask "red mug; lamp"')
+    session = _session(arguments, min(arguments.max_gaussians or MOST, MOST))
+    up = _up(arguments, session.scene)
+    look = first_look(session.scene.views, session.shown.frame, up)
+    page = page_of(session, texts, look, up)
+    size = write_page(arguments.export, page, overwrite=arguments.overwrite)
+    return {
+        "page": arguments.export,
+        "bytes": size,
+        "num_shown": len(page.shown),
+        "num_left_out": page.shown.num_left_out,
+        "queries": [
+            {"text": answer.text, "num_instances": len(answer.things)} for answer in page.answers
+        ],
+    }
+
+
+def _serve(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..viewing.panel import Panel
+    from ..viewing.window import Window, viser_module
+
+    viser_module()
+    session = _session(arguments, arguments.max_gaussians or BUDGET)
+    up = _up(arguments, session.scene)
+    window = Window(session, up, host=arguments.host, port=arguments.port)
+    panel = Panel(window, Path(arguments.save_dir))
+    if arguments.ask:
+        panel.ask(arguments.ask)
+    address = f"http://{window.server.get_host()}:{window.server.get_port()}"
+    if not arguments.json:
+        print(f"Open {address} in a browser; Ctrl-C ends this. {session.shown.said}", flush=True)
+    try:
+        window.server.sleep_forever()
+    except KeyboardInterrupt:
+        window.stop()
+    return {"address": address, "num_shown": len(session.shown)}
+
+
+def _session(arguments: argparse.Namespace, budget: int) -> Session:
+    from ..viewing.session import Session
+
+    words = None
+    if arguments.words:
+        words = [word.strip() for word in arguments.words.split(",") if word.strip()]
+    return Session(_scene(arguments), budget, words)
+
+
+def _scene(arguments: argparse.Namespace) -> AskableScene:
+    """Raises: InputError: a field without --scene."""
+    from ..asking import SceneFiles, open_scene
+    from ..errors import InputError
+
+    files: SceneFiles | str = arguments.field
+    path = Path(arguments.field)
+    if arguments.scene is not None:
+        capture = None if arguments.views is None else Path(arguments.views)
+        files = SceneFiles(path.stem, path, (Path(arguments.scene),), capture)
+    elif path.suffix == ".field":
+        raise InputError(
+            f"{path} is a field: pass --scene SCENE as well, or name the folder that holds both"
+        )
+    return open_scene(
+        files,
+        encoder=arguments.encoder,
+        vocabulary=arguments.vocabulary,
+        device=arguments.device,
+        threads=arguments.threads,
+    )
+
+
+def _up(arguments: argparse.Namespace, scene: AskableScene) -> Any:
+    from ..viewing.cameras import named_up, up_direction
+
+    return up_direction(scene.views) if arguments.up is None else named_up(arguments.up)

@@ -1,0 +1,76 @@
+"""What is at a place: its words, the photos and masks that say so, and what is like it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ..asking import AskableScene, Asking, Named, Question
+from ..asking.naming import own_vocabulary
+from ..errors import DrSplatError
+from ..evidence import Explanation
+from ..mini.lexicon import NAMES, STRUCTURES
+from ..tasks import Instance
+from .picking import Hit
+from .results import Result, result_of
+
+EVIDENCE, PICTURE_SIDE = 3, 480
+
+
+@dataclass(frozen=True, eq=False)
+class This:
+    """words: best first, none where no encoder is known. evidence: photos and masks behind it.
+
+    thing: what is like it and holds it, None where that is too little. alike: all that is like it.
+    """
+
+    gaussian_id: int
+    point: Float64[np.ndarray, " 3"]
+    words: list[Named]
+    evidence: list[Explanation]
+    thing: Instance | None
+    alike: Result
+
+    @property
+    def name(self) -> str:
+        return self.words[0].text if self.words else ""
+
+
+def this_is(scene: AskableScene, hit: Hit, words: Sequence[str] | None = None) -> This:
+    """What the first Gaussian of a hit is; all of them must have a feature."""
+    first = int(hit.gaussian_ids[0])
+    feature = scene.feature_of(first)
+    question = Question(vector=feature)
+    alike = result_of(scene, "", Asking(scene.background, question).like_feature(feature))
+    holding = [one.thing for one in alike.found if first in one.thing.gaussian_ids]
+    return This(
+        first,
+        hit.point,
+        named(scene, first, words),
+        [] if scene.field.evidence is None else scene.field.explain(first, feature, EVIDENCE),
+        holding[0] if holding else None,
+        alike,
+    )
+
+
+def named(scene: AskableScene, gaussian_id: int, words: Sequence[str] | None) -> list[Named]:
+    """The best words; none for a field whose encoder is not at hand."""
+    try:
+        return scene.what_is(gaussian_id, words or words_of(scene))
+    except DrSplatError:
+        return []
+
+
+def words_of(scene: AskableScene) -> tuple[str, ...]:
+    """The encoder's own, or those of a household for one that takes any."""
+    return own_vocabulary(scene.encoder) or (*NAMES, *STRUCTURES)
+
+
+def photo_of(scene: AskableScene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
+    """The photo that speaks most for it, with the thing in colour; None where there is none."""
+    names = {view.name for view in scene.views}
+    best = next((one.view_name for one in this.evidence if one.view_name in names), None)
+    if best is None or this.thing is None:
+        return None
+    return scene.picture(best, this.thing.gaussian_ids, photo=True, max_side=PICTURE_SIDE)

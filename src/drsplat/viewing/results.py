@@ -1,0 +1,104 @@
+"""What was asked in one go, and what was found."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64
+
+from ..asking import AskableScene, Asked, Found
+from . import painting
+
+SEVERAL = ";"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One query, where its values are cut now, and the things above that.
+
+    asked.threshold is the one that was chosen for it, and stays marked; threshold is the slider's.
+    """
+
+    label: str
+    asked: Asked
+    threshold: float
+    found: list[Found]
+
+    @property
+    def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
+        """Of all its things, ascending."""
+        return joined([one.thing.gaussian_ids for one in self.found])
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Between which a threshold makes a difference: the median and the highest value."""
+        values = self.asked.values
+        if not len(values):
+            return 0.0, 1.0
+        low, high = float(np.median(values)), float(values.max())
+        low, high = min(low, self.asked.threshold), max(high, self.asked.threshold)
+        return low, high if high > low else low + 1e-3
+
+    @property
+    def said(self) -> str:
+        """How many things there are; "Nothing found" where there is none."""
+        if not self.found:
+            return f"Nothing found for '{self.label}'."
+        things = "one thing" if len(self.found) == 1 else f"{len(self.found)} things"
+        return f"{self.label}: {things}, {len(self.gaussian_ids):,} Gaussians"
+
+
+def result_of(scene: AskableScene, label: str, asked: Asked) -> Result:
+    return Result(label, asked, asked.threshold, scene.find(asked))
+
+
+def cut_at(scene: AskableScene, result: Result, threshold: float) -> Result:
+    """The same query with another threshold."""
+    return replace(
+        result, threshold=threshold, found=scene.find(replace(result.asked, threshold=threshold))
+    )
+
+
+def split_queries(text: str) -> list[str]:
+    """ "mug; lamp" is two queries; the same one twice is one."""
+    return list(dict.fromkeys(part.strip() for part in text.split(SEVERAL) if part.strip()))
+
+
+def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Int64[np.ndarray, " m"]:
+    """All ids in any of the parts, ascending."""
+    return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
+
+
+def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
+    """Per Gaussian how well it answers, as in `painting.heat_of`; of several queries the best."""
+    warmest = np.zeros(count, np.float32)
+    for result in results:
+        field, own = result.asked.field, result.asked.values
+        if len(own):
+            warm = field.dense(painting.heat_of(own, result.threshold), fill=0.0)
+            warmest = np.maximum(warmest, warm)
+    return warmest
+
+
+def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+    """Per Gaussian the number of the query that found it, of several the first; -1 for none."""
+    owner = np.full(count, -1, np.int32)
+    for number in range(len(results) - 1, -1, -1):
+        owner[results[number].gaussian_ids] = number
+    return owner
+
+
+def object_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+    """Per Gaussian the number of the thing that it belongs to, counted through all queries; -1 for none."""
+    ids = np.full(count, -1, np.int32)
+    things = [one.thing for result in results for one in result.found]
+    for number in range(len(things) - 1, -1, -1):
+        ids[things[number].gaussian_ids] = number
+    return ids
+
+
+def relevancy(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
+    """Per Gaussian the highest value of any query, in its own measure."""
+    if not results:
+        return np.zeros(count, np.float32)
+    return np.asarray(np.max([result.asked.dense for result in results], axis=0))

@@ -1,0 +1,89 @@
+"""Answers as files: a scene with columns, a picture, a flight."""
+
+import io
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from PIL import Image
+
+from ..formats.replacing import replacing
+from ..formats.scenes import write_gaussians
+from ..kernels import render_channels
+from ..pictures import as_pixels
+from ..views import View
+from . import results
+from .cameras import flight, looking_at
+from .session import Session
+
+BACKGROUND = np.array([0.078, 0.086, 0.106], np.float32)
+GIF_SIZE, GIF_FRAMES, GIF_MILLISECONDS = (480, 360), 40, 60
+COLORS = 128
+
+
+def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bool = False) -> int:
+    """Write what is not hidden as PLY with `relevancy` and `object_id`, -1 for none; returns how many.
+
+    Raises: InputError: the file exists; nothing is selected where `selected_only`.
+    """
+    gaussians, ids = session.edited(selected_only=selected_only)
+    count = len(session.scene.gaussians)
+    columns = {
+        "relevancy": results.relevancy(session.results, count)[ids],
+        "object_id": results.object_ids(session.results, count)[ids],
+    }
+    write_gaussians(path, gaussians, columns)
+    return len(gaussians)
+
+
+def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
+    """What the viewer shows, from a camera in the world, by this package's own renderer."""
+    splats = session.scene.splats._replace(opacities=session.opacities)
+    drawn = render_channels(splats, view, session.colors, BACKGROUND, threads=session.scene.threads)
+    return as_pixels(drawn.channels)
+
+
+def flight_gif(
+    session: Session,
+    eye: Float64[np.ndarray, " 3"],
+    target: Float64[np.ndarray, " 3"],
+    up: Float64[np.ndarray, " 3"],
+    frames: int = GIF_FRAMES,
+) -> bytes:
+    """A swing around a target in the world as an endless GIF."""
+    places = flight(eye, target, up, frames)
+    pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE)) for at in places]
+    return gif_of(pictures)
+
+
+def gif_of(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> bytes:
+    """Frames of one palette, so that colours do not flicker."""
+    palette = Image.fromarray(pictures[0]).quantize(COLORS)
+    frames = [Image.fromarray(one).quantize(palette=palette) for one in pictures]
+    out = io.BytesIO()
+    frames[0].save(
+        out, "GIF", save_all=True, append_images=frames[1:], duration=GIF_MILLISECONDS, loop=0
+    )
+    return out.getvalue()
+
+
+def new_name(folder: Path, stem: str, suffix: str) -> Path:
+    """A file in the folder that is not there yet: stem, or stem-2 and so on."""
+    path, number = folder / f"{stem}{suffix}", 1
+    while path.exists():
+        number += 1
+        path = folder / f"{stem}-{number}{suffix}"
+    return path
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    with replacing(path, overwrite=False) as file:
+        file.write(data)
+
+
+def png_of(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG")
+    return out.getvalue()

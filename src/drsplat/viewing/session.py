@@ -1,0 +1,219 @@
+"""The state of a viewer and what people do to it; no browser, no network."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from ..asking import AskableScene, Classes, Question
+from ..errors import InputError
+from ..gaussians import Gaussians
+from ..palette import class_colors
+from . import painting, results
+from .naming import This, this_is
+from .picking import hit_by_ray
+from .results import Result
+from .shown import SH_C0, Shown, base_colors, shown_of
+
+MOST_QUERIES = 8  # at once: as many as there are colours
+
+
+class Mode(StrEnum):
+    """What colours say; the values are what people read."""
+
+    ANSWER = "answer"
+    HEAT = "heat map"
+    SCENE = "as it is"
+    FEATURES = "features"
+    CLASSES = "classes"
+
+
+@dataclass(eq=False)
+class Session:
+    """One scene on show. Not safe for several threads at once.
+
+    words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets.
+    """
+
+    scene: AskableScene
+    budget: int = 1_000_000
+    words: Sequence[str] | None = None
+    mode: Mode = Mode.SCENE
+    results: tuple[Result, ...] = ()
+    classes: Classes | None = None
+    clicked: This | None = None
+    hidden: Bool[np.ndarray, " n"] = field(init=False)
+    repainted: Bool[np.ndarray, " n"] = field(init=False)
+    _base: Float32[np.ndarray, "n 3"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        count = len(self.scene.gaussians)
+        self.hidden, self.repainted = np.zeros(count, bool), np.zeros(count, bool)
+        self._base = base_colors(self.scene.gaussians)
+
+    @cached_property
+    def shown(self) -> Shown:
+        return shown_of(self.scene.gaussians, self.budget)
+
+    # --- asking ---
+
+    def ask(self, text: str) -> str:
+        """To one query in words, or several with ";" between them; says what was found.
+
+        Raises: InputError: no words, too many queries, words that the encoder does not know.
+        """
+        texts = results.split_queries(text)
+        if not 1 <= len(texts) <= MOST_QUERIES:
+            raise InputError(
+                f"say what to look for: one to {MOST_QUERIES} queries with ';' between them"
+            )
+        return self._answered(
+            [
+                results.result_of(self.scene, one, self.scene.ask(Question(text=one)))
+                for one in texts
+            ]
+        )
+
+    def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
+        """To what a picture shows.
+
+        Raises: InputError: an encoder that sees no images.
+        """
+        asked = self.scene.ask(Question(image=picture))
+        return self._answered([results.result_of(self.scene, name, asked)])
+
+    def more_like_this(self) -> str:
+        """To what was clicked.
+
+        Raises: InputError: nothing was.
+        """
+        if self.clicked is None:
+            raise InputError("click something in the scene first")
+        label = f"like this {self.clicked.name}".rstrip()
+        return self._answered([replace(self.clicked.alike, label=label)])
+
+    def set_threshold(self, number: int, threshold: float) -> str:
+        """Cut the values of one of the queries elsewhere.
+
+        Raises: InputError: no such query.
+        """
+        if not 0 <= number < len(self.results):
+            raise InputError(f"there is no query {number} of {len(self.results)}")
+        changed = results.cut_at(self.scene, self.results[number], threshold)
+        self.results = (*self.results[:number], changed, *self.results[number + 1 :])
+        return self.said
+
+    def classify(self, texts: Sequence[str]) -> Classes:
+        """Each Gaussian as the best of some classes, and show them.
+
+        Raises: InputError: no classes, one twice, or words that the encoder does not know.
+        """
+        self.classes = self.scene.classes([text.strip() for text in texts if text.strip()])
+        self.mode = Mode.CLASSES
+        return self.classes
+
+    @property
+    def said(self) -> str:
+        return " \n".join(result.said for result in self.results)
+
+    def _answered(self, answers: list[Result]) -> str:
+        self.results, self.mode = tuple(answers), Mode.ANSWER
+        return self.said
+
+    # --- pointing ---
+
+    def click(
+        self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
+    ) -> This | None:
+        """What a ray in the browser's frame meets first; None where that is nothing with a feature."""
+        visible = np.zeros(len(self.scene.gaussians), bool)
+        visible[self.scene.field.gaussian_ids] = True
+        visible &= ~self.hidden
+        start = self.shown.frame.world(origin)
+        hit = hit_by_ray(self.scene.gaussians, start, direction, visible)
+        self.clicked = None if hit is None else this_is(self.scene, hit, self.words)
+        return self.clicked
+
+    # --- changing what is there ---
+
+    @property
+    def selection(self) -> Int64[np.ndarray, " m"]:
+        """All that was found and is not hidden, ascending."""
+        ids = results.joined([result.gaussian_ids for result in self.results])
+        return ids[~self.hidden[ids]]
+
+    def hide(self) -> None:
+        """The selection. Raises: InputError: nothing is selected."""
+        self.hidden[self._needed()] = True
+
+    def keep(self) -> None:
+        """Nothing but the selection. Raises: InputError: nothing is selected."""
+        ids = self._needed()
+        self.hidden[:] = True
+        self.hidden[ids] = False
+
+    def repaint(self, rgb: Sequence[int]) -> None:
+        """The selection in one hue, with its own light and shade. Raises: InputError: nothing is selected."""
+        ids = self._needed()
+        light = self._base[ids] @ painting.LUMA
+        shade = np.clip(light / max(float(np.quantile(light, 0.9)), 1e-3), 0, 1.2)[:, None]
+        self._base[ids] = np.clip(np.array(rgb, np.float32) / 255 * shade, 0, 1)
+        self.repainted[ids], self.mode = True, Mode.SCENE
+
+    def restore(self) -> None:
+        """Everything, in its own colours."""
+        self.hidden[:] = self.repainted[:] = False
+        self._base = base_colors(self.scene.gaussians)
+
+    def _needed(self) -> Int64[np.ndarray, " m"]:
+        if not len(self.selection):
+            raise InputError("nothing is selected: ask for something that is there first")
+        return self.selection
+
+    # --- what it looks like ---
+
+    @property
+    def colors(self) -> Float32[np.ndarray, "n 3"]:
+        """Of every Gaussian of the scene, as the mode has it, in [0, 1]."""
+        mode, count = self.mode, len(self.scene.gaussians)
+        if mode is Mode.FEATURES:
+            return self._feature_colors
+        if mode is Mode.CLASSES and self.classes is not None:
+            palette = class_colors(len(self.classes.names))
+            return painting.class_painted(self._base, self.classes.labels, palette)
+        if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
+            heat = results.heat(self.results, count)
+            if mode is Mode.HEAT:
+                return painting.heat_colors(heat)
+            accents = [painting.accent(number) for number in range(len(self.results))]
+            owners = results.owners(self.results, count)
+            return painting.highlighted(self._base, heat, owners, accents)
+        return self._base
+
+    @property
+    def opacities(self) -> Float32[np.ndarray, " n"]:
+        """Of every Gaussian of the scene; 0 where it is hidden."""
+        return np.where(self.hidden, np.float32(0), self.scene.gaussians.opacities)
+
+    @cached_property
+    def _feature_colors(self) -> Float32[np.ndarray, "n 3"]:
+        registered = np.zeros(len(self.scene.gaussians), bool)
+        registered[self.scene.field.gaussian_ids] = True
+        return painting.feature_colors(self.scene.field, self._base, registered)
+
+    def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
+        """What is not hidden, in the colours it was given, and its rows in the scene.
+
+        selected_only: of that, what is selected. Raises: InputError: nothing is left.
+        """
+        ids = self._needed() if selected_only else np.flatnonzero(~self.hidden)
+        gaussians = self.scene.gaussians
+        if self.repainted.any():
+            sh = gaussians.sh.copy()
+            sh[self.repainted] = 0
+            sh[self.repainted, 0] = (self._base[self.repainted] - 0.5) / SH_C0
+            gaussians = replace(gaussians, sh=sh)
+        return (gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)), ids

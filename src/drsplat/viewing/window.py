@@ -1,0 +1,179 @@
+"""A session in a browser, by viser: the scene, its boxes and cameras. What people press is in `panel`."""
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import MissingExtraError
+from ..photos import load_image
+from ..tasks import Instance
+from ..views import View
+from . import painting
+from .cameras import FOV_DEGREES, first_look, looking_at
+from .session import Mode, Session
+
+if TYPE_CHECKING:
+    import viser
+
+INSTALL = 'pip install "drsplat[viewer]"'
+FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
+MOST_CAMERAS, CAMERA_SIZE, CAMERA_PHOTO = 200, 0.35, 96
+CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
+EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
+Vector = Float64[np.ndarray, " 3"]
+
+
+def viser_module() -> Any:
+    """Raises: MissingExtraError: it is not installed."""
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingExtraError(f"the viewer needs viser ({error}): {INSTALL}") from error
+    return viser
+
+
+class Window:
+    """What a browser shows of a session. All who open the page see, and change, the same one.
+
+    up: of the scene, in the world. Raises: MissingExtraError: viser is not installed.
+    """
+
+    def __init__(
+        self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080
+    ) -> None:
+        self.session, self.up = session, up
+        self.server: viser.ViserServer = viser_module().ViserServer(
+            host=host, port=port, verbose=False
+        )
+        self._marks: list[Any] = []
+        self._cameras: list[Any] = []
+        self.boxes = True
+        self._open()
+
+    def _open(self) -> None:
+        scene, shown = self.server.scene, self.session.shown
+        scene.set_up_direction(tuple(float(x) for x in self.up))
+        self.server.gui.configure_theme(
+            dark_mode=True, control_layout="fixed", control_width="large", show_logo=False,
+            show_share_button=False, brand_color=painting.accent(0),
+        )  # fmt: skip
+        eye, target = first_look(self.session.scene.views, shown.frame, self.up)
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = shown.frame.shown(eye), shown.frame.shown(target)
+        camera.up, camera.fov = self.up, float(np.radians(FOV_DEGREES))
+        full = shown.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        self._splats = scene.add_gaussian_splats(
+            "/scene", shown.centers, full, shown.rgb, shown.opacities[:, None]
+        )
+
+    # --- from the session to the browser ---
+
+    def repaint(self) -> None:
+        """Show the session's colours, and boxes and names of what was found."""
+        session, shown = self.session, self.session.shown
+        colors, opacities = session.colors[shown.ids], session.opacities[shown.ids]
+        buffer = self._splats.buffer.copy()
+        rgba = np.concatenate([colors, opacities[:, None]], axis=1)
+        packed = np.round(np.clip(rgba, 0, 1) * 255).astype(np.uint8)
+        buffer[:, 7:8] = packed.view(np.uint32)
+        with self.server.atomic():
+            self._splats.buffer = buffer  # one message for colours and opacities together
+            self._mark()
+
+    def _mark(self) -> None:
+        for mark in self._marks:
+            mark.remove()
+        self._marks.clear()
+        if not self.boxes or self.session.mode not in (Mode.ANSWER, Mode.HEAT):
+            return
+        for number, result in enumerate(self.session.results):
+            for count, one in enumerate(result.found):
+                label = result.label if len(result.found) == 1 else f"{result.label} {count + 1}"
+                self._mark_thing(f"{number}-{count}", one.thing, label, painting.accent(number))
+
+    def _mark_thing(
+        self, name: str, thing: Instance, label: str, color: tuple[int, int, int]
+    ) -> None:
+        frame, scene = self.session.shown.frame, self.server.scene
+        corners = frame.shown(thing.center + (CORNERS * thing.extent) @ thing.axes)
+        box = scene.add_line_segments(
+            f"/found/{name}/box", corners[EDGES].astype(np.float32), color,
+            thickness=2.0, thickness_units="screen",
+        )  # fmt: skip
+        top = corners[(corners @ self.up).argmax()]
+        middle = frame.shown(thing.center)
+        above = middle + ((top - middle) @ self.up) * self.up
+        text = scene.add_label(
+            f"/found/{name}/name", label, position=tuple(above), anchor="bottom-center"
+        )
+        self._marks += [box, text]
+
+    # --- cameras ---
+
+    def show_cameras(self, visible: bool) -> None:
+        """The places of the photos, with small pictures; made when first asked for."""
+        if visible and not self._cameras:
+            views = self.session.scene.views
+            step = -(-len(views) // MOST_CAMERAS) or 1
+            self._cameras = [self._camera(view) for view in views[::step]]
+        for camera in self._cameras:
+            camera.visible = visible
+
+    def _camera(self, view: View) -> Any:
+        pose = np.linalg.inv(view.cam_from_world)
+        frustum = self.server.scene.add_camera_frustum(
+            f"/photos/{view.name}",
+            fov=float(2 * np.arctan(view.height / (2 * view.K[1, 1]))),
+            aspect=view.width / view.height, scale=CAMERA_SIZE, color=(200, 205, 215),
+            thickness=1.5, thickness_units="screen", image=_small_photo(view),
+            wxyz=_quaternion(pose[:3, :3]), position=self.session.shown.frame.shown(pose[:3, 3]),
+        )  # fmt: skip
+        frustum.on_click(
+            lambda event: self.fly(
+                event.client, view.center, view.center + view.cam_from_world[2, :3]
+            )
+        )
+        return frustum
+
+    def fly(self, client: Any, eye: Vector, target: Vector) -> None:
+        """Move the camera of one browser; places in the world."""
+        frame, camera = self.session.shown.frame, client.camera
+        from_eye, from_target = np.array(camera.position), np.array(camera.look_at)
+        to_eye, to_target = frame.shown(eye), frame.shown(target)
+        for step in range(1, FLIGHT_STEPS + 1):
+            share = step / FLIGHT_STEPS
+            share = share * share * (3 - 2 * share)
+            with client.atomic():
+                camera.up_direction = self.up
+                camera.position = from_eye + share * (to_eye - from_eye)
+                camera.look_at = from_target + share * (to_target - from_target)
+            client.flush()
+            time.sleep(FLIGHT_SECONDS / FLIGHT_STEPS)
+
+    def seen_by(self, client: Any, size: tuple[int, int]) -> View:
+        """The camera of one browser, in the world."""
+        frame, camera = self.session.shown.frame, client.camera
+        eye = frame.world(np.array(camera.position, np.float64))
+        target = frame.world(np.array(camera.look_at, np.float64))
+        return looking_at(eye, target, self.up, size, float(np.degrees(camera.fov)))
+
+    def stop(self) -> None:
+        self.server.stop()
+
+
+def _small_photo(view: View) -> np.ndarray | None:
+    if view.image_path is None or not view.image_path.is_file():
+        return None
+    step = max(1, view.width // CAMERA_PHOTO)
+    return np.ascontiguousarray(load_image(view)[::step, ::step])
+
+
+def _quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Sequence[float]:
+    """(w, x, y, z) of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(w), float(x), float(y), float(z)
