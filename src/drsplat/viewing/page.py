@@ -127,7 +127,7 @@ def _header(page: Page) -> dict[str, Any]:
         "background": BACKGROUND,
         "heat": painting.HEAT.tolist(),
         "look": {
-            "dim": painting.DIM, "floor": painting.DIM_FLOOR, "tint": painting.TINT,
+            "dim": painting.DIM, "floor": painting.DIM_FLOOR, "tint": painting.TINT_ONE,
             "glow": painting.GLOW, "warmth": painting.WARMTH,
         },
         "words": list(page.words)[:MOST_WORDS],

@@ -18,7 +18,8 @@ ACCENTS = (
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another is meant
-TINT, GLOW = 0.5, 0.25  # share of the query's colour in what was found; more light than it had
+TINT_ONE, TINT_SEVERAL = 0.3, 0.8  # share of the query's colour in what was found
+GLOW = 0.25  # more light than it had
 WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
 HEAT = np.array(
     [(0.05, 0.06, 0.20), (0.17, 0.24, 0.62), (0.16, 0.62, 0.72), (0.62, 0.80, 0.30), (0.98, 0.72, 0.16), (0.86, 0.14, 0.10)],
@@ -70,7 +71,8 @@ def highlighted(
     palette = np.array(accents, np.float32).reshape(-1, 3) / 255
     found = owners >= 0
     bright = np.clip(rgb[found] * (1 + GLOW) + 0.08, 0, 1)
-    painted[found] = (1 - TINT) * bright + TINT * palette[owners[found]] * (
+    tint = TINT_ONE if len(palette) == 1 else TINT_SEVERAL
+    painted[found] = (1 - tint) * bright + tint * palette[owners[found]] * (
         0.45 + 0.55 * (bright @ LUMA)[:, None]
     )
     return np.clip(painted, 0, 1).astype(np.float32)

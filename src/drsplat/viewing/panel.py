@@ -20,6 +20,7 @@ from .uploads import picture_in
 from .window import Window
 
 MOST_LISTED = 12  # things
+STEP = 0.001  # of the slider
 MOST_SENT = 64 << 20  # bytes of a file that a browser is offered as well
 PICTURE_SIZE = (1280, 960)
 PLACEHOLDER = "Ask for something, such as *mug*, *mug; lamp* or *mug, not red*."
@@ -169,8 +170,12 @@ class Panel:
                 self._listed.append(self.gui.add_markdown(more))
 
     def _fly_button(self, number: int, thing: Any) -> Any:
-        label = f"{self.session.results[number].label} {said_of(thing)}"
-        button = self.gui.add_button(label, color=painting.accent(number))
+        label = self.session.results[number].label
+        place = " ".join(f"{x:.1f}" for x in thing.center)
+        short = f"{label} {thing.score:.2f} · {thing.extent.max():.2f} long · {place}"
+        button = self.gui.add_button(
+            short, color=painting.accent(number), hint=f"Fly to {label}: {said_of(thing)}"
+        )
         button.on_click(lambda event: self._fly(event, thing))
         return button
 
@@ -191,12 +196,12 @@ class Panel:
                 return
             result = self.session.results[self._chosen]
             low, high = result.limits
-            step = (high - low) / 200
-            value = float(np.clip(result.threshold, low, high))
+            low, high = np.floor(low / STEP) * STEP, np.ceil(high / STEP) * STEP
+            value = round(float(np.clip(result.threshold, low, high)), 3)
             self.slider = self.gui.add_slider(
-                "Threshold", low, high, step, value, order=self.which.order + 1e-3,
-                marks=((result.asked.threshold, result.asked.rule),),
-                hint=f"{result.asked.measure} above which a Gaussian is found; the mark is what was chosen ({result.asked.rule})",
+                "Threshold", round(low, 3), round(high, 3), STEP, value,
+                order=self.which.order + 1e-3, marks=((round(result.asked.threshold, 3), "auto"),),
+                hint=f"{result.asked.measure} above which a Gaussian is found; the mark is the rule's choice ({result.asked.rule})",
             )  # fmt: skip
             self.slider.on_update(lambda event: self._cut(event))
 

@@ -1,0 +1,411 @@
+"""The viewer without a browser: what is shown, picked, painted, asked, changed and saved."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from drsplat import read_gaussians
+from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
+from drsplat.viewing import cameras, painting, picking, results, saving, shown, uploads
+from drsplat.viewing.naming import photo_of
+from drsplat.viewing.session import MOST_QUERIES, Mode, Session
+from scenes import look_at_view, random_gaussians
+from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def session() -> Session:
+    return Session(boxes_scene(), words=THINGS)
+
+
+def rows(thing: int) -> np.ndarray:
+    return np.arange(thing * EACH, (thing + 1) * EACH)
+
+
+# --- what is shown ---
+
+
+def test_within_the_budget_everything_is_shown_and_nothing_is_said() -> None:
+    scene = random_gaussians(200)
+    all_of_it = shown.shown_of(scene, 200)
+    np.testing.assert_array_equal(all_of_it.ids, np.arange(200))
+    assert all_of_it.said == ""
+
+
+def test_above_the_budget_the_most_significant_are_shown_and_it_is_said() -> None:
+    scene = random_gaussians(500)
+    part = shown.shown_of(scene, 100)
+    weight = scene.opacities * scene.scales.astype(np.float64).prod(1) ** 0.1
+    rest = np.setdiff1d(np.arange(500), part.ids)
+    assert len(part) == 100
+    assert weight[part.ids].min() >= weight[rest].max()
+    assert "100" in part.said
+    assert "500" in part.said
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-4, 4), st.integers(0, 5))
+def test_any_size_of_scene_keeps_its_covariances_in_float16(power: float, seed: int) -> None:
+    scene = random_gaussians(300, seed, size=0.02)
+    factor = np.float32(10.0**power)
+    grown = replace(scene, means=scene.means * factor, scales=scene.scales * factor)
+    one, other = shown.shown_of(scene, 300), shown.shown_of(grown, 300)
+    np.testing.assert_allclose(one.centers, other.centers, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(one.covariances, other.covariances, rtol=1e-3, atol=1e-6)
+    variances = one.covariances[:, [0, 3, 5]]
+    halves = variances.astype(np.float16).astype(np.float32)
+    assert np.abs(halves / variances - 1).max() < 0.05
+
+
+def test_a_frame_there_and_back_is_the_same_place() -> None:
+    frame = shown.frame_of(random_gaussians(100))
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    np.testing.assert_allclose(frame.world(frame.shown(points)), points, atol=1e-12)
+
+
+@pytest.mark.parametrize(("count", "budget"), [(0, 5), (5, 0)])
+def test_nothing_to_show_is_said(count: int, budget: int) -> None:
+    with pytest.raises(InputError, match="nothing to show"):
+        shown.shown_of(random_gaussians(5).subset(np.arange(count)), budget)
+
+
+# --- picking ---
+
+
+def test_a_ray_meets_what_is_in_front() -> None:
+    scene = boxes_scene().gaussians
+    hit = picking.hit_by_ray(scene, np.array([-3.0, 0, 0]), np.array([1.0, 0, 0]))
+    assert hit is not None
+    assert hit.gaussian_ids[0] in rows(0)
+    assert (np.diff(hit.weights) <= 0).all()
+    assert 0 < hit.weights.sum() <= 1
+    back = picking.hit_by_ray(scene, np.array([3.0, 0, 0.3]), np.array([-1.0, 0, 0]))
+    assert back is not None
+    assert back.gaussian_ids[0] in rows(2)
+
+
+def test_a_ray_passes_what_is_hidden_and_what_lies_behind_it() -> None:
+    scene = boxes_scene().gaussians
+    visible = np.ones(len(scene), bool)
+    visible[rows(0)] = False
+    hit = picking.hit_by_ray(scene, np.array([-3.0, 0, 0]), np.array([1.0, 0, 0]), visible)
+    assert hit is not None
+    assert hit.gaussian_ids[0] in rows(1)
+    away = picking.hit_by_ray(scene, np.array([-9.0, 0, 0]), np.array([-1.0, 0, 0]))
+    assert away is None
+
+
+def test_a_ray_weighs_as_the_renderer_does_far_away() -> None:
+    """From afar a pixel is a ray: the same Gaussian dominates, for needles and discs too."""
+    from drsplat.kernels import splat_arrays, topk_contributions
+
+    scene = random_gaussians(400, 2, size=0.3)
+    view = look_at_view((0.0, -40.0, 0.0), width=64, height=64, fov_degrees=6)
+    best = topk_contributions(splat_arrays(scene), view, 1)
+    same = 0
+    for row, column in np.argwhere(best.weights[..., 0] > 0.6)[::7]:
+        pixel = np.linalg.solve(view.K, [column + 0.5, row + 0.5, 1.0])
+        direction = view.cam_from_world[:3, :3].T @ pixel
+        hit = picking.hit_by_ray(scene, view.center, direction)
+        same += hit is not None and hit.gaussian_ids[0] == best.ids[row, column, 0]
+    total = len(np.argwhere(best.weights[..., 0] > 0.6)[::7])
+    assert total > 20
+    assert same >= 0.9 * total
+
+
+# --- cameras ---
+
+
+def test_a_camera_looks_at_its_target_with_up_upwards() -> None:
+    eye, target = np.array([3.0, -2.0, 1.5]), np.array([0.2, 0.1, 0.3])
+    view = cameras.looking_at(eye, target, UP, (320, 240), 50.0)
+    pixel = view.K @ (view.cam_from_world[:3, :3] @ target + view.cam_from_world[:3, 3])
+    np.testing.assert_allclose(pixel[:2] / pixel[2], (160, 120))
+    np.testing.assert_allclose(view.center, eye)
+    assert (view.cam_from_world[:3, :3] @ UP)[1] < 0  # +y is down
+
+
+def test_a_camera_can_look_straight_down_but_not_at_itself() -> None:
+    view = cameras.looking_at(np.array([0, 0, 5.0]), np.zeros(3), UP, (32, 32))
+    np.testing.assert_allclose(view.cam_from_world[2, :3], (0, 0, -1), atol=1e-9)
+    with pytest.raises(InputError, match="where it stands"):
+        cameras.looking_at(np.ones(3), np.ones(3), UP, (32, 32))
+
+
+def test_up_is_what_the_photos_call_up() -> None:
+    views = [look_at_view((np.cos(a), np.sin(a), 0.5)) for a in np.linspace(0, 6, 9)]
+    np.testing.assert_array_equal(cameras.up_direction(views), UP)
+    np.testing.assert_array_equal(cameras.up_direction([]), (0, -1, 0))
+    np.testing.assert_array_equal(cameras.named_up("-y"), (0, -1, 0))
+    with pytest.raises(InputError, match="expected one of"):
+        cameras.named_up("z")
+
+
+def test_a_flight_is_a_loop_at_one_height_and_distance() -> None:
+    eye, target = np.array([2.0, 0, 1]), np.array([0.0, 0, 0.5])
+    places = np.array(cameras.flight(eye, target, UP, 24))
+    np.testing.assert_allclose(places[0], eye)
+    np.testing.assert_allclose(
+        np.linalg.norm(places - target, axis=1), np.linalg.norm(eye - target)
+    )
+    np.testing.assert_allclose(places[:, 2], 1)
+    assert np.abs(np.diff(np.vstack([places, places[:1]]), axis=0)).max() < 0.4
+    with pytest.raises(InputError, match="two frames"):
+        cameras.flight(eye, target, UP, 1)
+
+
+def test_the_place_before_a_thing_sees_all_of_it(session: Session) -> None:
+    session.ask("tall lamp")
+    thing, scene = session.results[0].found[0].thing, session.scene
+    eye = cameras.before(thing, scene.gaussians, scene.views, UP)
+    view = cameras.looking_at(eye, thing.center, UP, (200, 200))
+    points = scene.gaussians.means[thing.gaussian_ids] @ view.cam_from_world[:3, :3].T
+    pixels = (points + view.cam_from_world[:3, 3]) @ view.K.T
+    at = pixels[:, :2] / pixels[:, 2:]
+    assert (pixels[:, 2] > 0).all()
+    assert ((at > 0) & (at < 200)).all()
+
+
+# --- painting ---
+
+
+def test_heat_is_a_half_at_the_threshold_and_rises_with_the_value() -> None:
+    values = np.linspace(-0.2, 0.6, 101).astype(np.float32)
+    heat = painting.heat_of(values, 0.4)
+    assert (np.diff(heat) >= 0).all()
+    assert heat[0] == 0
+    assert heat[-1] == 1
+    np.testing.assert_allclose(heat[np.abs(values - 0.4).argmin()], 0.5, atol=0.01)
+
+
+def test_where_nothing_is_found_nothing_is_hot() -> None:
+    assert painting.heat_of(np.linspace(0, 0.3, 50).astype(np.float32), 0.5).max() < 0.5
+    assert np.isfinite(painting.heat_of(np.zeros(4, np.float32), 0.0)).all()
+
+
+def test_what_was_found_is_brighter_than_the_rest() -> None:
+    rgb = np.random.default_rng(1).random((100, 3)).astype(np.float32)
+    owners = np.where(np.arange(100) < 40, 0, -1).astype(np.int32)
+    painted = painting.highlighted(rgb, np.zeros(100, np.float32), owners, [painting.accent(0)])
+    light = painted @ painting.LUMA
+    assert light[owners == 0].min() > light[owners < 0].min()
+    assert light[owners == 0].mean() > 2 * light[owners < 0].mean()
+    assert np.ptp(painted[owners < 0], axis=1).max() < 1e-6  # grey
+
+
+def test_two_queries_have_two_colours() -> None:
+    rgb = np.full((2, 3), 0.5, np.float32)
+    accents = [(255, 0, 0), (0, 0, 255)]
+    painted = painting.highlighted(rgb, np.ones(2, np.float32), np.array([0, 1], np.int32), accents)
+    assert painted[0].argmax() == 0
+    assert painted[1].argmax() == 2
+
+
+def test_features_of_one_thing_have_one_colour_and_others_another(session: Session) -> None:
+    session.mode = Mode.FEATURES
+    colors = session.colors
+    means = np.array([colors[rows(thing)].mean(0) for thing in range(3)])
+    assert max(colors[rows(thing)].std(0).max() for thing in range(3)) < 0.02
+    apart = np.linalg.norm(means[:, None] - means, axis=2)[np.triu_indices(3, 1)]
+    assert apart.min() > 0.3
+
+
+# --- asking ---
+
+
+def test_an_answer_is_shown_and_said(session: Session) -> None:
+    said = session.ask("tall lamp")
+    np.testing.assert_array_equal(session.selection, rows(2))
+    assert session.mode is Mode.ANSWER
+    assert said == f"tall lamp: one thing, {EACH} Gaussians"
+
+
+def test_several_queries_and_a_negative_one(session: Session) -> None:
+    session.ask("tall lamp; mug, not red")
+    lamp, mug = session.results
+    np.testing.assert_array_equal(lamp.gaussian_ids, rows(2))
+    np.testing.assert_array_equal(mug.gaussian_ids, rows(1))
+    owners = results.owners(session.results, len(session.scene.gaussians))
+    assert set(owners[rows(2)]) == {0}
+    assert set(owners[rows(1)]) == {1}
+    assert set(owners[rows(0)]) == {-1}
+
+
+def test_nothing_found_is_said(session: Session) -> None:
+    assert session.ask("elephant") == "Nothing found for 'elephant'."
+    assert not len(session.selection)
+
+
+def test_the_threshold_moves_the_selection_and_its_own_stays_marked(session: Session) -> None:
+    session.ask("mug")
+    marked = session.results[0].asked.threshold
+    np.testing.assert_array_equal(session.selection, np.concatenate([rows(0), rows(1)]))
+    low, high = session.results[0].limits
+    session.set_threshold(0, high)
+    assert not len(session.selection)
+    session.set_threshold(0, (low + marked) / 2)
+    assert len(session.selection) >= 2 * EACH
+    assert session.results[0].asked.threshold == marked
+    with pytest.raises(InputError, match="no query 1"):
+        session.set_threshold(1, 0.5)
+
+
+@pytest.mark.parametrize("text", ["", " ; ", ";".join(f"mug {i}" for i in range(9))])
+def test_no_words_and_too_many_queries_are_refused(session: Session, text: str) -> None:
+    session.ask("tall lamp")
+    with pytest.raises(InputError, match=str(MOST_QUERIES)):
+        session.ask(text)
+    assert session.results[0].label == "tall lamp"  # what was there stays
+
+
+def test_a_click_is_named_and_more_of_it_is_found(session: Session) -> None:
+    frame = session.shown.frame
+    origin = frame.shown(np.array([*CENTERS[2][:2], 5.0]))
+    this = session.click(origin, np.array([0.0, 0, -1]))
+    assert this is not None
+    assert this.name == "tall lamp"
+    assert this.gaussian_id in rows(2)
+    assert [one.segment_id for one in this.evidence] == [2]
+    session.more_like_this()
+    np.testing.assert_array_equal(session.selection, rows(2))
+
+
+def test_a_click_into_the_air_is_nothing(session: Session) -> None:
+    assert session.click(np.array([0.0, 0, 500]), np.array([0.0, 0, 1])) is None
+    with pytest.raises(InputError, match="click something"):
+        session.more_like_this()
+
+
+def test_a_click_shows_the_photo_where_there_is_one(session: Session, tmp_path: Path) -> None:
+    origin = session.shown.frame.shown(np.array([*CENTERS[0][:2], 5.0]))
+    this = session.click(origin, np.array([0.0, 0, -1]))
+    assert this is not None
+    photo = photo_of(session.scene, this)
+    assert photo is not None
+    assert photo.shape == (112, 160, 3)
+    assert photo_of(replace(session.scene, views=()), this) is None
+
+
+def test_a_picture_needs_an_encoder_that_sees(session: Session) -> None:
+    with pytest.raises(InputError, match="sees no images"):
+        session.ask_picture(np.zeros((4, 4, 3), np.uint8), "mug.png")
+
+
+def test_classes_colour_everything_that_has_a_feature(session: Session) -> None:
+    classes = session.classify(["red mug", "tall lamp ", ""])
+    assert classes.names == ("red mug", "tall lamp")
+    assert session.mode is Mode.CLASSES
+    colors = session.colors
+    assert not np.allclose(colors[rows(0)].mean(0), colors[rows(2)].mean(0), atol=0.1)
+    with pytest.raises(InputError, match="one or more"):
+        session.classify([])
+
+
+# --- changing and saving ---
+
+
+def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: Path) -> None:
+    session.ask("red mug")
+    session.hide()
+    assert (session.opacities[rows(0)] == 0).all()
+    assert not len(session.selection)
+    count = saving.save_scene(tmp_path / "rest.ply", session)
+    assert (
+        count == len(session.scene.gaussians) - EACH == len(read_gaussians(tmp_path / "rest.ply"))
+    )
+    session.restore()
+    assert (session.opacities == session.scene.gaussians.opacities).all()
+
+
+def test_kept_alone_everything_else_is_hidden(session: Session) -> None:
+    session.ask("red mug")
+    session.keep()
+    np.testing.assert_array_equal(np.flatnonzero(session.opacities), rows(0))
+
+
+def test_without_a_selection_nothing_is_changed(session: Session) -> None:
+    for change in (session.hide, session.keep, lambda: session.repaint((1, 2, 3))):
+        with pytest.raises(InputError, match="nothing is selected"):
+            change()
+    assert not session.hidden.any()
+
+
+def test_a_saved_scene_has_its_columns_and_stays_the_scene(
+    session: Session, tmp_path: Path
+) -> None:
+    session.ask("red mug; tall lamp")
+    saving.save_scene(tmp_path / "found.ply", session)
+    saved = read_gaussians(tmp_path / "found.ply")
+    assert saved.fingerprint == session.scene.gaussians.fingerprint
+    ids = saved.extra["object_id"]
+    assert set(ids[rows(0)]) == {0}
+    assert set(ids[rows(2)]) == {1}
+    assert set(ids[rows(1)]) == {-1}
+    assert (saved.extra["relevancy"][rows(0)] > 0.9).all()
+
+
+def test_a_selection_is_saved_alone_and_in_its_new_colour(session: Session, tmp_path: Path) -> None:
+    session.ask("red mug")
+    session.repaint((0, 255, 0))
+    saving.save_scene(tmp_path / "mug.ply", session, selected_only=True)
+    saved = read_gaussians(tmp_path / "mug.ply")
+    assert len(saved) == EACH
+    rgb = shown.base_colors(saved)
+    assert (rgb[:, 1] >= rgb[:, 0]).all()
+    np.testing.assert_allclose(rgb[:, [0, 2]], 0, atol=1e-6)
+
+
+def test_a_picture_shows_what_was_found(session: Session) -> None:
+    view = session.scene.views[0].resized(320, 224)
+    plain = saving.picture_of(session, view)
+    session.ask("tall lamp")
+    found = saving.picture_of(session, view)
+    assert not np.array_equal(plain, found)
+    assert Image.open(io.BytesIO(saving.png_of(found))).size == (320, 224)
+
+
+def test_a_flight_is_an_endless_gif(session: Session) -> None:
+    session.ask("tall lamp")
+    eye, target = np.array([3.0, -3, 2]), np.zeros(3)
+    film = Image.open(io.BytesIO(saving.flight_gif(session, eye, target, UP, frames=4)))
+    assert film.n_frames == 4
+    assert film.info["loop"] == 0
+
+
+def test_new_names_replace_nothing(tmp_path: Path) -> None:
+    for expected in ("found.ply", "found-2.ply", "found-3.ply"):
+        path = saving.new_name(tmp_path, "found", ".ply")
+        assert path.name == expected
+        saving.write_bytes(path, b"x")
+
+
+# --- uploads ---
+
+
+def test_an_uploaded_picture_is_read_and_anything_else_refused() -> None:
+    pixels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    np.testing.assert_array_equal(uploads.picture_in(saving.png_of(pixels)), pixels)
+    for junk in (b"", b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(40), bytes(1000)):
+        with pytest.raises(FormatError, match="no picture"):
+            uploads.picture_in(junk)
+    with pytest.raises(InputError, match="bytes"):
+        uploads.picture_in(bytes(uploads.MOST_BYTES + 1))
+
+
+def test_without_viser_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    from drsplat.viewing.window import viser_module
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtraError, match=r"drsplat\[viewer\]"):
+        viser_module()
+    assert issubclass(MissingExtraError, DrSplatError)
