@@ -1,7 +1,9 @@
 """A headless Chromium for tests, where there is one."""
 
+import io
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,24 +17,41 @@ needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium is ins
 
 
 @contextmanager
-def a_page(width: int = 1000, height: int = 700) -> Iterator[Any]:
-    """A page; what its scripts throw fails the test."""
+def a_browser() -> Iterator[Any]:
+    """One for a module of tests."""
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": width, "height": height})
-        page.set_default_timeout(SLOW)
-        errors: list[str] = []
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        yield page
+        yield browser
         browser.close()
-        assert errors == []
+
+
+@contextmanager
+def a_page(browser: Any, width: int = 1000, height: int = 700) -> Iterator[Any]:
+    """A page; what its scripts throw fails the test."""
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(SLOW)
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    yield page
+    page.close()
+    assert errors == []
+
+
+def eventually(holds: Callable[[], bool], seconds: float = 90) -> None:
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.3)
+
+
+def near(pixels: np.ndarray, xy: tuple[float, float], radius: int = 14) -> np.ndarray:
+    x, y = (round(at) for at in xy)
+    return pixels[max(y - radius, 0) : y + radius, max(x - radius, 0) : x + radius]
 
 
 def pixels_of(page: Any, width: int) -> np.ndarray:
     """The left `width` columns of what the page shows, as float RGB in [0, 1]."""
-    import io
-
     shot = Image.open(io.BytesIO(page.screenshot(timeout=SLOW))).convert("RGB")
     return np.asarray(shot)[:, :width] / 255.0
 

@@ -31,7 +31,7 @@ def up_direction(views: Sequence[View]) -> Vector:
         return np.array(UP_WITHOUT_VIEWS)
     up = np.asarray(mean / length)
     axis = int(np.abs(up).argmax())
-    return np.sign(up[axis]) * np.eye(3)[axis] if abs(up[axis]) > SNAP_COSINE else up
+    return np.asarray(np.sign(up[axis]) * np.eye(3)[axis]) if abs(up[axis]) > SNAP_COSINE else up
 
 
 def named_up(text: str) -> Vector:

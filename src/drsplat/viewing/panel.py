@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..asking import Named
 from ..errors import DrSplatError
 from ..palette import class_colors
 from . import painting, saving
@@ -314,16 +315,10 @@ class Panel:
 def said_of_this(this: This) -> str:
     """Its best words, and the photos and masks behind it, as Markdown."""
     place = ", ".join(f"{x:.2f}" for x in this.point)
-    first, *others = this.words or [None]
-    lines = [
-        f"**{_plain(first.text)}** {first.score:.2f}"
-        if first
-        else "No encoder here has words for it."
-    ]
-    if others:
-        lines.append(
-            "or " + ", ".join(f"{_plain(one.text)} {one.score:.2f}" for one in others if one)
-        )
+    lines = [_bold(this.words[0]) if this.words else "No encoder here has words for it."]
+    if len(this.words) > 1:
+        others = (f"{_plain(one.text)} {one.score:.2f}" for one in this.words[1:])
+        lines.append("or " + ", ".join(others))
     lines.append(f"at {place}")
     masks = [
         f"{_plain(one.view_name)}, mask {one.segment_id} ({one.share:.0%})" for one in this.evidence
@@ -331,6 +326,10 @@ def said_of_this(this: This) -> str:
     if masks:
         lines.append("Seen in " + "; ".join(masks))
     return "\n\n".join(lines)
+
+
+def _bold(word: Named) -> str:
+    return f"**{_plain(word.text)}** {word.score:.2f}"
 
 
 def legend_html(names: tuple[str, ...], counts: np.ndarray) -> str:

@@ -143,7 +143,7 @@ class Session:
     def selection(self) -> Int64[np.ndarray, " m"]:
         """All that was found and is not hidden, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
-        return ids[~self.hidden[ids]]
+        return np.asarray(ids[~self.hidden[ids]])
 
     def hide(self) -> None:
         """The selection. Raises: InputError: nothing is selected."""

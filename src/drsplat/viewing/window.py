@@ -1,8 +1,10 @@
 """A session in a browser, by viser: the scene, its boxes and cameras. What people press is in `panel`."""
 
+import io
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from contextlib import redirect_stdout
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,9 +16,6 @@ from ..views import View
 from . import painting
 from .cameras import FOV_DEGREES, first_look, looking_at
 from .session import Mode, Session
-
-if TYPE_CHECKING:
-    import viser
 
 INSTALL = 'pip install "drsplat[viewer]"'
 FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
@@ -45,9 +44,9 @@ class Window:
         self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
         self.session, self.up = session, up
-        self.server: viser.ViserServer = viser_module().ViserServer(
-            host=host, port=port, verbose=False
-        )
+        viser = viser_module()
+        with redirect_stdout(io.StringIO()):  # it draws a box with its addresses, wanted or not
+            self.server: Any = viser.ViserServer(host=host, port=port, verbose=False)
         self._marks: list[Any] = []
         self._cameras: list[Any] = []
         self.boxes = True
@@ -57,9 +56,10 @@ class Window:
         scene, shown = self.server.scene, self.session.shown
         scene.set_up_direction(tuple(float(x) for x in self.up))
         self.server.gui.configure_theme(
-            dark_mode=True, control_layout="fixed", control_width="large", show_logo=False,
-            show_share_button=False, brand_color=painting.accent(0),
+            dark_mode=True, control_width="large", show_logo=False, show_share_button=False,
+            brand_color=painting.accent(0),
         )  # fmt: skip
+        self.server.gui.main_panel.dock_right()
         eye, target = first_look(self.session.scene.views, shown.frame, self.up)
         camera = self.server.initial_camera
         camera.position, camera.look_at = shown.frame.shown(eye), shown.frame.shown(target)
@@ -161,7 +161,8 @@ class Window:
         return looking_at(eye, target, self.up, size, float(np.degrees(camera.fov)))
 
     def stop(self) -> None:
-        self.server.stop()
+        with redirect_stdout(io.StringIO()):
+            self.server.stop()
 
 
 def _small_photo(view: View) -> np.ndarray | None:

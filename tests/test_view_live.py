@@ -1,0 +1,133 @@
+"""The viewer in a real browser: typed, clicked, pulled and saved, and looked at in pixels."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsing import a_browser, a_page, colorfulness, eventually, near, needs_chromium, pixels_of
+from drsplat import read_gaussians
+from drsplat.asking import open_scene
+from drsplat.demo.story import Story
+from drsplat.viewing.cameras import up_direction
+from drsplat.viewing.session import Session
+
+pytestmark = [needs_chromium, pytest.mark.slow]
+BUDGET = 30_000
+STAGE = 640  # columns of the picture beside the controls
+GREY = 0.15
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with a_browser() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def session(household_story: Story, household_folder: Path) -> Session:
+    return Session(open_scene(household_folder), BUDGET)
+
+
+class Live:
+    """The viewer of a session in a browser."""
+
+    def __init__(self, page: Any, panel: Any) -> None:
+        self.page, self.panel, self.session = page, panel, panel.session
+        self.box = page.locator("form input:not([type=hidden])").first
+
+    def ask(self, text: str) -> None:
+        self.box.fill(text)
+        self.box.press("Enter")
+        eventually(lambda: [r.label for r in self.session.results] == text.split("; "))
+        self.page.get_by_text(text.split("; ")[0]).first.wait_for()
+        self.page.wait_for_timeout(2500)
+
+    def seen_at(self, point: np.ndarray) -> tuple[float, float]:
+        """Where a place of the world is in the page."""
+        window = self.panel.window
+        client = next(iter(window.server.get_clients().values()))
+        view = window.seen_by(client, (client.camera.image_width, client.camera.image_height))
+        x, y, depth = view.K @ (view.cam_from_world[:3, :3] @ point + view.cam_from_world[:3, 3])
+        return x / depth, y / depth
+
+    def pixels(self) -> np.ndarray:
+        return pixels_of(self.page, STAGE - 40)
+
+
+@pytest.fixture(scope="module")
+def live(
+    session: Session, chromium: Any, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Live]:
+    pytest.importorskip("viser")
+    from drsplat.viewing.panel import Panel
+    from drsplat.viewing.window import Window
+
+    own = Session(session.scene, BUDGET)
+    window = Window(own, up_direction(own.scene.views), port=8931)
+    panel = Panel(window, tmp_path_factory.mktemp("saved"))
+    try:
+        with a_page(chromium) as page:
+            page.goto(f"http://127.0.0.1:{window.server.get_port()}")
+            page.get_by_text("Look for a picture").wait_for()
+            eventually(lambda: len(window.server.get_clients()) == 1)
+            page.wait_for_timeout(4000)
+            yield Live(page, panel)
+    finally:
+        with suppress(RuntimeError):
+            window.stop()
+
+
+def test_typing_a_query_highlights_the_thing(live: Live) -> None:
+    before = live.pixels()
+    live.ask("red vase")
+    thing = live.session.results[0].found[0].thing
+    after, xy = live.pixels(), live.seen_at(thing.center)
+    assert colorfulness(near(after, xy)).mean() > 3 * GREY
+    assert np.median(colorfulness(after)) < 0.05
+    assert np.median(colorfulness(before)) > 0.05
+
+
+def test_a_click_says_the_name(live: Live) -> None:
+    live.ask("red vase")
+    live.page.mouse.click(*live.seen_at(live.session.results[0].found[0].thing.center))
+    live.page.get_by_text("Seen in").wait_for()
+    assert live.session.clicked is not None
+    assert live.session.clicked.name == "red vase"
+    assert live.page.locator("strong", has_text="red vase").count() == 1
+
+
+def test_moving_the_slider_changes_the_selection(live: Live) -> None:
+    live.ask("red vase")
+    selected, before = len(live.session.selection), live.pixels()
+    slider = live.page.get_by_role("slider").first
+    slider.focus()
+    for _ in range(60):
+        slider.press("ArrowLeft")
+    eventually(lambda: len(live.session.selection) > selected)
+    live.page.wait_for_timeout(2500)
+    assert np.abs(live.pixels() - before).max(axis=-1).mean() > 0.001
+    assert live.session.results[0].threshold < live.session.results[0].asked.threshold
+
+
+def test_saving_writes_a_scene_that_opens(live: Live) -> None:
+    live.ask("red vase")
+    live.page.get_by_text("Save", exact=True).click()
+    live.page.get_by_role("button", name="Scene as PLY").click()
+    path = live.panel.folder / "found.ply"
+    eventually(path.exists)
+    saved = read_gaussians(path)
+    found = saved.extra["object_id"] == 0
+    assert found.sum() == len(live.session.results[0].gaussian_ids)
+    assert saved.extra["relevancy"][found].min() >= live.session.results[0].threshold
+
+
+def test_what_is_not_there_and_what_is_not_known_is_said(live: Live) -> None:
+    live.ask("laptop")
+    live.page.get_by_text("Nothing found for 'laptop'").wait_for()
+    live.box.fill("xylophone")
+    live.box.press("Enter")
+    live.page.get_by_text("was not taught").wait_for()
