@@ -118,14 +118,14 @@ class Window:
         if visible and not self._cameras:
             views = self.session.scene.views
             step = -(-len(views) // MOST_CAMERAS) or 1
-            self._cameras = [self._camera(view) for view in views[::step]]
+            self._cameras = [self._camera(*one) for one in enumerate(views[::step])]
         for camera in self._cameras:
             camera.visible = visible
 
-    def _camera(self, view: View) -> Any:
+    def _camera(self, number: int, view: View) -> Any:
         pose = np.linalg.inv(view.cam_from_world)
         frustum = self.server.scene.add_camera_frustum(
-            f"/photos/{view.name}",
+            f"/photos/{number}",
             fov=float(2 * np.arctan(view.height / (2 * view.K[1, 1]))),
             aspect=view.width / view.height, scale=CAMERA_SIZE, color=(200, 205, 215),
             thickness=1.5, thickness_units="screen", image=_small_photo(view),
