@@ -31,7 +31,9 @@ def up_direction(views: Sequence[View]) -> Vector:
         return np.array(UP_WITHOUT_VIEWS)
     up = np.asarray(mean / length)
     axis = int(np.abs(up).argmax())
-    return np.asarray(np.sign(up[axis]) * np.eye(3)[axis]) if abs(up[axis]) > SNAP_COSINE else up
+    if abs(up[axis]) > SNAP_COSINE:
+        up = np.asarray(np.sign(up[axis]) * np.eye(3)[axis])
+    return up
 
 
 def named_up(text: str) -> Vector:
@@ -41,7 +43,7 @@ def named_up(text: str) -> Vector:
     """
     if len(text) != 2 or text[0] not in "+-" or text[1] not in "xyz":
         raise InputError(f"--up {text}: expected one of +x -x +y -y +z -z")
-    return np.eye(3)["xyz".index(text[1])] * (1 if text[0] == "+" else -1)
+    return np.asarray(np.eye(3)["xyz".index(text[1])] * (1 if text[0] == "+" else -1))
 
 
 def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector, Vector]:

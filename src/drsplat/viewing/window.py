@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import MissingExtraError
-from ..photos import load_image
 from ..tasks import Instance
 from ..views import View
 from . import painting
@@ -19,7 +18,7 @@ from .session import Mode, Session
 
 INSTALL = 'pip install "drsplat[viewer]"'
 FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
-MOST_CAMERAS, CAMERA_SIZE, CAMERA_PHOTO = 200, 0.35, 96
+MOST_CAMERAS, CAMERA_SIZE = 200, 0.35
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
 Vector = Float64[np.ndarray, " 3"]
@@ -114,7 +113,7 @@ class Window:
     # --- cameras ---
 
     def show_cameras(self, visible: bool) -> None:
-        """The places of the photos, with small pictures; made when first asked for."""
+        """The places of the photos; made when first asked for. A click flies there."""
         if visible and not self._cameras:
             views = self.session.scene.views
             step = -(-len(views) // MOST_CAMERAS) or 1
@@ -128,7 +127,7 @@ class Window:
             f"/photos/{number}",
             fov=float(2 * np.arctan(view.height / (2 * view.K[1, 1]))),
             aspect=view.width / view.height, scale=CAMERA_SIZE, color=(200, 205, 215),
-            thickness=1.5, thickness_units="screen", image=_small_photo(view),
+            thickness=1.5, thickness_units="screen",
             wxyz=_quaternion(pose[:3, :3]), position=self.session.shown.frame.shown(pose[:3, 3]),
         )  # fmt: skip
         frustum.on_click(
@@ -163,13 +162,6 @@ class Window:
     def stop(self) -> None:
         with redirect_stdout(io.StringIO()):
             self.server.stop()
-
-
-def _small_photo(view: View) -> np.ndarray | None:
-    if view.image_path is None or not view.image_path.is_file():
-        return None
-    step = max(1, view.width // CAMERA_PHOTO)
-    return np.ascontiguousarray(load_image(view)[::step, ::step])
 
 
 def _quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Sequence[float]:
