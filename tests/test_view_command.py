@@ -1,0 +1,131 @@
+"""`drsplat view --export`, and the file that it writes."""
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drsplat import write_gaussians
+from drsplat.cli import main
+from drsplat.errors import InputError
+from drsplat.viewing.page import filled, packed
+from viewing_scenes import EACH, THINGS, boxes_scene
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    scene = boxes_scene()
+    scene.field.save(tmp_path / "boxes.field")
+    write_gaussians(tmp_path / "boxes.ply", scene.gaussians)
+    return tmp_path
+
+
+def export(folder: Path, *more: str) -> int:
+    return main(["view", str(folder), "--export", str(folder / "page.html"), *more])
+
+
+def header_and_blob(path: Path) -> tuple[dict, bytes]:
+    text = path.read_text(encoding="utf-8")
+    header = re.search(r'id="header">(.*?)</script>', text, re.DOTALL)
+    blob = re.search(r'id="blob">(.*?)</script>', text, re.DOTALL)
+    assert header is not None
+    assert blob is not None
+    return json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
+
+
+def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:
+    assert export(folder, "--ask", "tall lamp; elephant", "--words", ",".join(THINGS)) == 0
+    header, blob = header_and_blob(folder / "page.html")
+    arrays = {name: (kind, offset, size) for name, kind, offset, size in header["arrays"]}
+    _, offset, size = arrays["owner0"]
+    owners = np.frombuffer(blob, np.uint8, size, offset)
+    np.testing.assert_array_equal(np.flatnonzero(owners), np.arange(2 * EACH, 3 * EACH))
+    assert [len(answer["things"]) for answer in header["answers"]] == [1, 0]
+    _, offset, size = arrays["words"]
+    words = np.frombuffer(blob, np.uint16, size, offset)
+    assert header["words"][words[0] - 1] == "red mug"
+    assert set(words[3 * EACH :]) == {0}  # without a feature
+
+
+def test_a_query_cannot_end_the_script_that_it_is_in(folder: Path) -> None:
+    assert export(folder, "--ask", "</script><script>alert(1)</script> mug") == 0
+    header, _ = header_and_blob(folder / "page.html")
+    assert header["answers"][0]["text"].startswith("</script>")
+    assert "alert(1)</script>" not in (folder / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_page_needs_no_network(folder: Path) -> None:
+    export(folder, "--ask", "mug")
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    assert not re.search(r"(src|href)\s*=|https?://|@import|fetch\(", text)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ([], "a page holds answers"),
+        (["--ask", " ; "], "a page holds answers"),
+        (["--ask", "mug", "--up", "up"], "expected one of"),
+    ],
+)
+def test_what_is_missing_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
+) -> None:
+    assert export(folder, *more) == 1
+    assert said in capsys.readouterr().err
+    assert not (folder / "page.html").exists()
+
+
+def test_a_field_alone_is_not_enough(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = ["--export", str(folder / "page.html"), "--ask", "mug"]
+    assert main(["view", str(folder / "boxes.field"), *page]) == 1
+    assert "--scene" in capsys.readouterr().err
+    scene = ["--scene", str(folder / "boxes.ply")]
+    assert main(["view", str(folder / "boxes.field"), *scene, *page]) == 0
+
+
+def test_a_page_is_not_overwritten_unasked(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert export(folder, "--ask", "mug") == 0
+    assert export(folder, "--ask", "lamp") == 1
+    assert "--overwrite" in capsys.readouterr().err
+    assert export(folder, "--ask", "lamp", "--overwrite") == 0
+
+
+def test_a_budget_is_kept_and_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert export(folder, "--ask", "mug", "--max-gaussians", "100", "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["num_shown"] == 100
+    assert answer["num_left_out"] == 3 * EACH + 60 - 100
+    header, _ = header_and_blob(folder / "page.html")
+    assert "100 most significant" in header["about"]
+
+
+def test_packed_arrays_are_where_the_layout_says() -> None:
+    arrays = {"a": np.arange(3, dtype=np.uint8), "b": np.linspace(0, 1, 5, dtype=np.float32)}
+    layout, blob = packed(arrays)
+    for name, _, offset, size in layout:
+        assert offset % 4 == 0
+        own = arrays[name]
+        np.testing.assert_array_equal(np.frombuffer(blob, own.dtype, size, offset), own)
+
+
+def test_what_is_filled_in_is_not_filled_again() -> None:
+    assert filled("@A@ @B@", {"A": "@B@", "B": "x@A@"}) == "@B@ x@A@"
+
+
+def test_too_many_gaussians_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from drsplat.viewing import page
+    from drsplat.viewing.exporting import page_of
+    from drsplat.viewing.session import Session
+
+    monkeypatch.setattr(page, "MOST", 10)
+    up = np.array([0.0, 0.0, 1.0])
+    full = page_of(Session(boxes_scene()), ["mug"], (up, np.zeros(3)), up)
+    with pytest.raises(InputError, match="up to 10"):
+        page.write_page(folder / "page.html", full)
