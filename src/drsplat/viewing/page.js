@@ -318,7 +318,7 @@
         const cam = camera(), step = state.distance / cam.focal;
         state.target = plus(plus(state.target, cam.right, -dx * step), cam.down, -dy * step);
       } else {
-        state.yaw -= 0.006 * dx * handed;
+        state.yaw -= 0.006 * dx;
         state.pitch = Math.max(-1.45, Math.min(1.45, state.pitch + 0.006 * dy));
       }
       fingers.set(event.pointerId, [event.offsetX, event.offsetY]);
@@ -340,7 +340,6 @@
     addEventListener("blur", () => { keys.clear(); clearInterval(walking); walking = null; });
     new ResizeObserver(draw).observe(stage);
   }
-  const handed = 1;
   window.drsplat = { frames: 0, state, header, project: (point) => project(point), pick, flyTo, painter };
   panel();
   hands();
