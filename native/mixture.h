@@ -1,0 +1,508 @@
+// The mixture code: a feature as a few atoms of a dictionary with weights. Choosing the atoms by orthogonal
+// least squares, and scans that look up the score of each atom.
+#pragma once
+
+// Sixteen signed bytes as floats.
+INLINE Floats load_bytes(const int8_t *p) {
+#if DRSPLAT_AVX512
+  return {{(FloatPart)_mm512_cvtepi32_ps(_mm512_cvtepi8_epi32(_mm_loadu_si128((const __m128i *)p)))}};
+#elif defined(__AVX2__)
+  const __m128i bytes = _mm_loadu_si128((const __m128i *)p);
+  return {{(FloatPart)_mm256_cvtepi32_ps(_mm256_cvtepi8_epi32(bytes)), (FloatPart)_mm256_cvtepi32_ps(_mm256_cvtepi8_epi32(_mm_srli_si128(bytes, 8)))}};
+#else
+  float lanes[16];
+  for (int i = 0; i < 16; i++) lanes[i] = p[i];
+  return load(lanes);
+#endif
+}
+
+template <int Rows>
+static inline void products_of(const int8_t *const *rows, const float *x, uint32_t dim, float *products) {
+  Floats total[Rows];
+  for (int r = 0; r < Rows; r++) total[r] = splat(0.f);
+  uint32_t d = 0;
+  for (; d + 16 <= dim; d += 16) {
+    const Floats numbers = load(x + d);
+    for (int r = 0; r < Rows; r++) total[r] = total[r] + load_bytes(rows[r] + d) * numbers;
+  }
+  for (int r = 0; r < Rows; r++) {
+    products[r] = sum(total[r]);
+    for (uint32_t rest = d; rest < dim; rest++) products[r] += rows[r][rest] * x[rest];
+  }
+}
+
+// <atom, x> of some atoms.
+static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const float *x, float *products) {
+  const int8_t *rows[4];
+  size_t i = 0;
+  for (; i + 4 <= count; i += 4) {
+    for (int r = 0; r < 4; r++) rows[r] = atoms.values + (size_t)ids[i + r] * atoms.dim;
+    products_of<4>(rows, x, atoms.dim, products + i);
+  }
+  for (; i < count; i++) {
+    rows[0] = atoms.values + (size_t)ids[i] * atoms.dim;
+    products_of<1>(rows, x, atoms.dim, products + i);
+  }
+  for (i = 0; i < count; i++) products[i] *= atoms.scales[ids[i]];
+}
+
+// One row while its atoms are chosen. Arrays of `stride` numbers, one per candidate, unless said otherwise.
+struct Pursuit {
+  const int32_t *candidates;
+  size_t count, stride;
+  float *targets;  // <candidate, feature>
+  float *left;     // the same, of what the chosen atoms leave over of the feature
+  float *norms;    // squared norm of what they leave over of the candidate
+  float *barred;   // 1: is not to be chosen
+  float *gram;     // a row for each chosen atom and a spare one: <candidate, chosen atom>
+  float *basis;    // a row for each chosen atom: <candidate, that atom orthonormalised>
+  float *spare;
+  float *atom;     // dim numbers
+  int chosen;
+  size_t places[kMostAtoms];  // of the chosen among the candidates
+  float levels[kMostAtoms];   // <orthonormalised chosen atom, feature>
+};
+
+constexpr float kDependent = 1e-4f;  // an atom adds nothing if its squared sine to the chosen ones is below
+constexpr float kLeastGain = 1e-8f;  // of the feature's squared norm
+
+// Orthonormalises the t-th chosen atom and takes it out of what is left.
+static void extend_basis(Pursuit &p, int t) {
+  const size_t place = p.places[t];
+  const float inverse = 1 / __builtin_sqrtf(p.norms[place]), level = p.left[place] * inverse;
+  const float *gram = p.gram + t * p.stride;
+  float *basis = p.basis + t * p.stride;
+  float known[kMostAtoms];
+  for (int u = 0; u < t; u++) known[u] = p.basis[u * p.stride + place];
+  for (size_t i = 0; i < p.stride; i += 16) {
+    Floats part = load(gram + i);
+    for (int u = 0; u < t; u++) part = part - known[u] * load(p.basis + u * p.stride + i);
+    part = inverse * part;
+    store(basis + i, part);
+    store(p.left + i, load(p.left + i) - level * part);
+    store(p.norms + i, load(p.norms + i) - part * part);
+  }
+  p.levels[t] = level;
+}
+
+static void rebuild_basis(Pursuit &p) {
+  memcpy(p.left, p.targets, p.stride * sizeof(float));
+  for (size_t i = 0; i < p.stride; i += 16) store(p.norms + i, splat(1.f));
+  for (int t = 0; t < p.chosen; t++) extend_basis(p, t);
+}
+
+// The candidate that leaves least over together with the chosen ones; -1 if none points the feature's way.
+static int64_t best_candidate(const Pursuit &p) {
+  int64_t best = -1;
+  float most = kLeastGain;
+  for (size_t j = 0; j < p.count; j++) {
+    if (!(p.left[j] > 0) || p.norms[j] < kDependent || p.barred[j] != 0) continue;
+    const float gain = p.left[j] * p.left[j] / p.norms[j];
+    if (gain > most) most = gain, best = (int64_t)j;
+  }
+  return best;
+}
+
+static void append(Pursuit &p, size_t place) {
+  p.barred[place] = 1;
+  p.places[p.chosen] = place;
+  extend_basis(p, p.chosen++);
+}
+
+static void choose(Pursuit &p, const Atoms &atoms, size_t place) {
+  const int32_t id = p.candidates[place];
+  const int8_t *values = atoms.values + (size_t)id * atoms.dim;
+  for (uint32_t d = 0; d < atoms.dim; d++) p.atom[d] = values[d] * atoms.scales[id];
+  atom_products(atoms, p.candidates, p.count, p.atom, p.gram + p.chosen * p.stride);
+  append(p, place);
+}
+
+// Leaves the t-th chosen atom out; its products stay in the spare row.
+static void drop(Pursuit &p, int t) {
+  const size_t bytes = p.stride * sizeof(float);
+  memcpy(p.spare, p.gram + t * p.stride, bytes);
+  for (int u = t; u + 1 < p.chosen; u++) {
+    p.places[u] = p.places[u + 1];
+    memcpy(p.gram + u * p.stride, p.gram + (u + 1) * p.stride, bytes);
+  }
+  p.chosen--;
+  rebuild_basis(p);
+}
+
+// Least squares weights of the chosen atoms, in which the basis is triangular.
+static void solve(const Pursuit &p, float *weights) {
+  for (int t = p.chosen - 1; t >= 0; t--) {
+    float rest = p.levels[t];
+    for (int u = t + 1; u < p.chosen; u++) rest -= p.basis[t * p.stride + p.places[u]] * weights[u];
+    weights[t] = rest / p.basis[t * p.stride + p.places[t]];
+  }
+}
+
+static int least_weight(const Pursuit &p, const float *weights) {
+  int least = 0;
+  for (int t = 1; t < p.chosen; t++)
+    if (weights[t] < weights[least]) least = t;
+  return least;
+}
+
+// Greedily; an atom whose weight falls below zero leaves, and is not asked again.
+static void choose_atoms(Pursuit &p, const Atoms &atoms, int wanted, float *weights) {
+  for (int tries = 2 * wanted; p.chosen < wanted && tries > 0; tries--) {
+    const int64_t place = best_candidate(p);
+    if (place < 0) return;
+    choose(p, atoms, (size_t)place);
+    for (;;) {
+      solve(p, weights);
+      const int least = least_weight(p, weights);
+      if (weights[least] > 0) break;
+      drop(p, least);
+    }
+  }
+}
+
+static float explained(const Pursuit &p) {
+  float total = 0;
+  for (int t = 0; t < p.chosen; t++) total += p.levels[t] * p.levels[t];
+  return total;
+}
+
+static void put_back(Pursuit &p, size_t place) {
+  memcpy(p.gram + p.chosen * p.stride, p.spare, p.stride * sizeof(float));
+  append(p, place);
+}
+
+// Each chosen atom once gives way to the candidate that fits best without it, where that explains more.
+static void exchange_atoms(Pursuit &p, const Atoms &atoms, float *weights) {
+  for (int left = p.chosen; left > 0; left--) {
+    const float before = explained(p);
+    const size_t old = p.places[0];
+    drop(p, 0);
+    p.barred[old] = 0;
+    const int64_t best = best_candidate(p);
+    if (best < 0 || (size_t)best == old) {
+      put_back(p, old);
+      continue;
+    }
+    choose(p, atoms, (size_t)best);
+    solve(p, weights);
+    if (explained(p) > before && weights[least_weight(p, weights)] > 0) continue;
+    p.chosen--;
+    p.barred[best] = 0;
+    rebuild_basis(p);
+    put_back(p, old);
+  }
+  solve(p, weights);
+}
+
+// Weights as bytes, heaviest first; the scale makes what they decode to a unit vector.
+static float quantise(const Pursuit &p, const float *weights, int wanted, int32_t *ids, uint8_t *bytes) {
+  int order[kMostAtoms];
+  for (int t = 0; t < p.chosen; t++) {
+    int at = t;
+    for (; at > 0 && weights[order[at - 1]] < weights[t]; at--) order[at] = order[at - 1];
+    order[at] = t;
+  }
+  for (int k = 0; k < wanted; k++) {
+    const bool known = k < p.chosen;
+    bytes[k] = known ? (uint8_t)(weights[order[k]] / weights[order[0]] * 255 + 0.5f) : 0;
+    ids[k] = p.chosen ? p.candidates[p.places[order[known ? k : 0]]] : 0;
+  }
+  double squared = 0;
+  for (int k = 0; k < p.chosen; k++)
+    for (int l = 0; l < p.chosen; l++) squared += (double)bytes[k] * bytes[l] * p.gram[order[k] * p.stride + p.places[order[l]]];
+  return squared > 0 ? (float)(1 / __builtin_sqrt(squared)) : 0.f;
+}
+
+// `scratch`: (5 + 2 * wanted) * n + dim floats, where n is the most candidates of a row in whole sixteens;
+// `candidates`: n numbers.
+static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, const MixtureRows &out) {
+  const int wanted = (int)source.wanted;
+  for (uint64_t row = begin; row < end; row++) {
+    Pursuit p;
+    const size_t own = (size_t)(source.starts[row + 1] - source.starts[row]), further = source.num_further;
+    memcpy(candidates, source.columns + source.starts[row], own * sizeof(int32_t));
+    memcpy(candidates + own, source.further + row * further, further * sizeof(int32_t));
+    p.candidates = candidates, p.count = own + further, p.stride = (p.count + 15) / 16 * 16, p.chosen = 0;
+    float *next = scratch;
+    float **const arrays[] = {&p.targets, &p.left, &p.norms, &p.barred, &p.spare};
+    for (float **array : arrays) *array = next, next += p.stride;
+    p.gram = next, next += wanted * p.stride;
+    p.basis = next, next += wanted * p.stride;
+    p.atom = next;
+    memset(scratch, 0, (size_t)(next - scratch) * sizeof(float));
+    atom_products(atoms, candidates, p.count, source.features + row * atoms.dim, p.targets);
+    rebuild_basis(p);
+    float weights[kMostAtoms] = {};
+    choose_atoms(p, atoms, wanted, weights);
+    if (p.chosen) exchange_atoms(p, atoms, weights);
+    out.scales[row] = quantise(p, weights, wanted, out.ids + row * wanted, out.weights + row * wanted);
+  }
+}
+
+// The centre of largest inner product with each point, ties to the lowest; one point per lane.
+constexpr int kSearchParts = kParts == 1 ? 2 : 1;
+
+template <int Centres>
+static inline void search_centres(const float *points, const float *centres, uint32_t dim, int32_t first, Floats *best, Ints *index) {
+  Floats total[Centres][kSearchParts];
+  for (int c = 0; c < Centres; c++)
+    for (int p = 0; p < kSearchParts; p++) total[c][p] = splat(0.f);
+  for (uint32_t d = 0; d < dim; d++) {
+    Floats numbers[kSearchParts];
+    for (int p = 0; p < kSearchParts; p++) numbers[p] = load(points + 16 * (kSearchParts * d + p));
+    for (int c = 0; c < Centres; c++)
+      for (int p = 0; p < kSearchParts; p++) total[c][p] = total[c][p] + centres[(size_t)c * dim + d] * numbers[p];
+  }
+  for (int c = 0; c < Centres; c++)
+    for (int p = 0; p < kSearchParts; p++) {
+      index[p] = select(best[p] < total[c][p], splat_int(first + c), index[p]);
+      best[p] = maximum(best[p], total[c][p]);
+    }
+}
+
+// `scratch`: kEncodeScratch * dim floats.
+static void nearest_centres(const Embeddings &centres, const float *points, uint64_t begin, uint64_t end, float *scratch, int32_t *nearest) {
+  constexpr uint64_t rows = 16 * kSearchParts;
+  static_assert(rows <= kEncodeScratch, "scratch holds every lane");
+  const uint32_t dim = centres.dim;
+  for (uint64_t first = begin; first < end; first += rows) {
+    const uint64_t left = end - first < rows ? end - first : rows;
+    for (uint64_t r = 0; r < rows; r++) {
+      const float *point = points + (first + (r < left ? r : left - 1)) * dim;
+      for (uint32_t d = 0; d < dim; d++) scratch[d * rows + r] = point[d];
+    }
+    Floats best[kSearchParts];
+    Ints index[kSearchParts];
+    for (int p = 0; p < kSearchParts; p++) best[p] = splat(-__builtin_inff()), index[p] = splat_int(0);
+    uint32_t c = 0;
+    for (; c + 4 <= centres.count; c += 4) search_centres<4>(scratch, centres.values + (size_t)c * dim, dim, (int32_t)c, best, index);
+    for (; c < centres.count; c++) search_centres<1>(scratch, centres.values + (size_t)c * dim, dim, (int32_t)c, best, index);
+    int32_t found[rows];
+    for (int p = 0; p < kSearchParts; p++) store_int(found + 16 * p, index[p]);
+    memcpy(nearest + first, found, left * sizeof(int32_t));
+  }
+}
+
+// The `wanted` members of each point's group with the largest inner products, best first. `products`: a number
+// per member.
+static void nearest_members(const Atoms &atoms, const Groups &groups, const float *points, uint64_t begin, uint64_t end, float *products, int32_t *nearest) {
+  const uint32_t wanted = groups.wanted;
+  for (uint64_t row = begin; row < end; row++) {
+    const int32_t *members = groups.members + (size_t)groups.of[row] * groups.size;
+    int32_t *found = nearest + row * wanted;
+    atom_products(atoms, members, groups.size, points + row * atoms.dim, products);
+    uint32_t count = 0;
+    float best[kMostWanted];
+    for (uint32_t j = 0; j < groups.size; j++) {
+      if (count == wanted && !(products[j] > best[count - 1])) continue;
+      uint32_t at = count < wanted ? count++ : count - 1;
+      for (; at > 0 && best[at - 1] < products[j]; at--) best[at] = best[at - 1], found[at] = found[at - 1];
+      best[at] = products[j], found[at] = members[j];
+    }
+  }
+}
+
+// From here on whole numbers only, so that no order of additions, number of queries or instruction set
+// changes a bit.
+
+// <atom, query> for Rows atoms and one query of whole numbers.
+template <int Rows>
+static inline void whole_products(const int16_t *const *rows, const int16_t *query, uint32_t dim, int32_t *products) {
+  uint32_t d = 0;
+  for (int r = 0; r < Rows; r++) products[r] = 0;
+#if DRSPLAT_AVX512
+  __m512i total[Rows];
+  for (int r = 0; r < Rows; r++) total[r] = _mm512_setzero_si512();
+  for (; d + 32 <= dim; d += 32) {
+    const __m512i numbers = _mm512_loadu_si512(query + d);
+    for (int r = 0; r < Rows; r++) total[r] = _mm512_add_epi32(total[r], _mm512_madd_epi16(_mm512_loadu_si512(rows[r] + d), numbers));
+  }
+  for (int r = 0; r < Rows; r++) products[r] = _mm512_reduce_add_epi32(total[r]);
+#endif
+  for (int r = 0; r < Rows; r++) {
+    int32_t rest = 0;
+    for (uint32_t i = d; i < dim; i++) rest += (int32_t)rows[r][i] * query[i];
+    products[r] += rest;
+  }
+}
+
+INLINE int16_t table_entry(int32_t product, float factor) {
+  const float value = __builtin_rintf((float)product * factor);
+  return (int16_t)(value > 32767.f ? 32767.f : value < -32767.f ? -32767.f : value);
+}
+
+// table[atom][place of query] = cosine * 32767. `scratch`: 4 * dim numbers.
+static void score_table(const Atoms &atoms, const WholeQueries &queries, uint64_t begin, uint64_t end, int16_t *scratch, int16_t *table) {
+  for (uint64_t first = begin; first < end; first += 4) {
+    const int count = end - first < 4 ? (int)(end - first) : 4;
+    const int16_t *rows[4];
+    for (int r = 0; r < 4; r++) {
+      const int8_t *values = atoms.values + (first + (r < count ? r : 0)) * atoms.dim;
+      int16_t *wide = scratch + (size_t)r * atoms.dim;
+      for (uint32_t d = 0; d < atoms.dim; d++) wide[d] = values[d];
+      rows[r] = wide;
+    }
+    for (uint32_t q = 0; q < queries.count; q++) {
+      int32_t products[4];
+      whole_products<4>(rows, queries.values + (size_t)q * atoms.dim, atoms.dim, products);
+      for (int r = 0; r < count; r++) table[(first + r) * queries.stride + queries.places[q]] = table_entry(products[r], atoms.scales[first + r] * queries.steps[q]);
+    }
+  }
+}
+
+// Scales are half floats; all of them finite and not negative.
+INLINE Floats load_halves(const uint16_t *p) {
+#if DRSPLAT_AVX512
+  return {{(FloatPart)_mm512_cvtph_ps(_mm256_loadu_si256((const __m256i *)p))}};
+#else
+  int32_t bits[16];
+  for (int i = 0; i < 16; i++) bits[i] = (int32_t)p[i] << 13;
+  return splat(0x1p112f) * float_of_bits(load_int(bits));
+#endif
+}
+
+// total[i] = sum over k of weight * table[id], for sixteen rows of a block.
+INLINE Ints sixteen_sums(const uint16_t *ids, const uint8_t *weights, uint32_t per_row, const int16_t *table) {
+#if DRSPLAT_AVX512
+  __m512i total = _mm512_setzero_si512();
+  for (uint32_t k = 0; k < per_row; k++, ids += kMixtureBlock, weights += kMixtureBlock) {
+    // Each lane holds its entry and the next one; the weight of the next is zero.
+    const __m512i entries = _mm512_i32gather_epi32(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i *)ids)), table, 2);
+    total = _mm512_add_epi32(total, _mm512_madd_epi16(entries, _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)weights))));
+  }
+  return {{(IntPart)total}};
+#else
+  int32_t total[16] = {};
+  for (uint32_t k = 0; k < per_row; k++, ids += kMixtureBlock, weights += kMixtureBlock)
+    for (int i = 0; i < 16; i++) total[i] += (int32_t)table[ids[i]] * weights[i];
+  return load_int(total);
+#endif
+}
+
+template <uint32_t PerRow>
+static inline void block_scores(const Mixtures &m, uint64_t block, const uint16_t *scales, const int16_t *table, float *scores) {
+  const uint32_t per_row = PerRow ? PerRow : m.per_row;
+  const uint16_t *ids = m.ids + block * per_row * kMixtureBlock;
+  const uint8_t *weights = m.weights + block * per_row * kMixtureBlock;
+  for (int i = 0; i < kMixtureBlock; i += 16) {
+    const Ints total = sixteen_sums(ids + i, weights + i, per_row, table);
+    store(scores + i, to_float(total) * (load_halves(scales + i) * splat(1.f / 32767)));
+  }
+}
+
+// Scores of rows [begin, end); begin is the first of a block, and so is end unless it is the last row.
+static void mixture_scores(const Mixtures &m, const int16_t *table, uint64_t begin, uint64_t end, float *scores) {
+  for (uint64_t row = begin; row < end; row += kMixtureBlock, scores += kMixtureBlock) {
+    const uint64_t left = end - row;
+    if (left < kMixtureBlock) {
+      uint16_t scales[kMixtureBlock] = {};
+      float last[kMixtureBlock];
+      memcpy(scales, m.scales + row, left * sizeof(uint16_t));
+      block_scores<0>(m, row / kMixtureBlock, scales, table, last);
+      memcpy(scores, last, left * sizeof(float));
+      return;
+    }
+    switch (m.per_row) {
+      case 2: block_scores<2>(m, row / kMixtureBlock, m.scales + row, table, scores); break;
+      case 4: block_scores<4>(m, row / kMixtureBlock, m.scales + row, table, scores); break;
+      case 8: block_scores<8>(m, row / kMixtureBlock, m.scales + row, table, scores); break;
+      default: block_scores<0>(m, row / kMixtureBlock, m.scales + row, table, scores);
+    }
+  }
+}
+
+// Sums of 32 queries, in the order that the table has them: see table_place.
+INLINE void sums_of_queries(const int16_t *const *entries, const int32_t *pairs, uint32_t count, uint32_t offset, Ints *low, Ints *high) {
+#if DRSPLAT_AVX512
+  __m512i a = _mm512_setzero_si512(), b = a;
+  for (uint32_t k = 0; k < count; k += 2) {
+    const __m512i x = _mm512_loadu_si512(entries[k] + offset), y = _mm512_loadu_si512(entries[k + 1] + offset), weights = _mm512_set1_epi32(pairs[k / 2]);
+    a = _mm512_add_epi32(a, _mm512_madd_epi16(_mm512_unpacklo_epi16(x, y), weights));
+    b = _mm512_add_epi32(b, _mm512_madd_epi16(_mm512_unpackhi_epi16(x, y), weights));
+  }
+  *low = {{(IntPart)a}}, *high = {{(IntPart)b}};
+#else
+  int32_t a[32] = {};
+  for (uint32_t k = 0; k < count; k++) {
+    const int16_t *row = entries[k] + offset;
+    const int32_t weight = pairs[k / 2] >> (k % 2 * 16) & 255;
+    for (int i = 0; i < 32; i++) a[i] += row[i] * weight;
+  }
+  *low = load_int(a), *high = load_int(a + 16);
+#endif
+}
+
+// Where the table keeps the query-th of its queries: two atoms' entries, unpacked, come in the order of queries.
+static uint32_t table_place(uint32_t query) {
+#if DRSPLAT_AVX512
+  const uint32_t within = query % 16;
+  return query / 32 * 32 + within / 4 * 8 + query % 32 / 16 * 4 + within % 4;
+#else
+  return query;
+#endif
+}
+
+INLINE Ints larger(Ints a, Ints b) { return select(a < b, b, a); }
+INLINE Ints smaller(Ints a, Ints b) { return select(a < b, a, b); }
+
+struct TopTwo { int32_t best, second, index; };
+
+static TopTwo best_lane(const Ints &best, const Ints &second, const Ints &index) {
+#if DRSPLAT_AVX512
+  const __m512i values = (__m512i)best.part[0], indices = (__m512i)index.part[0];
+  const int32_t most = _mm512_reduce_max_epi32(values);
+  const int32_t first = _mm512_mask_reduce_min_epi32(_mm512_cmpeq_epi32_mask(values, _mm512_set1_epi32(most)), indices);
+  const __m512i others = _mm512_mask_mov_epi32(values, _mm512_cmpeq_epi32_mask(indices, _mm512_set1_epi32(first)), (__m512i)second.part[0]);
+  return {most, _mm512_reduce_max_epi32(others), first};
+#else
+  int32_t values[16], seconds[16], indices[16];
+  store_int(values, best), store_int(seconds, second), store_int(indices, index);
+  TopTwo top = {values[0], seconds[0], indices[0]};
+  for (int i = 1; i < 16; i++) {
+    const bool wins = values[i] > top.best || (values[i] == top.best && indices[i] < top.index);
+    const int32_t loser = wins ? top.best : values[i], other = seconds[i] > top.second ? seconds[i] : top.second;
+    top.second = loser > other ? loser : other;
+    if (wins) top.best = values[i], top.index = indices[i];
+  }
+  return top;
+#endif
+}
+
+// The best and second best of a tile of queries for rows [begin, end), merged into those of the tiles before.
+// Places of the table without a query hold -32768, which loses against every query.
+static void mixture_best(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end, const BestSums &found) {
+  const int16_t *entries[kMostAtoms];
+  int32_t pairs[kMostAtoms / 2];
+  const Ints least = splat_int(INT32_MIN);
+  int32_t lanes[16];
+  for (int i = 0; i < 16; i++) lanes[i] = (int32_t)tile.first + i;
+  const Ints numbers = load_int(lanes);
+  const uint32_t count = (m.per_row + 1) / 2 * 2;
+  for (uint64_t row = begin; row < end; row++) {
+    const size_t at = row / kMixtureBlock * m.per_row * kMixtureBlock + row % kMixtureBlock;
+    memset(pairs, 0, sizeof pairs);
+    for (uint32_t k = 0; k < m.per_row; k++) {
+      entries[k] = tile.table + (size_t)m.ids[at + k * kMixtureBlock] * tile.stride;
+      pairs[k / 2] |= (int32_t)m.weights[at + k * kMixtureBlock] << (k % 2 * 16);
+    }
+    if (count > m.per_row) entries[count - 1] = entries[0];
+    Ints best = least, second = least, index = splat_int(0), current = numbers;
+    for (uint32_t q = 0; q < tile.stride; q += 32) {
+      Ints sums[2];
+      sums_of_queries(entries, pairs, count, q, &sums[0], &sums[1]);
+      for (int half = 0; half < 2; half++) {
+        second = larger(second, smaller(best, sums[half]));
+        index = select(best < sums[half], current, index);
+        best = larger(best, sums[half]);
+        current = current + splat_int(16);
+      }
+    }
+    const TopTwo top = best_lane(best, second, index);
+    const bool wins = top.best > found.best[row];
+    const int32_t loser = wins ? found.best[row] : top.best, other = top.second > found.second[row] ? top.second : found.second[row];
+    found.second[row] = loser > other ? loser : other;
+    if (wins) found.best[row] = top.best, found.index[row] = top.index;
+  }
+}
+
+static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table, table_place, mixture_scores, mixture_best};
