@@ -66,8 +66,7 @@ class Table {
     if (queries.count < stride_) mark_empty(atoms.count, places);
     const WholeQueries given = {whole.data(), steps.data(), places.data(), queries.count, stride_};
     over_blocks(atoms.count, 256, threads, [&](uint64_t begin, uint64_t end) {
-      std::vector<int16_t> scratch(4 * atoms.dim);
-      kernels.mixture->score_table(atoms, given, begin, end, scratch.data(), entries_);
+      kernels.mixture->score_table(atoms, given, begin, end, entries_);
     });
   }
   ~Table() { std::free(entries_); }
@@ -127,9 +126,10 @@ void keep_best(std::vector<Ranked> &ranked, uint64_t count) {
 void mixture_encode(const Kernels &kernels, const Atoms &atoms, const MixtureSource &source, uint64_t rows, int threads, const MixtureRows &out) {
   over_blocks(rows, 64, threads, [&](uint64_t begin, uint64_t end) {
     const size_t candidates = longest_row(source, begin, end);
-    std::vector<float> scratch((5 + 2 * source.wanted) * candidates + atoms.dim);
+    std::vector<float> scratch((5 + 2 * source.wanted) * candidates);
+    std::vector<int16_t> whole(atoms.dim);
     std::vector<int32_t> ids(candidates);
-    kernels.mixture->encode(atoms, source, begin, end, scratch.data(), ids.data(), out);
+    kernels.mixture->encode(atoms, source, begin, end, scratch.data(), ids.data(), whole.data(), out);
   });
 }
 
@@ -143,7 +143,8 @@ void nearest_centres(const Kernels &kernels, const Embeddings &centres, const fl
 void nearest_members(const Kernels &kernels, const Atoms &atoms, const Groups &groups, const float *points, uint64_t rows, int threads, int32_t *nearest) {
   over_blocks(rows, 256, threads, [&](uint64_t begin, uint64_t end) {
     std::vector<float> products(groups.size);
-    kernels.mixture->nearest_members(atoms, groups, points, begin, end, products.data(), nearest);
+    std::vector<int16_t> whole(atoms.dim);
+    kernels.mixture->nearest_members(atoms, groups, points, begin, end, products.data(), whole.data(), nearest);
   });
 }
 

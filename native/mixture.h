@@ -2,48 +2,70 @@
 // least squares, and scans that look up the score of each atom.
 #pragma once
 
-// Sixteen signed bytes as floats.
-INLINE Floats load_bytes(const int8_t *p) {
-#if DRSPLAT_AVX512
-  return {{(FloatPart)_mm512_cvtepi32_ps(_mm512_cvtepi8_epi32(_mm_loadu_si128((const __m128i *)p)))}};
-#elif defined(__AVX2__)
-  const __m128i bytes = _mm_loadu_si128((const __m128i *)p);
-  return {{(FloatPart)_mm256_cvtepi32_ps(_mm256_cvtepi8_epi32(bytes)), (FloatPart)_mm256_cvtepi32_ps(_mm256_cvtepi8_epi32(_mm_srli_si128(bytes, 8)))}};
-#else
-  float lanes[16];
-  for (int i = 0; i < 16; i++) lanes[i] = p[i];
-  return load(lanes);
-#endif
-}
-
+// <atom, x> for Rows atoms of signed bytes and whole numbers x: exact, whatever the order of additions.
 template <int Rows>
-static inline void products_of(const int8_t *const *rows, const float *x, uint32_t dim, float *products) {
-  Floats total[Rows];
-  for (int r = 0; r < Rows; r++) total[r] = splat(0.f);
+static inline void whole_products(const int8_t *const *rows, const int16_t *x, uint32_t dim, int32_t *products) {
   uint32_t d = 0;
+#if DRSPLAT_AVX512
+  __m512i total[Rows];
+  for (int r = 0; r < Rows; r++) total[r] = _mm512_setzero_si512();
+  for (; d + 32 <= dim; d += 32) {
+    const __m512i numbers = _mm512_loadu_si512(x + d);
+    for (int r = 0; r < Rows; r++) {
+      const __m512i values = _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)(rows[r] + d)));
+      total[r] = _mm512_add_epi32(total[r], _mm512_madd_epi16(values, numbers));
+    }
+  }
+  for (int r = 0; r < Rows; r++) products[r] = _mm512_reduce_add_epi32(total[r]);
+#elif defined(__AVX2__)
+  __m256i total[Rows];
+  for (int r = 0; r < Rows; r++) total[r] = _mm256_setzero_si256();
   for (; d + 16 <= dim; d += 16) {
-    const Floats numbers = load(x + d);
-    for (int r = 0; r < Rows; r++) total[r] = total[r] + load_bytes(rows[r] + d) * numbers;
+    const __m256i numbers = _mm256_loadu_si256((const __m256i *)(x + d));
+    for (int r = 0; r < Rows; r++) {
+      const __m256i values = _mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)(rows[r] + d)));
+      total[r] = _mm256_add_epi32(total[r], _mm256_madd_epi16(values, numbers));
+    }
   }
   for (int r = 0; r < Rows; r++) {
-    products[r] = sum(total[r]);
-    for (uint32_t rest = d; rest < dim; rest++) products[r] += rows[r][rest] * x[rest];
+    __m128i half = _mm_add_epi32(_mm256_castsi256_si128(total[r]), _mm256_extracti128_si256(total[r], 1));
+    half = _mm_add_epi32(half, _mm_shuffle_epi32(half, 0x4e));
+    products[r] = _mm_cvtsi128_si32(_mm_add_epi32(half, _mm_shuffle_epi32(half, 0xb1)));
+  }
+#else
+  for (int r = 0; r < Rows; r++) products[r] = 0;
+#endif
+  for (int r = 0; r < Rows; r++) {
+    int32_t rest = 0;
+    for (uint32_t i = d; i < dim; i++) rest += (int32_t)rows[r][i] * x[i];
+    products[r] += rest;
   }
 }
 
-// <atom, x> of some atoms.
-static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const float *x, float *products) {
+// Whole numbers for a vector, and what they are to be multiplied by: as many digits as sums of products with an
+// atom can hold, by Cauchy-Schwarz for any part of such a sum too.
+static float whole_vector(const float *x, uint32_t dim, int16_t *whole) {
+  float largest = 0, squared = 0;
+  for (uint32_t d = 0; d < dim; d++) {
+    const float size = __builtin_fabsf(x[d]);
+    largest = size > largest ? size : largest;
+    squared += x[d] * x[d];
+  }
+  const float room = 0.98f * 2147483648.f / (127 * __builtin_sqrtf((float)dim) * __builtin_sqrtf(squared)) - 1;
+  const float factor = !(largest > 0) ? 0.f : room < 32767 / largest ? room : 32767 / largest;
+  for (uint32_t d = 0; d < dim; d++) whole[d] = (int16_t)(int32_t)(x[d] * factor + (x[d] < 0 ? -0.5f : 0.5f));
+  return factor > 0 ? 1 / factor : 0.f;
+}
+
+// step * <atom, x> of some atoms.
+static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const int16_t *x, float step, float *products) {
   const int8_t *rows[4];
-  size_t i = 0;
-  for (; i + 4 <= count; i += 4) {
-    for (int r = 0; r < 4; r++) rows[r] = atoms.values + (size_t)ids[i + r] * atoms.dim;
-    products_of<4>(rows, x, atoms.dim, products + i);
+  for (size_t i = 0; i < count; i += 4) {
+    for (size_t r = 0; r < 4; r++) rows[r] = atoms.values + (size_t)ids[i + r < count ? i + r : i] * atoms.dim;
+    int32_t whole[4];
+    whole_products<4>(rows, x, atoms.dim, whole);
+    for (size_t r = 0; r < 4 && i + r < count; r++) products[i + r] = (float)whole[r] * (atoms.scales[ids[i + r]] * step);
   }
-  for (; i < count; i++) {
-    rows[0] = atoms.values + (size_t)ids[i] * atoms.dim;
-    products_of<1>(rows, x, atoms.dim, products + i);
-  }
-  for (i = 0; i < count; i++) products[i] *= atoms.scales[ids[i]];
 }
 
 // One row while its atoms are chosen. Arrays of `stride` numbers, one per candidate, unless said otherwise.
@@ -57,7 +79,7 @@ struct Pursuit {
   float *gram;     // a row for each chosen atom and a spare one: <candidate, chosen atom>
   float *basis;    // a row for each chosen atom: <candidate, that atom orthonormalised>
   float *spare;
-  float *atom;     // dim numbers
+  int16_t *whole;  // dim numbers: the feature or an atom
   int chosen;
   size_t places[kMostAtoms];  // of the chosen among the candidates
   float levels[kMostAtoms];   // <orthonormalised chosen atom, feature>
@@ -112,8 +134,8 @@ static void append(Pursuit &p, size_t place) {
 static void choose(Pursuit &p, const Atoms &atoms, size_t place) {
   const int32_t id = p.candidates[place];
   const int8_t *values = atoms.values + (size_t)id * atoms.dim;
-  for (uint32_t d = 0; d < atoms.dim; d++) p.atom[d] = values[d] * atoms.scales[id];
-  atom_products(atoms, p.candidates, p.count, p.atom, p.gram + p.chosen * p.stride);
+  for (uint32_t d = 0; d < atoms.dim; d++) p.whole[d] = values[d];
+  atom_products(atoms, p.candidates, p.count, p.whole, atoms.scales[id], p.gram + p.chosen * p.stride);
   append(p, place);
 }
 
@@ -213,9 +235,9 @@ static float quantise(const Pursuit &p, const float *weights, int wanted, int32_
   return squared > 0 ? (float)(1 / __builtin_sqrt(squared)) : 0.f;
 }
 
-// `scratch`: (5 + 2 * wanted) * n + dim floats, where n is the most candidates of a row in whole sixteens;
-// `candidates`: n numbers.
-static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, const MixtureRows &out) {
+// `scratch`: (5 + 2 * wanted) * n floats, where n is the most candidates of a row in whole sixteens; `candidates`:
+// n numbers; `whole`: dim numbers.
+static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, int16_t *whole, const MixtureRows &out) {
   const int wanted = (int)source.wanted;
   for (uint64_t row = begin; row < end; row++) {
     Pursuit p;
@@ -228,9 +250,10 @@ static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint
     for (float **array : arrays) *array = next, next += p.stride;
     p.gram = next, next += wanted * p.stride;
     p.basis = next, next += wanted * p.stride;
-    p.atom = next;
+    p.whole = whole;
     memset(scratch, 0, (size_t)(next - scratch) * sizeof(float));
-    atom_products(atoms, candidates, p.count, source.features + row * atoms.dim, p.targets);
+    const float step = whole_vector(source.features + row * atoms.dim, atoms.dim, whole);
+    atom_products(atoms, candidates, p.count, whole, step, p.targets);
     rebuild_basis(p);
     float weights[kMostAtoms] = {};
     choose_atoms(p, atoms, wanted, weights);
@@ -241,6 +264,7 @@ static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint
 
 // The centre of largest inner product with each point, ties to the lowest; one point per lane.
 constexpr int kSearchParts = kParts == 1 ? 2 : 1;
+constexpr uint32_t kSearchCentres = kParts == 1 ? 8 : 4;  // at once: as many sums as fit the registers
 
 template <int Centres>
 static inline void search_centres(const float *points, const float *centres, uint32_t dim, int32_t first, Floats *best, Ints *index) {
@@ -275,7 +299,7 @@ static void nearest_centres(const Embeddings &centres, const float *points, uint
     Ints index[kSearchParts];
     for (int p = 0; p < kSearchParts; p++) best[p] = splat(-__builtin_inff()), index[p] = splat_int(0);
     uint32_t c = 0;
-    for (; c + 4 <= centres.count; c += 4) search_centres<4>(scratch, centres.values + (size_t)c * dim, dim, (int32_t)c, best, index);
+    for (; c + kSearchCentres <= centres.count; c += kSearchCentres) search_centres<kSearchCentres>(scratch, centres.values + (size_t)c * dim, dim, (int32_t)c, best, index);
     for (; c < centres.count; c++) search_centres<1>(scratch, centres.values + (size_t)c * dim, dim, (int32_t)c, best, index);
     int32_t found[rows];
     for (int p = 0; p < kSearchParts; p++) store_int(found + 16 * p, index[p]);
@@ -284,13 +308,14 @@ static void nearest_centres(const Embeddings &centres, const float *points, uint
 }
 
 // The `wanted` members of each point's group with the largest inner products, best first. `products`: a number
-// per member.
-static void nearest_members(const Atoms &atoms, const Groups &groups, const float *points, uint64_t begin, uint64_t end, float *products, int32_t *nearest) {
+// per member; `whole`: dim numbers.
+static void nearest_members(const Atoms &atoms, const Groups &groups, const float *points, uint64_t begin, uint64_t end, float *products, int16_t *whole, int32_t *nearest) {
   const uint32_t wanted = groups.wanted;
   for (uint64_t row = begin; row < end; row++) {
     const int32_t *members = groups.members + (size_t)groups.of[row] * groups.size;
     int32_t *found = nearest + row * wanted;
-    atom_products(atoms, members, groups.size, points + row * atoms.dim, products);
+    const float step = whole_vector(points + row * atoms.dim, atoms.dim, whole);
+    atom_products(atoms, members, groups.size, whole, step, products);
     uint32_t count = 0;
     float best[kMostWanted];
     for (uint32_t j = 0; j < groups.size; j++) {
@@ -302,46 +327,20 @@ static void nearest_members(const Atoms &atoms, const Groups &groups, const floa
   }
 }
 
-// From here on whole numbers only, so that no order of additions, number of queries or instruction set
-// changes a bit.
-
-// <atom, query> for Rows atoms and one query of whole numbers.
-template <int Rows>
-static inline void whole_products(const int16_t *const *rows, const int16_t *query, uint32_t dim, int32_t *products) {
-  uint32_t d = 0;
-  for (int r = 0; r < Rows; r++) products[r] = 0;
-#if DRSPLAT_AVX512
-  __m512i total[Rows];
-  for (int r = 0; r < Rows; r++) total[r] = _mm512_setzero_si512();
-  for (; d + 32 <= dim; d += 32) {
-    const __m512i numbers = _mm512_loadu_si512(query + d);
-    for (int r = 0; r < Rows; r++) total[r] = _mm512_add_epi32(total[r], _mm512_madd_epi16(_mm512_loadu_si512(rows[r] + d), numbers));
-  }
-  for (int r = 0; r < Rows; r++) products[r] = _mm512_reduce_add_epi32(total[r]);
-#endif
-  for (int r = 0; r < Rows; r++) {
-    int32_t rest = 0;
-    for (uint32_t i = d; i < dim; i++) rest += (int32_t)rows[r][i] * query[i];
-    products[r] += rest;
-  }
-}
+// From here on sums are of whole numbers, so that no order of additions, number of queries or instruction set
+// changes a bit of a score.
 
 INLINE int16_t table_entry(int32_t product, float factor) {
   const float value = __builtin_rintf((float)product * factor);
   return (int16_t)(value > 32767.f ? 32767.f : value < -32767.f ? -32767.f : value);
 }
 
-// table[atom][place of query] = cosine * 32767. `scratch`: 4 * dim numbers.
-static void score_table(const Atoms &atoms, const WholeQueries &queries, uint64_t begin, uint64_t end, int16_t *scratch, int16_t *table) {
+// table[atom][place of query] = cosine * 32767.
+static void score_table(const Atoms &atoms, const WholeQueries &queries, uint64_t begin, uint64_t end, int16_t *table) {
   for (uint64_t first = begin; first < end; first += 4) {
     const int count = end - first < 4 ? (int)(end - first) : 4;
-    const int16_t *rows[4];
-    for (int r = 0; r < 4; r++) {
-      const int8_t *values = atoms.values + (first + (r < count ? r : 0)) * atoms.dim;
-      int16_t *wide = scratch + (size_t)r * atoms.dim;
-      for (uint32_t d = 0; d < atoms.dim; d++) wide[d] = values[d];
-      rows[r] = wide;
-    }
+    const int8_t *rows[4];
+    for (int r = 0; r < 4; r++) rows[r] = atoms.values + (first + (uint64_t)(r < count ? r : 0)) * atoms.dim;
     for (uint32_t q = 0; q < queries.count; q++) {
       int32_t products[4];
       whole_products<4>(rows, queries.values + (size_t)q * atoms.dim, atoms.dim, products);
@@ -411,27 +410,6 @@ static void mixture_scores(const Mixtures &m, const int16_t *table, uint64_t beg
   }
 }
 
-// Sums of 32 queries, in the order that the table has them: see table_place.
-INLINE void sums_of_queries(const int16_t *const *entries, const int32_t *pairs, uint32_t count, uint32_t offset, Ints *low, Ints *high) {
-#if DRSPLAT_AVX512
-  __m512i a = _mm512_setzero_si512(), b = a;
-  for (uint32_t k = 0; k < count; k += 2) {
-    const __m512i x = _mm512_loadu_si512(entries[k] + offset), y = _mm512_loadu_si512(entries[k + 1] + offset), weights = _mm512_set1_epi32(pairs[k / 2]);
-    a = _mm512_add_epi32(a, _mm512_madd_epi16(_mm512_unpacklo_epi16(x, y), weights));
-    b = _mm512_add_epi32(b, _mm512_madd_epi16(_mm512_unpackhi_epi16(x, y), weights));
-  }
-  *low = {{(IntPart)a}}, *high = {{(IntPart)b}};
-#else
-  int32_t a[32] = {};
-  for (uint32_t k = 0; k < count; k++) {
-    const int16_t *row = entries[k] + offset;
-    const int32_t weight = pairs[k / 2] >> (k % 2 * 16) & 255;
-    for (int i = 0; i < 32; i++) a[i] += row[i] * weight;
-  }
-  *low = load_int(a), *high = load_int(a + 16);
-#endif
-}
-
 // Where the table keeps the query-th of its queries: two atoms' entries, unpacked, come in the order of queries.
 static uint32_t table_place(uint32_t query) {
 #if DRSPLAT_AVX512
@@ -442,66 +420,93 @@ static uint32_t table_place(uint32_t query) {
 #endif
 }
 
-INLINE Ints larger(Ints a, Ints b) { return select(a < b, b, a); }
-INLINE Ints smaller(Ints a, Ints b) { return select(a < b, a, b); }
-
 struct TopTwo { int32_t best, second, index; };
 
-static TopTwo best_lane(const Ints &best, const Ints &second, const Ints &index) {
 #if DRSPLAT_AVX512
-  const __m512i values = (__m512i)best.part[0], indices = (__m512i)index.part[0];
-  const int32_t most = _mm512_reduce_max_epi32(values);
-  const int32_t first = _mm512_mask_reduce_min_epi32(_mm512_cmpeq_epi32_mask(values, _mm512_set1_epi32(most)), indices);
-  const __m512i others = _mm512_mask_mov_epi32(values, _mm512_cmpeq_epi32_mask(indices, _mm512_set1_epi32(first)), (__m512i)second.part[0]);
-  return {most, _mm512_reduce_max_epi32(others), first};
+constexpr int kTileBits = 4;  // sixteen times sixteen queries: below each sum, how many sixteens come after its own
+
+INLINE void compete(__m512i sum, int sixteens, __m512i *best, __m512i *second) {
+  const __m512i marked = _mm512_or_si512(_mm512_slli_epi32(sum, kTileBits), _mm512_set1_epi32(15 - sixteens));
+  *second = _mm512_max_epi32(*second, _mm512_min_epi32(*best, marked));
+  *best = _mm512_max_epi32(*best, marked);
+}
+
+// pairs: weights of two atoms each, in 16 bits. The best and second best of a row, ties to the lowest query.
+template <uint32_t Pairs>
+INLINE TopTwo top_two(const int16_t *const *entries, const int32_t *pairs, uint32_t count, uint32_t stride) {
+  __m512i weights[Pairs ? Pairs : kMostAtoms / 2];
+  const uint32_t num_pairs = Pairs ? Pairs : count;
+  for (uint32_t k = 0; k < num_pairs; k++) weights[k] = _mm512_set1_epi32(pairs[k]);
+  __m512i best = _mm512_set1_epi32(INT32_MIN), second = best;
+  for (uint32_t q = 0; q < stride; q += 32) {
+    __m512i low = _mm512_setzero_si512(), high = low;
+    for (uint32_t k = 0; k < num_pairs; k++) {
+      const __m512i x = _mm512_loadu_si512(entries[2 * k] + q), y = _mm512_loadu_si512(entries[2 * k + 1] + q);
+      low = _mm512_add_epi32(low, _mm512_madd_epi16(_mm512_unpacklo_epi16(x, y), weights[k]));
+      high = _mm512_add_epi32(high, _mm512_madd_epi16(_mm512_unpackhi_epi16(x, y), weights[k]));
+    }
+    compete(low, (int)q / 16, &best, &second);
+    compete(high, (int)q / 16 + 1, &best, &second);
+  }
+  const int32_t most = _mm512_reduce_max_epi32(best);
+  const __mmask16 where = _mm512_cmpeq_epi32_mask(best, _mm512_set1_epi32(most));
+  const __mmask16 first = (__mmask16)(where & -where);
+  const int32_t next = _mm512_reduce_max_epi32(_mm512_mask_mov_epi32(best, first, second));
+  return {most >> kTileBits, next >> kTileBits, (15 - (most & 15)) * 16 + __builtin_ctz(first)};
+}
 #else
-  int32_t values[16], seconds[16], indices[16];
-  store_int(values, best), store_int(seconds, second), store_int(indices, index);
-  TopTwo top = {values[0], seconds[0], indices[0]};
-  for (int i = 1; i < 16; i++) {
-    const bool wins = values[i] > top.best || (values[i] == top.best && indices[i] < top.index);
-    const int32_t loser = wins ? top.best : values[i], other = seconds[i] > top.second ? seconds[i] : top.second;
-    top.second = loser > other ? loser : other;
-    if (wins) top.best = values[i], top.index = indices[i];
+template <uint32_t Pairs>
+INLINE TopTwo top_two(const int16_t *const *entries, const int32_t *pairs, uint32_t count, uint32_t stride) {
+  TopTwo top = {INT32_MIN, INT32_MIN, 0};
+  for (uint32_t q = 0; q < stride; q += 32) {
+    int32_t sums[32] = {};
+    for (uint32_t k = 0; k < 2 * (Pairs ? Pairs : count); k++) {
+      const int16_t *row = entries[k] + q;
+      const int32_t weight = pairs[k / 2] >> k % 2 * 16 & 255;
+      for (int i = 0; i < 32; i++) sums[i] += row[i] * weight;
+    }
+    for (int i = 0; i < 32; i++) {
+      const bool wins = sums[i] > top.best;
+      const int32_t loser = wins ? top.best : sums[i];
+      top.second = loser > top.second ? loser : top.second;
+      top.index = wins ? (int32_t)q + i : top.index;
+      top.best = wins ? sums[i] : top.best;
+    }
   }
   return top;
+}
 #endif
+
+template <uint32_t PerRow>
+static inline void best_of_rows(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end, const BestSums &found) {
+  const uint32_t per_row = PerRow ? PerRow : m.per_row, num_pairs = (per_row + 1) / 2;
+  for (uint64_t row = begin; row < end; row++) {
+    const size_t at = row / kMixtureBlock * per_row * kMixtureBlock + row % kMixtureBlock;
+    const int16_t *entries[kMostAtoms];
+    int32_t weights[kMostAtoms], pairs[kMostAtoms / 2];
+    for (uint32_t k = 0; k < per_row; k++) {
+      entries[k] = tile.table + (size_t)m.ids[at + k * kMixtureBlock] * tile.stride;
+      weights[k] = m.weights[at + k * kMixtureBlock];
+    }
+    if (per_row % 2) entries[per_row] = entries[0], weights[per_row] = 0;
+    for (uint32_t k = 0; k < num_pairs; k++) pairs[k] = weights[2 * k] | weights[2 * k + 1] << 16;
+    const TopTwo top = top_two<(PerRow + 1) / 2>(entries, pairs, num_pairs, tile.stride);
+    const bool wins = top.best > found.best[row];
+    const int32_t loser = wins ? found.best[row] : top.best, other = top.second > found.second[row] ? top.second : found.second[row];
+    found.second[row] = loser > other ? loser : other;
+    found.best[row] = wins ? top.best : found.best[row];
+    found.index[row] = wins ? (int32_t)tile.first + top.index : found.index[row];
+  }
 }
 
 // The best and second best of a tile of queries for rows [begin, end), merged into those of the tiles before.
 // Places of the table without a query hold -32768, which loses against every query.
 static void mixture_best(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end, const BestSums &found) {
-  const int16_t *entries[kMostAtoms];
-  int32_t pairs[kMostAtoms / 2];
-  const Ints least = splat_int(INT32_MIN);
-  int32_t lanes[16];
-  for (int i = 0; i < 16; i++) lanes[i] = (int32_t)tile.first + i;
-  const Ints numbers = load_int(lanes);
-  const uint32_t count = (m.per_row + 1) / 2 * 2;
-  for (uint64_t row = begin; row < end; row++) {
-    const size_t at = row / kMixtureBlock * m.per_row * kMixtureBlock + row % kMixtureBlock;
-    memset(pairs, 0, sizeof pairs);
-    for (uint32_t k = 0; k < m.per_row; k++) {
-      entries[k] = tile.table + (size_t)m.ids[at + k * kMixtureBlock] * tile.stride;
-      pairs[k / 2] |= (int32_t)m.weights[at + k * kMixtureBlock] << (k % 2 * 16);
-    }
-    if (count > m.per_row) entries[count - 1] = entries[0];
-    Ints best = least, second = least, index = splat_int(0), current = numbers;
-    for (uint32_t q = 0; q < tile.stride; q += 32) {
-      Ints sums[2];
-      sums_of_queries(entries, pairs, count, q, &sums[0], &sums[1]);
-      for (int half = 0; half < 2; half++) {
-        second = larger(second, smaller(best, sums[half]));
-        index = select(best < sums[half], current, index);
-        best = larger(best, sums[half]);
-        current = current + splat_int(16);
-      }
-    }
-    const TopTwo top = best_lane(best, second, index);
-    const bool wins = top.best > found.best[row];
-    const int32_t loser = wins ? found.best[row] : top.best, other = top.second > found.second[row] ? top.second : found.second[row];
-    found.second[row] = loser > other ? loser : other;
-    if (wins) found.best[row] = top.best, found.index[row] = top.index;
+  switch (m.per_row) {
+    case 2: return best_of_rows<2>(m, tile, begin, end, found);
+    case 4: return best_of_rows<4>(m, tile, begin, end, found);
+    case 8: return best_of_rows<8>(m, tile, begin, end, found);
+    default: return best_of_rows<0>(m, tile, begin, end, found);
   }
 }
 

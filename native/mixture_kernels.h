@@ -47,6 +47,7 @@ struct WholeQueries {
   uint32_t count, stride;
 };
 
+// Up to 256 queries.
 struct QueryTile {
   const int16_t *table;  // atoms x stride
   uint32_t first, stride;  // number of its first query
@@ -58,10 +59,10 @@ struct BestSums {  // one per row
 
 // Made with the kernels of kernels.cpp, once per instruction set.
 struct MixtureKernels {
-  void (*encode)(const Atoms &, const MixtureSource &, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, const MixtureRows &);
+  void (*encode)(const Atoms &, const MixtureSource &, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, int16_t *whole, const MixtureRows &);
   void (*nearest_centres)(const Embeddings &, const float *points, uint64_t begin, uint64_t end, float *scratch, int32_t *nearest);
-  void (*nearest_members)(const Atoms &, const Groups &, const float *points, uint64_t begin, uint64_t end, float *products, int32_t *nearest);
-  void (*score_table)(const Atoms &, const WholeQueries &, uint64_t begin, uint64_t end, int16_t *scratch, int16_t *table);
+  void (*nearest_members)(const Atoms &, const Groups &, const float *points, uint64_t begin, uint64_t end, float *products, int16_t *whole, int32_t *nearest);
+  void (*score_table)(const Atoms &, const WholeQueries &, uint64_t begin, uint64_t end, int16_t *table);
   uint32_t (*table_place)(uint32_t query);
   void (*scores)(const Mixtures &, const int16_t *table, uint64_t begin, uint64_t end, float *scores);
   void (*best)(const Mixtures &, const QueryTile &, uint64_t begin, uint64_t end, const BestSums &);

@@ -159,7 +159,7 @@ def mixture_select(
     floors = None if floor is None else np.ascontiguousarray(floor)
     given = _scanned(blocks, dictionary), _finite(query), threshold, floors
     rows, scores = _refusing(_native.mixture_select, *given, threads, _checked_isa(isa))
-    return np.asarray(rows), np.asarray(scores)
+    return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
 
 
 def mixture_top(
@@ -179,7 +179,7 @@ def mixture_top(
         raise InputError(f"count: expected 0 or more, got {count}")
     given = _scanned(blocks, dictionary), _finite(query), count
     rows, scores = _refusing(_native.mixture_top, *given, threads, _checked_isa(isa))
-    return np.asarray(rows), np.asarray(scores)
+    return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
 
 
 def mixture_best(

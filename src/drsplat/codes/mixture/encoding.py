@@ -1,6 +1,6 @@
 """Rows of W to a mixture code, a block of rows at a time: there is never a dense matrix of all features."""
 
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, Int32, Int64, Integer
@@ -26,6 +26,7 @@ MOST_SCENE_ATOMS = 4096
 ROWS_PER_SCENE_ATOM = 16
 
 
+@runtime_checkable
 class MixtureSource(Protocol):
     """What features are mixtures of: `Evidence` is one, and so is an aggregator's."""
 
@@ -35,7 +36,7 @@ class MixtureSource(Protocol):
     def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
     def __len__(self) -> int: ...
     def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n D"]: ...
-    def rows(self, index: Integer[np.ndarray, " r"]) -> Self: ...
+    def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
 
 
 class _Plan(NamedTuple):
@@ -51,46 +52,50 @@ def encode_mixture(
     source: MixtureSource,
     atoms_per_row: int = DEFAULT_ATOMS,
     *,
-    scene_atoms: int | None = None,
+    scene_atoms: int | SceneAtoms | None = None,
     seed: int = 0,
     threads: int = 0,
     track: Track = untracked,
 ) -> MixtureCode:
     """The code of every row: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
 
-    A row is made of the segments in it and of scene atoms near its feature. scene_atoms: how many to
-    learn; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those used most are
+    A row is made of the segments in it and of scene atoms near its feature. scene_atoms: those, or how many
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those used most are
     kept and all rows are coded again with them. Equal to the bit for any number of threads.
 
-    Raises: InputError: no rows, atoms_per_row not in 1..16, more scene atoms than ids, or nothing to mix.
+    Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
     """
-    count = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
-    wanted = count if scene_atoms is None else scene_atoms
-    if not 1 <= atoms_per_row <= MOST_ATOMS or not 0 <= wanted <= ADDRESSABLE // 2:
-        raise InputError(
-            f"expected 1 to {MOST_ATOMS} atoms per row and up to {ADDRESSABLE // 2:,} scene atoms, "
-            f"got {atoms_per_row} and {wanted:,}"
-        )
+    if not 1 <= atoms_per_row <= MOST_ATOMS:
+        raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
     if not len(source) or not len(source.embeddings):
         raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} segments")
-    scene = _learn(source, wanted, seed, threads) if wanted else None
+    if not isinstance(scene_atoms, SceneAtoms):
+        scene_atoms = _learn(source, scene_atoms, seed, threads)
     columns = np.arange(len(source.embeddings), dtype=np.int32)
     while True:
-        plan = _plan(source, columns, scene)
+        plan = _plan(source, columns, scene_atoms)
         encoded = _encode_rows(source, plan, atoms_per_row, threads, track)
         used = _by_use(encoded)
         if len(used) <= ADDRESSABLE:
             return _assemble(encoded, plan, columns, used)
-        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene) if scene else 0)]
+        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)]
         columns = np.sort(columns[own])
 
 
-def _learn(source: MixtureSource, wanted: int, seed: int, threads: int) -> SceneAtoms | None:
+def _learn(
+    source: MixtureSource, wanted: int | None, seed: int, threads: int
+) -> SceneAtoms | None:
+    if wanted is None:
+        wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
+    if not 0 <= wanted <= ADDRESSABLE // 2:
+        raise InputError(f"expected 0 to {ADDRESSABLE // 2:,} scene atoms, got {wanted:,}")
     count = min(len(source), POINTS_PER_ATOM * wanted)
     spread = np.linspace(0, len(source) - 1, count).astype(np.int64)
     points = source.rows(spread).features(0, count, threads=threads)
     directed = np.ascontiguousarray(points[points.any(axis=1)])
-    return train_scene_atoms(directed, wanted, seed=seed, threads=threads) if len(directed) else None
+    if not wanted or not len(directed):
+        return None
+    return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
 
 
 def _plan(source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> _Plan:

@@ -9,7 +9,7 @@ from ...errors import InputError
 from ...kernels.mixture import Dictionary, nearest_centres, nearest_members
 from .dictionary import quantised
 
-ITERATIONS = 6
+ITERATIONS = 4
 POINTS_PER_ATOM = 8
 NEIGHBOURS = 16  # that each row may be made of
 OVERLAP = 8  # members of a group, in groups' fair shares: few nearest atoms lie in another group
@@ -33,9 +33,12 @@ class SceneAtoms:
         """The atoms nearest to each feature, among those of its nearest group; best first."""
         wanted = min(NEIGHBOURS, self.members.shape[1])
         groups = nearest_centres(features, self.centres, threads=threads)
-        return nearest_members(
-            features, self.coded, groups, self.members, wanted, threads=threads
+        order = np.argsort(groups, kind="stable")  # so that a group's atoms stay in the cache
+        near = np.empty((len(features), wanted), np.int32)
+        near[order] = nearest_members(
+            features[order], self.coded, groups[order], self.members, wanted, threads=threads
         )
+        return near
 
 
 def train_scene_atoms(
