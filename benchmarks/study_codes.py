@@ -71,7 +71,9 @@ def scene_case(folder: Path, masks: str, rows: int, threads: int) -> Case:
     features = features_of(scene, masks, MiniEncoder())
     found = register(scene.gaussians, scene.views, features, threads=threads)
     evidence, total = sample(found.evidence, rows)
-    return Case(f"{scene.name}, {masks}", evidence, true_things(scene, features, found.evidence), total)
+    return Case(
+        f"{scene.name}, {masks}", evidence, true_things(scene, features, found.evidence), total
+    )
 
 
 def true_things(
@@ -82,12 +84,19 @@ def true_things(
     of_view = {}
     for name in segments.view_names:
         ids, maps = scene.ids(views[name]), features[name].segment_ids
-        ids = ids[tuple(np.ix_(*(np.arange(m) * i // m for m, i in zip(maps.shape, ids.shape, strict=True))))]
+        ids = ids[
+            tuple(
+                np.ix_(*(np.arange(m) * i // m for m, i in zip(maps.shape, ids.shape, strict=True)))
+            )
+        ]
         counts = np.zeros((maps.max() + 1, ids.max() + 2), np.int64)
         np.add.at(counts, (maps[maps >= 0], ids[maps >= 0] + 1), 1)
         of_view[name] = counts.argmax(axis=1)
     return np.array(
-        [of_view[segments.view_names[v]][i] for v, i in zip(segments.views, segments.ids, strict=True)]
+        [
+            of_view[segments.view_names[v]][i]
+            for v, i in zip(segments.views, segments.ids, strict=True)
+        ]
     )
 
 
@@ -113,7 +122,9 @@ def with_drawn(case: Case, folder: Path) -> tuple[Case, Words]:
     things = drawn.things(max(QUERIES, len(ids)))
     evidence = replace(case.evidence, embeddings=drawn.masks(things[of_column]))
     generic = drawn.masks(drawn.things(GENERIC_POINTS))
-    return replace(case, evidence=evidence), Words("drawn CLIP", CLIP, drawn.texts(things[:QUERIES]), generic)
+    return replace(case, evidence=evidence), Words(
+        "drawn CLIP", CLIP, drawn.texts(things[:QUERIES]), generic
+    )
 
 
 def product(points: np.ndarray, parts: int, words: Words, threads: int) -> Reconstruct:
@@ -184,7 +195,9 @@ def study(case: Case, words: Words, threads: int) -> list[dict[str, object]]:
         ratio = f"{numbers['score_rms'] / reference:8.2f}" if reference else " " * 8
         print(f"{name:<31} {size:>5}  {numbers['cosine']:6.2f}  {numbers['score_rms']:.5f}   {ratio}   "
               f"{numbers['selection_iou']:.3f}       {numbers['argmax_agreement']:.3f}", flush=True)  # fmt: skip
-        found.append({"case": case.name, "embeddings": words.name, "code": name, "bytes": size, **numbers})
+        found.append(
+            {"case": case.name, "embeddings": words.name, "code": name, "bytes": size, **numbers}
+        )
     return found
 
 

@@ -150,9 +150,7 @@ def test_rows_without_candidates_or_direction_are_zero() -> None:
 def test_equal_atoms_and_atoms_without_direction_do_no_harm() -> None:
     vectors = np.repeat(unit_rows(np.random.default_rng(2), 2, 16), 4, axis=0)
     vectors[7] = 0
-    given = Candidates(
-        np.array([0, 8]), np.arange(8, dtype=np.int32), np.zeros((1, 2), np.int32)
-    )
+    given = Candidates(np.array([0, 8]), np.arange(8, dtype=np.int32), np.zeros((1, 2), np.int32))
     feature = (vectors[:1] + vectors[4:5]) / np.linalg.norm(vectors[0] + vectors[4])
     dictionary = quantised(vectors)
     found = mixture_encode(feature, dictionary, given, 8)

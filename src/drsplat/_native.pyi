@@ -122,9 +122,7 @@ def nearest_members(
     threads: int,
     isa: str,
 ) -> Array: ...
-def mixture_scores(
-    parts: tuple[Array, ...], queries: Array, threads: int, isa: str
-) -> Array: ...
+def mixture_scores(parts: tuple[Array, ...], queries: Array, threads: int, isa: str) -> Array: ...
 def mixture_select(
     parts: tuple[Array, ...],
     query: Array,

@@ -2,6 +2,7 @@
 
 from typing import Literal, NamedTuple
 
+from ...errors import InputError
 from ..codebook import CENTROIDS
 from .encoding import DEFAULT_ATOMS, MOST_SCENE_ATOMS, ROWS_PER_SCENE_ATOM
 
@@ -23,9 +24,12 @@ def choose_code(
 ) -> Choice:
     """Mixture where it takes fewer bytes in all, as if every segment were used; else PQ of 128 bytes per row.
 
-    With 512 numbers and 4 atoms per row that is from about 4 rows per segment on, and from some
-    15,000 rows on where segments are few.
+    With 512 numbers and 4 atoms per row that is from about 5 rows per segment on.
+
+    Raises: InputError: a number of rows, segments or numbers that cannot be.
     """
+    if n_rows < 0 or n_segments < 0 or dim < 1:
+        raise InputError(f"{n_rows} rows, {n_segments} segments, {dim} numbers: expected counts")
     pq = n_rows * (SUBVECTORS + _NORM) + CENTROIDS * dim * 4
     atoms = n_segments + min(MOST_SCENE_ATOMS, n_rows // ROWS_PER_SCENE_ATOM)
     mixture = n_rows * (3 * atoms_per_row + 2) + atoms * (dim + _ATOM)

@@ -119,9 +119,7 @@ class MixtureCode:
 
         Raises: InputError: a query of another dimension, not finite, or a negative count.
         """
-        return Hits(
-            *mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads)
-        )
+        return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
     def best(self, queries: Float32[np.ndarray, "C D"], *, threads: int = 0) -> Best:
         """The best query of each row and the second best score, in one scan per 256 queries.
@@ -224,6 +222,3 @@ def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> Codes:
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest
     return Codes(codes, coarse_ids)
-
-
-

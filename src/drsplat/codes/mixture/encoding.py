@@ -78,13 +78,13 @@ def encode_mixture(
         used = _by_use(encoded)
         if len(used) <= ADDRESSABLE:
             return _assemble(encoded, plan, columns, used)
-        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)]
+        own = used[used < plan.first_scene][
+            : ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)
+        ]
         columns = np.sort(columns[own])
 
 
-def _learn(
-    source: MixtureSource, wanted: int | None, seed: int, threads: int
-) -> SceneAtoms | None:
+def _learn(source: MixtureSource, wanted: int | None, seed: int, threads: int) -> SceneAtoms | None:
     if wanted is None:
         wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
     if not 0 <= wanted <= ADDRESSABLE // 2:
@@ -98,7 +98,9 @@ def _learn(
     return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
 
 
-def _plan(source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> _Plan:
+def _plan(
+    source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None
+) -> _Plan:
     parts = [quantised(source.embeddings[columns])] + ([scene.coded] if scene else [])
     values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     positions = np.full(len(source.embeddings), -1, np.int32)
