@@ -173,10 +173,10 @@ def mixture_top(
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
     """The `count` rows of the best scores, best first, ties to the lower row, and their scores.
 
-    Raises: InputError: shapes disagree, a negative count, or a query that is not finite.
+    Raises: InputError: shapes disagree, a count below 1, or a query that is not finite.
     """
-    if count < 0:
-        raise InputError(f"count: expected 0 or more, got {count}")
+    if count < 1:
+        raise InputError(f"count: expected 1 or more, got {count}")
     given = _scanned(blocks, dictionary), _finite(query), count
     rows, scores = _refusing(_native.mixture_top, *given, threads, _checked_isa(isa))
     return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"

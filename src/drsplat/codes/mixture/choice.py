@@ -3,7 +3,7 @@
 from typing import Literal, NamedTuple
 
 from ...errors import InputError
-from ..codebook import CENTROIDS
+from ...kernels.algebra import CENTROIDS
 from .encoding import DEFAULT_ATOMS, MOST_SCENE_ATOMS, ROWS_PER_SCENE_ATOM
 
 SUBVECTORS = 128

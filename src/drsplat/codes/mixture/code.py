@@ -21,6 +21,7 @@ from ...kernels.mixture import (
 )
 from ..code import Best, Code, Hits
 from ..codebook import BLOCK, Codebook, Codes
+from ..pq_code import PQCode, pq_code
 from .dictionary import AtomTable
 
 _ARRAYS = {
@@ -49,6 +50,8 @@ class MixtureCode:
 
     blocks: Blocks
     atoms: AtomTable
+
+    kind = "mixture"
 
     def __post_init__(self) -> None:
         ids, weights, scales = self.blocks
@@ -86,12 +89,12 @@ class MixtureCode:
 
     @property
     def nbytes(self) -> int:
-        """Of rows and atoms together."""
-        return sum(array.nbytes for array in self.blocks) + self.atoms.nbytes
+        """Of all rows together, without the atoms: see `AtomTable.nbytes`."""
+        return sum(array.nbytes for array in self.blocks)
 
     def scores(
-        self, queries: Float32[np.ndarray, "Q D"], *, threads: int = 0
-    ) -> Float32[np.ndarray, "Q n"]:
+        self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
+    ) -> Float32[np.ndarray, "q n"]:
         """Cosine of each unit query with each feature, within 2e-5 of the decoded one's for each unit of
         weight; 0 for a row without direction. The same to the bit for any number of queries at once.
 
@@ -117,11 +120,11 @@ class MixtureCode:
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
         """The best `count` rows, best first, ties to the lower row.
 
-        Raises: InputError: a query of another dimension, not finite, or a negative count.
+        Raises: InputError: a query of another dimension, not finite, or a count below 1.
         """
         return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
-    def best(self, queries: Float32[np.ndarray, "C D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
         """The best query of each row and the second best score, in one scan per 256 queries.
 
         Raises: InputError: no query, one of another dimension, or not finite.
@@ -205,10 +208,10 @@ def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> Mixtu
         raise FormatError(f"{where}: {error}") from error
 
 
-def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> Codes:
-    """Any code as product-quantised codes of a codebook, decoded a block at a time.
+def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> PQCode:
+    """Any code as a product-quantised one of a codebook; decoded a block at a time.
 
-    With the authors' codebook, `official_bytes` of these are their 130 bytes per row.
+    With the authors' codebook, `official_bytes` of its `codes()` are their 130 bytes per row.
 
     Raises: InputError: a codebook of another dimension.
     """
@@ -217,8 +220,8 @@ def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> Codes:
     codes = np.empty((len(code), codebook.num_subvectors), np.uint8)
     coarse_ids = None if codebook.coarse is None else np.empty(len(code), np.uint16)
     for begin in range(0, len(code), BLOCK):
-        block = slice(begin, min(begin + BLOCK, len(code)))
+        block = np.arange(begin, min(begin + BLOCK, len(code)))
         codes[block], nearest = codebook.encode(code.decode(block), threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest
-    return Codes(codes, coarse_ids)
+    return pq_code(codebook, Codes(codes, coarse_ids), threads=threads)
