@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cfloat>
 #include <climits>
 #include <cmath>
 #include <cstring>
@@ -159,12 +160,8 @@ void mixture_scores(const Kernels &kernels, const MixtureCode &code, const Mixtu
 MixtureFound mixture_select(const Kernels &kernels, const MixtureCode &code, const float *query, float threshold, const float *floor, int threads) {
   std::vector<MixtureFound> parts((code.rows + kRowBlock - 1) / kRowBlock);
   over_scores(kernels, code, query, threads, [&](uint64_t begin, uint64_t end, const float *scores, uint64_t block) {
-    uint32_t above[kRowBlock];
-    uint32_t count = 0;
-    for (uint32_t i = 0; i < end - begin; i++) {  // without a branch: which rows are above is not to be foreseen
-      above[count] = i;
-      count += scores[i] - (floor ? floor[begin + i] : 0.f) > threshold;
-    }
+    uint32_t above[kRowBlock + 16];
+    const uint32_t count = kernels.mixture->rows_above(scores, floor ? floor + begin : nullptr, threshold, (uint32_t)(end - begin), above);
     MixtureFound &part = parts[block];
     part.rows.resize(count), part.scores.resize(count);
     for (uint32_t i = 0; i < count; i++) part.rows[i] = (int64_t)(begin + above[i]), part.scores[i] = scores[above[i]];
@@ -185,14 +182,13 @@ MixtureFound mixture_top(const Kernels &kernels, const MixtureCode &code, const 
   if (!count) return {};
   std::mutex guard;
   std::vector<Ranked> best;
-  std::atomic<float> bar{-INFINITY};  // at least `count` rows reach it
+  std::atomic<float> bar{-FLT_MAX};  // at least `count` rows reach it
   over_scores(kernels, code, query, threads, [&](uint64_t begin, uint64_t end, const float *scores, uint64_t) {
-    std::vector<Ranked> ranked;
-    const float least = bar;
-    for (uint64_t i = 0; i < end - begin; i++)
-      if (scores[i] >= least) ranked.push_back({scores[i], (int64_t)(begin + i)});
+    uint32_t above[kRowBlock + 16];
+    const float below_bar = std::nextafter(bar.load(), -INFINITY);
+    const uint32_t reached = kernels.mixture->rows_above(scores, nullptr, below_bar, (uint32_t)(end - begin), above);
     const std::lock_guard<std::mutex> lock(guard);
-    best.insert(best.end(), ranked.begin(), ranked.end());
+    for (uint32_t i = 0; i < reached; i++) best.push_back({scores[above[i]], (int64_t)(begin + above[i])});
     if (best.size() < count + std::max(count, kRowBlock)) return;
     keep_best(best, count);
     bar = std::max_element(best.begin(), best.end())->score;

@@ -335,12 +335,16 @@ INLINE int16_t table_entry(int32_t product, float factor) {
   return (int16_t)(value > 32767.f ? 32767.f : value < -32767.f ? -32767.f : value);
 }
 
+constexpr uint32_t kAtomsAhead = 16;  // atoms that are fetched before they are asked for
+
 // table[atom][place of query] = cosine * 32767.
 static void score_table(const Atoms &atoms, const WholeQueries &queries, uint64_t begin, uint64_t end, int16_t *table) {
   for (uint64_t first = begin; first < end; first += 4) {
     const int count = end - first < 4 ? (int)(end - first) : 4;
     const int8_t *rows[4];
     for (int r = 0; r < 4; r++) rows[r] = atoms.values + (first + (uint64_t)(r < count ? r : 0)) * atoms.dim;
+    if (first + kAtomsAhead + 4 <= end)
+      for (uint32_t d = 0; d < 4 * atoms.dim; d += 64) __builtin_prefetch(atoms.values + (first + kAtomsAhead) * atoms.dim + d);
     for (uint32_t q = 0; q < queries.count; q++) {
       int32_t products[4];
       whole_products<4>(rows, queries.values + (size_t)q * atoms.dim, atoms.dim, products);
@@ -408,6 +412,27 @@ static void mixture_scores(const Mixtures &m, const int16_t *table, uint64_t beg
       default: block_scores<0>(m, row / kMixtureBlock, m.scales + row, table, scores);
     }
   }
+}
+
+// Which of up to 2^32 rows have score - floor > threshold; returns how many. `out` holds 16 more than there are rows.
+static uint32_t rows_above(const float *scores, const float *floor, float threshold, uint32_t count, uint32_t *out) {
+  uint32_t found = 0, i = 0;
+#if DRSPLAT_AVX512
+  __m512i numbers = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (; i + 16 <= count; i += 16) {
+    __m512 margin = _mm512_loadu_ps(scores + i);
+    if (floor) margin = _mm512_sub_ps(margin, _mm512_loadu_ps(floor + i));
+    const __mmask16 above = _mm512_cmp_ps_mask(margin, _mm512_set1_ps(threshold), _CMP_GT_OQ);
+    _mm512_storeu_si512(out + found, _mm512_maskz_compress_epi32(above, numbers));
+    found += (uint32_t)__builtin_popcount(above);
+    numbers = _mm512_add_epi32(numbers, _mm512_set1_epi32(16));
+  }
+#endif
+  for (; i < count; i++) {  // without a branch: which rows are above is not to be foreseen
+    out[found] = i;
+    found += (floor ? scores[i] - floor[i] : scores[i]) > threshold;
+  }
+  return found;
 }
 
 // Where the table keeps the query-th of its queries: two atoms' entries, unpacked, come in the order of queries.
@@ -510,4 +535,4 @@ static void mixture_best(const Mixtures &m, const QueryTile &tile, uint64_t begi
   }
 }
 
-static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table, table_place, mixture_scores, mixture_best};
+static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table, table_place, mixture_scores, rows_above, mixture_best};

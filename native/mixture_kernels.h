@@ -65,6 +65,7 @@ struct MixtureKernels {
   void (*score_table)(const Atoms &, const WholeQueries &, uint64_t begin, uint64_t end, int16_t *table);
   uint32_t (*table_place)(uint32_t query);
   void (*scores)(const Mixtures &, const int16_t *table, uint64_t begin, uint64_t end, float *scores);
+  uint32_t (*rows_above)(const float *scores, const float *floor, float threshold, uint32_t count, uint32_t *out);
   void (*best)(const Mixtures &, const QueryTile &, uint64_t begin, uint64_t end, const BestSums &);
 };
 

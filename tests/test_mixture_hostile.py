@@ -59,8 +59,9 @@ def replaced(name: str, make: Callable[[np.ndarray], np.ndarray]) -> Callable[[A
         (put("mixture_scales", 5, np.nan), "finite"),
         (put("mixture_scales", 5, np.inf), "finite"),
         (put("mixture_scales", 5, -1), "not negative"),
-        (put("atom_scales", 0, np.nan), "finite"),
-        (put("atom_scales", 0, -0.1), "not negative"),
+        (put("atom_scales", 0, np.nan), "between 0 and 1"),
+        (put("atom_scales", 0, -0.1), "between 0 and 1"),
+        (put("atom_scales", 0, 1.5), "between 0 and 1"),
         (put("atom_segments", 0, -2), "segment -2"),
         (replaced("mixture_ids", lambda a: a[:1]), "mixture_weights"),
         (replaced("mixture_scales", lambda a: a[:60]), "for 60 rows"),
@@ -107,7 +108,7 @@ def test_a_code_of_no_rows_is_one() -> None:
 
 def test_extreme_but_legal_numbers_are_searched() -> None:
     arrays = tensors()
-    arrays["atoms"][:], arrays["atom_scales"][:] = -128, 3e38
+    arrays["atoms"][:], arrays["atom_scales"][:] = -128, 1
     arrays["mixture_weights"][:], arrays["mixture_scales"][:] = 255, 65504
     use(arrays)
 

@@ -47,8 +47,8 @@ class AtomTable:
             raise InputError(f"expected one scale and one segment for each of {len(values)} atoms")
         if not 1 <= len(values) <= ADDRESSABLE:
             raise InputError(f"expected 1 to {ADDRESSABLE:,} atoms, got {len(values):,}")
-        if not (np.isfinite(scales) & (scales >= 0)).all():
-            raise InputError("atoms: scales must be finite and not negative")
+        if not ((scales >= 0) & (scales <= 1)).all():  # 1 / length of whole numbers
+            raise InputError("atoms: scales must lie between 0 and 1")
         if self.segments.min() < SCENE_ATOM:
             raise InputError(f"atoms: segment {self.segments.min()}: expected a column, or -1")
 
