@@ -22,9 +22,10 @@ from drsplat.codes.mixture import (
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError
 from drsplat.evidence import Evidence
+from drsplat.field import LanguageField
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.kernels import reference_mixture
-from fields import TOY, random_evidence, unit_rows
+from fields import SCENE, TOY, random_evidence, unit_rows
 from mutations import bounded_allocations
 
 SMALL = EncoderIdentity("small", 16)
@@ -268,3 +269,22 @@ def test_the_smaller_code_is_chosen() -> None:
     assert many.mixture_bytes == 180_000 * 14 + 34_096 * 520
     with pytest.raises(InputError, match="rows"):
         choose_code(-1, 3, 512)
+
+
+def test_a_field_can_hold_it(tmp_path: Path) -> None:
+    seen = np.flatnonzero(np.diff(evidence().weights.indptr) > 0)
+    kept = evidence().rows(seen)
+    mixed = encode_mixture(kept, scene_atoms=20)
+    field = LanguageField(seen.astype(np.uint32), mixed, TOY, SCENE, 900, kept)
+    queries = unit_rows(np.random.default_rng(12), 3, 32)
+    assert_array_equal(field.scores(queries), mixed.scores(queries))
+    assert_array_equal(field.best(queries).index, mixed.best(queries).index)
+    assert_array_equal(field.select(queries[0], 0.2).rows, mixed.select(queries[0], 0.2).rows)
+    relevant = field.with_negatives(queries[1:]).select_relevant(queries[0], 0.55)
+    margin = np.float32(np.log(0.55 / 0.45) / 10)
+    scores = mixed.scores(queries)
+    assert_array_equal(relevant.rows, np.flatnonzero(scores[0] - scores[1:].max(axis=0) > margin))
+    assert_array_equal(field.feature(slice(0, 9)), mixed.decode(slice(0, 9)))
+    field.save(tmp_path / "a.field")
+    tensors, _ = map_tensors(tmp_path / "a.field" / "codes.safetensors")
+    assert_array_equal(mixture_from_tensors(tensors, "a").scores(queries), scores)

@@ -95,8 +95,7 @@ class MixtureCode:
     def scores(
         self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
     ) -> Float32[np.ndarray, "q n"]:
-        """Cosine of each unit query with each feature, within 2e-5 of the decoded one's for each unit of
-        weight; 0 for a row without direction. The same to the bit for any number of queries at once.
+        """See Code. Off by some 1e-5, and the same to the bit on any instruction set.
 
         Raises: InputError: queries of another dimension, or not finite.
         """
@@ -110,7 +109,7 @@ class MixtureCode:
         *,
         threads: int = 0,
     ) -> Hits:
-        """Rows with score - floor > threshold, ascending, in one scan.
+        """See Code.
 
         Raises: InputError: a query of another dimension, not finite, or not one floor per row.
         """
@@ -118,21 +117,21 @@ class MixtureCode:
         return Hits(*mixture_select(self.blocks, atoms, query, threshold, floor, threads=threads))
 
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
-        """The best `count` rows, best first, ties to the lower row.
+        """See Code.
 
         Raises: InputError: a query of another dimension, not finite, or a count below 1.
         """
         return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
     def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
-        """The best query of each row and the second best score, in one scan per 256 queries.
+        """See Code. One scan for each 256 queries.
 
         Raises: InputError: no query, one of another dimension, or not finite.
         """
         return Best(*mixture_best(self.blocks, self.atoms.dictionary, queries, threads=threads))
 
     def decode(self, rows: slice | Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
-        """Unit features of some rows; zero where there is no direction."""
+        """See Code."""
         ids, weights, scales = self.unpacked(rows)
         features = np.zeros((len(ids), self.dim), np.float32)
         for k in range(self.atoms_per_row):
@@ -149,7 +148,7 @@ class MixtureCode:
         return ids[block, :, within], weights[block, :, within], scales[index]
 
     def rows(self, index: slice | Integer[np.ndarray, " b"]) -> "MixtureCode":
-        """The code of some rows, in that order; the atoms stay as they are."""
+        """See Code. The atoms stay as they are."""
         return MixtureCode(packed(*self.unpacked(index)), self.atoms)
 
     def parts(self, row: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Part]:
@@ -170,7 +169,7 @@ class MixtureCode:
         return [Part(int(segments[i]), float(sums[i] / sums.sum())) for i in order]
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Its arrays by name, as they are written to files; see `mixture_from_tensors`."""
+        """See Code, and `mixture_from_tensors`."""
         arrays = (*self.blocks, *self.atoms.dictionary, self.atoms.segments)
         return dict(zip(_ARRAYS, arrays, strict=True))
 
