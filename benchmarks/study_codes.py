@@ -158,7 +158,7 @@ def rebuilt(
     mixed = case.evidence.rows(np.arange(1, len(case.evidence), 2))
     for count in (0, 1024, most):
         scene = train_scene_atoms(training, count, threads=threads) if count else 0
-        for per_row in (2, 4, 8):
+        for per_row in (2, 4, 6, 8):
             code = encode_mixture(mixed, per_row, scene_atoms=scene, threads=threads)
             name = f"mixture K={per_row}, {count} scene atoms"
             yield name, code.row_bytes, code.decode(slice(None))

@@ -17,7 +17,6 @@ namespace drsplat {
 namespace {
 
 constexpr uint64_t kRowBlock = 4096;   // of a scan: its scores stay in the first-level cache
-constexpr uint32_t kTileQueries = 256;  // of one table
 constexpr size_t kAddressable = 65536;  // what an id can name; the table answers all of it
 constexpr int16_t kNoQuery = -32768;
 
@@ -203,8 +202,9 @@ MixtureFound mixture_top(const Kernels &kernels, const MixtureCode &code, const 
 void mixture_best(const Kernels &kernels, const MixtureCode &code, const MixtureQueries &queries, int threads, const MixtureBest &out) {
   std::vector<int32_t> best(code.rows, INT_MIN), second(code.rows, INT_MIN);
   std::fill_n(out.index, code.rows, 0);
-  for (uint32_t first = 0; first < queries.count; first += kTileQueries) {
-    const uint32_t count = std::min(kTileQueries, queries.count - first);
+  const uint32_t tile_queries = kernels.mixture->tile_queries;
+  for (uint32_t first = 0; first < queries.count; first += tile_queries) {
+    const uint32_t count = std::min(tile_queries, queries.count - first);
     const Table table(kernels, code.atoms, {queries.values + (size_t)first * code.atoms.dim, count}, (count + 31) / 32 * 32, threads);
     const QueryTile tile = {table.entries(), first, table.stride()};
     over_blocks(code.rows, kRowBlock, threads, [&](uint64_t row, uint64_t end) { kernels.mixture->best(code.mixtures, tile, row, end, {best.data(), second.data(), out.index}); });

@@ -47,7 +47,6 @@ struct WholeQueries {
   uint32_t count, stride;
 };
 
-// Up to 256 queries.
 struct QueryTile {
   const int16_t *table;  // atoms x stride
   uint32_t first, stride;  // number of its first query
@@ -67,6 +66,7 @@ struct MixtureKernels {
   void (*scores)(const Mixtures &, const int16_t *table, uint64_t begin, uint64_t end, float *scores);
   uint32_t (*rows_above)(const float *scores, const float *floor, float threshold, uint32_t count, uint32_t *out);
   void (*best)(const Mixtures &, const QueryTile &, uint64_t begin, uint64_t end, const BestSums &);
+  uint32_t tile_queries;  // of `best`, at most
 };
 
 }  // namespace drsplat
