@@ -1,4 +1,4 @@
-// The mixture code of mixture.h on several threads. Scores are sums of whole numbers and every row is made by
+// The kernels of mixture.h on several threads. Scores are sums of whole numbers and every row is made by
 // one thread, so that they are the same to the bit for any number of threads, queries and instruction set.
 #include "mixture_rows.h"
 
