@@ -14,11 +14,15 @@ of other things), "scene" ones on other rows of the same scene.
 
 import argparse
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 from drawn_embeddings import CLIP, Drawn, unit
 from machine import describe
 from world.benchmark.masks import features_of
