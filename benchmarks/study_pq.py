@@ -1,14 +1,15 @@
 """The paper's studies of product quantisation (Sec. D) and what reconstruction cosine does not show.
 
     python benchmarks/study_pq.py [--points 1000000] [--repeats 100] [--output study_pq.json]
-        [--features embeddings.npy] [--queries texts.npy] [--skip search|codes] [--chart search.svg]
+        [--scene world/scenes/room_5] [--skip search|codes] [--chart search.svg]
 
 D.1: milliseconds for one query over all points, for 128, 64 and 32 sub-vectors: raw cosine (NumPy, float32),
 FAISS IndexPQ (top 100) and ours (every score). Codes are random: time does not depend on them.
 D.2: codes of 1/32, 1/16 and 1/8 of float32 by LSH (random projection), an autoencoder and PQ, all learnt on one
 half of the features and measured on the other: mean cosine of reconstruction (Table S2), and for searches the
 rms error of scores, the IoU of the best 2 % and how often the best of all queries is the same one.
-Features: rows of --features, else a simulation of embeddings of masks of 300 things.
+Features: those of a packed scene, registered with the masks of `graph` and the embeddings of `mini`; queries are its
+words. More codes on more features, without the paper's rivals: study_codes.py.
 """
 
 import argparse
@@ -17,7 +18,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from drawn_embeddings import unit
 from machine import describe, interleaved
+from study_codes import mini_words, quality, scene_case
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
 from drsplat.codes import Codes, pq_code
@@ -25,29 +28,14 @@ from drsplat.evaluation.svg import bars
 
 SUBVECTORS = (128, 64, 32)
 RATIOS = (32, 16, 8)
-TOP_SHARE = 0.02
+SCENE = Path(__file__).resolve().parent.parent / "world/scenes/room_5"
+ROWS = 1 << 16
 PAPER_SEARCH = {128: 2.0, 64: 6.6, 32: 14.1}
 PAPER_COSINE = {
     "LSH": {32: 79.71, 16: 88.35, 8: 93.69},
     "autoencoder": {32: 82.58, 16: 84.03, 8: 85.18},
     "PQ": {32: 90.86, 16: 96.06, 8: 99.02},
 }
-
-
-def unit(rows: np.ndarray) -> np.ndarray:
-    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
-
-
-def simulated(
-    rng: np.random.Generator, count: int, dim: int, things: int = 300
-) -> tuple[np.ndarray, ...]:
-    """Features of things at cosines of about 0.85 to their centres, which share a common part; and queries."""
-    common = rng.normal(size=dim)
-    centers = unit(1.2 * common + rng.normal(size=(things, dim)))
-    spread = rng.normal(size=(count, dim)) * rng.gamma(2, 0.5, (1, dim)) ** 0.5 / np.sqrt(dim)
-    features = unit(centers[rng.integers(0, things, count)] + 0.62 * spread)
-    queries = unit(centers + 1.5 * rng.normal(size=centers.shape) / np.sqrt(dim))
-    return features, queries
 
 
 def search_times(points: int, dim: int, repeats: int, threads: int) -> dict[str, dict[str, float]]:
@@ -139,25 +127,6 @@ def autoencoder(train: np.ndarray, num_bytes: int, steps: int = 1000) -> Reconst
     return reconstruct
 
 
-def quality(features: np.ndarray, rebuilt: np.ndarray, queries: np.ndarray) -> dict[str, float]:
-    """What is kept: of the features, of the scores, of a selection, of the winner."""
-    rebuilt = unit(rebuilt)
-    exact, got = features @ queries.T, rebuilt @ queries.T
-    kept = max(1, round(TOP_SHARE * len(features)))
-    ious = []
-    for column in range(len(queries)):
-        one, other = (
-            set(np.argpartition(-s[:, column], kept - 1)[:kept].tolist()) for s in (exact, got)
-        )
-        ious.append(len(one & other) / len(one | other))
-    return {
-        "cosine": 100 * float((features * rebuilt).sum(1).mean()),
-        "score_rms": float(np.sqrt(((exact - got) ** 2).mean())),
-        "selection_iou": float(np.mean(ious)),
-        "argmax_agreement": float((exact.argmax(1) == got.argmax(1)).mean()),
-    }
-
-
 def code_study(features: np.ndarray, queries: np.ndarray) -> list[dict[str, object]]:
     train, test = features[::2].copy(), features[1::2].copy()
     found: list[dict[str, object]] = []
@@ -200,15 +169,11 @@ def main() -> None:
     parser.add_argument("--dim", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=100)
     parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--features", help=".npy (N, D) of embeddings for D.2")
-    parser.add_argument("--queries", help=".npy (Q, D) of texts for D.2; needed with --features")
-    parser.add_argument("--train-rows", type=int, default=40_000, help="rows of the simulation")
+    parser.add_argument("--scene", type=Path, default=SCENE, help="folder of world.packing")
     parser.add_argument("--skip", choices=("search", "codes"))
     parser.add_argument("--output", default="study_pq.json")
     parser.add_argument("--chart", help="Fig. S4 as SVG")
     args = parser.parse_args()
-    if bool(args.features) != bool(args.queries):
-        parser.error("--features and --queries belong together")
 
     print(describe())
     report: dict[str, object] = {
@@ -225,14 +190,11 @@ def main() -> None:
             title = f"One query over {args.points:,} points"
             Path(args.chart).write_text(bars(rows, "ms", title), encoding="utf-8")
     if args.skip != "codes":
-        if args.features:
-            features, queries = (
-                unit(np.load(path).astype(np.float32)) for path in (args.features, args.queries)
-            )
-        else:
-            features, queries = simulated(np.random.default_rng(0), args.train_rows, args.dim)
-        report["features"] = {"source": args.features or "simulated", "shape": list(features.shape)}
-        report["codes"] = code_study(features, queries[:200])
+        case = scene_case(args.scene, "graph", ROWS, args.threads)
+        features = case.evidence.features(0, len(case.evidence))
+        queries = mini_words(features).queries
+        report["features"] = {"source": case.name, "shape": list(features.shape)}
+        report["codes"] = code_study(features, queries)
         show_codes(report["codes"])  # type: ignore[arg-type]
     Path(args.output).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 

@@ -7,6 +7,7 @@ using namespace drsplat;
 
 void bind_algebra(nb::module_ &);   // bindings_algebra.cpp
 void bind_scan(nb::module_ &);      // bindings_scan.cpp
+void bind_mixture(nb::module_ &);   // bindings_mixture.cpp
 void bind_training(nb::module_ &);  // bindings_training.cpp
 
 namespace {
@@ -84,6 +85,7 @@ nb::object colors_of(Array<float, 3> sh, Rows means, Vector center, int threads,
 NB_MODULE(_native, m) {
   bind_algebra(m);
   bind_scan(m);
+  bind_mixture(m);
   bind_training(m);
   m.def("available_isas", [] {
     nb::list names;

@@ -129,6 +129,7 @@ struct AdamStep {
 constexpr int kAdamHead = 3;
 
 struct ScanKernels;  // scan.h
+struct MixtureKernels;  // mixture_kernels.h
 
 struct Kernels {
   const char *name;
@@ -154,6 +155,7 @@ struct Kernels {
   void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &);
 
   const ScanKernels *scan;
+  const MixtureKernels *mixture;
 };
 
 // Every instruction set that this build holds and this machine runs, best first; null at the end.

@@ -224,7 +224,8 @@ def test_register_reports_and_refuses_to_overwrite(
     room: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     output = tmp_path / "a.field"
-    report = answer_of(capsys, *registering(room, output), "--encoder-name", "drsplat-words")
+    options = ["--encoder-name", "drsplat-words", "--code", "pq"]
+    report = answer_of(capsys, *registering(room, output), *options)
     field = load_field(output)
     assert report["num_gaussians"] == field.num_gaussians
     assert report["num_registered"] == len(field)
@@ -245,6 +246,29 @@ def test_register_reports_and_refuses_to_overwrite(
     again = answer_of(capsys, *registering(room, output), "--topk", "1", "--overwrite")
     assert again["num_weights"] < report["num_weights"]
     assert again["encoder"] == "unknown"
+
+
+def test_register_takes_the_smaller_code(
+    room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    output, named = tmp_path / "a.field", ("--encoder-name", "drsplat-words")
+    report = answer_of(capsys, *registering(room, output), *named)
+    assert (report["code"], report["atoms_per_row"], report["bytes_per_gaussian"]) == (
+        "mixture",
+        4,
+        14,
+    )
+    field = load_field(output)
+    query = WordEncoder().encode_texts(["red mug"])[0]
+    errors = field.scores(query) - story.field.scores(query)
+    assert np.sqrt((errors**2).mean()) < 0.01
+    listed = answer_of(capsys, "inspect", output)
+    assert (listed["code"], listed["num_atoms"]) == ("mixture", report["num_atoms"])
+    finer = answer_of(capsys, *registering(room, output), *named, "--atoms", "8", "--overwrite")
+    assert finer["bytes_per_gaussian"] == 26
+    for wrong in (["--subvectors", "32"], ["--code", "pq"]):
+        argv = [*registering(room, output), "--atoms", "4", *wrong, "--overwrite"]
+        assert "drop one of them" in error_of(capsys, *argv)
 
 
 def test_register_takes_the_names_that_others_use(

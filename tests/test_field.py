@@ -17,7 +17,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load_file, save_file
 from scipy.sparse import csr_array
 
+from drsplat.aggregation import Aggregated
 from drsplat.codes import Codebook, train_codebook
+from drsplat.codes.mixture import MixtureCode
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evidence import Evidence, Explanation, Segments
@@ -35,7 +37,7 @@ def same_field(a: LanguageField, b: LanguageField) -> None:
     assert set(ours) == set(theirs)
     for name, array in ours.items():
         assert_array_equal(array, theirs[name])
-    assert (a.fingerprint, a.codebook.hash, a.scene) == (b.fingerprint, b.codebook.hash, b.scene)
+    assert (a.fingerprint, a.code.kind, a.scene) == (b.fingerprint, b.code.kind, b.scene)
     assert (a.encoder, a.num_gaussians) == (b.encoder, b.num_gaussians)
 
 
@@ -45,6 +47,11 @@ def residual_field() -> LanguageField:
     points = 0.5 * unit_rows(rng, 3000, 32)
     centroids = train_codebook(points, 16, encoder=TOY).centroids
     return build_field(evidence, SCENE, TOY, Codebook(centroids, coarse, TOY))
+
+
+def mixed_field() -> LanguageField:
+    evidence = random_evidence(np.random.default_rng(0))
+    return build_field(evidence, SCENE, TOY, atoms_per_row=3)
 
 
 def test_features_are_the_normalised_means_of_their_evidence() -> None:
@@ -160,6 +167,37 @@ def test_some_rows_of_the_evidence() -> None:
     assert_array_equal(evidence.rows(index).weights.toarray(), evidence.weights.toarray()[index])
 
 
+def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence() -> None:
+    """Columns out of order, and votes that neighbours lend."""
+    rng = np.random.default_rng(8)
+    evidence = random_evidence(rng)
+    shuffled = rng.permutation(40)
+    segments = Segments(
+        evidence.segments.view_names,
+        evidence.segments.views[shuffled],
+        evidence.segments.ids[shuffled],
+    )
+    mixed_up = Evidence(
+        csr_array(evidence.weights[:, shuffled]), segments, evidence.embeddings[shuffled]
+    )
+    field = build_field(mixed_up, SCENE, TOY, atoms_per_row=16)
+    code = field.code
+    assert isinstance(code, MixtureCode)
+    assert field.evidence is not None
+    named = np.flatnonzero(code.atoms.segments >= 0)
+    vectors = code.atoms.vectors(named)
+    theirs = field.evidence.embeddings[code.atoms.segments[named]]
+    assert_allclose(vectors, theirs, atol=0.02)
+    donors = rng.permutation(600).astype(np.int32)
+    lent = build_field(
+        mixed_up, SCENE, TOY, atoms_per_row=16, aggregated=Aggregated(mixed_up, donors)
+    )
+    own = mixed_up.features(0, 600)[donors[lent.gaussian_ids]]
+    assert ((lent.feature(slice(None)) * own).sum(axis=1)).min() > 0.999
+    with pytest.raises(InputError, match="no codebook"):
+        build_field(evidence, SCENE, TOY, num_subvectors=8, atoms_per_row=4)
+
+
 def test_any_dimension_finds_a_number_of_parts() -> None:
     for dim, parts in ((1, 1), (12, 4), (36, 4), (512, 128), (768, 128)):
         evidence = random_evidence(np.random.default_rng(5), rows=40, dim=dim)
@@ -167,7 +205,7 @@ def test_any_dimension_finds_a_number_of_parts() -> None:
         assert field.codebook.num_subvectors == parts
 
 
-@pytest.mark.parametrize("make", [toy_field, residual_field])
+@pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
 def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     negatives = unit_rows(np.random.default_rng(6), 2, 32)
     field = make().with_negatives(negatives, ("this", "that"))
@@ -189,7 +227,7 @@ def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path: Path
     assert any(explained)
     weights = again.evidence.weights
     for array in (
-        again.code.grouped,
+        next(iter(again.code.tensors().values())),
         again.gaussian_ids,
         weights.data,
         weights.indices,
@@ -352,7 +390,7 @@ def test_evidence_that_does_not_fit_is_refused() -> None:
         Segments(("a",), np.ones(3, np.int32), np.zeros(3, np.int32))
 
 
-@pytest.mark.parametrize("make", [toy_field, residual_field])
+@pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
 def test_what_is_found_is_what_the_scores_say(make) -> None:  # type: ignore[no-untyped-def]
     field, rng = make(), np.random.default_rng(11)
     queries = 3 * unit_rows(rng, 5, 32)
@@ -441,13 +479,13 @@ def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
         ("format", "other", "expected a 'drsplat field'"),
         ("version", 3, "upgrade"),
         ("version", True, "upgrade"),
-        ("version", 1, "codebook"),
+        ("version", 1, "how the features are coded"),
         ("encoder", {"name": "other", "dim": 32, "weights": ""}, "codebook is of"),
         ("encoder", {"name": "toy"}, "name, dim and weights"),
         ("code", {"kind": "pq", "codebook": "0", "encoder": asdict(TOY)}, "hash"),
         ("code", {"kind": "pq", "codebook": "0"}, "name, dim and weights"),
         ("code", {"kind": "other"}, "kept as 'other'"),
-        ("code", None, "hash"),
+        ("code", None, "how the features are coded"),
         ("num_gaussians", 500, "in a scene of 500"),
         ("num_gaussians", True, "number of Gaussians"),
         ("negatives", ["one"], "1 negative texts for 2"),

@@ -35,13 +35,14 @@ def tiny_codebook(residual: bool = True) -> Codebook:
 
 
 @lru_cache
-def field_files() -> dict[str, bytes]:
-    """The files of a small field with a coarse codebook, evidence and negatives."""
+def field_files(mixture: bool = False) -> dict[str, bytes]:
+    """The files of a small field with a coarse codebook or a mixture, evidence and negatives."""
     import tempfile
 
     rng = np.random.default_rng(1)
     evidence = random_evidence(rng, rows=30, columns=8, dim=4)
-    field = build_field(evidence, SCENE, TINY, tiny_codebook())
+    coding = {"atoms_per_row": 2} if mixture else {"codebook": tiny_codebook()}
+    field = build_field(evidence, SCENE, TINY, **coding)
     field = field.with_negatives(unit_rows(rng, 2, 4), ("one", "two"))
     with tempfile.TemporaryDirectory() as folder:
         field.save(Path(folder) / "a")
@@ -90,16 +91,19 @@ def use_field(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "count"),
+    ("name", "count", "mixture"),
     [
-        ("field.json", MUTANTS),
-        ("codes.safetensors", quota(1000)),
-        ("evidence.safetensors", quota(1000)),
-        ("negatives.safetensors", quota(300)),
+        ("field.json", MUTANTS, False),
+        ("codes.safetensors", quota(1000), False),
+        ("codes.safetensors", quota(1000), True),
+        ("evidence.safetensors", quota(1000), False),
+        ("negatives.safetensors", quota(300), False),
     ],
 )
-def test_damaged_fields(name: str, count: int, tmp_path: Path, bounded_memory: None) -> None:
-    for file, content in field_files().items():
+def test_damaged_fields(
+    name: str, count: int, mixture: bool, tmp_path: Path, bounded_memory: None
+) -> None:
+    for file, content in field_files(mixture).items():
         (tmp_path / file).write_bytes(content)
     read = use_field if name != "field.json" else lambda path: load_field(path.parent)
     assert 0 < survivors(tmp_path / name, len(name), read, count) < count

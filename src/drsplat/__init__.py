@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .adapters.loading import load_encoder
     from .adapters.sam import load_segmenter
     from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
+    from .codes.mixture import choose_code, recoded
     from .embedding import embed
     from .encoders import Encoder, EncoderIdentity, ImageEncoder
     from .errors import (
@@ -54,6 +55,7 @@ _HOMES = {
         "save_codebook",
         "train_codebook",
     ),
+    "codes.mixture": ("choose_code", "recoded"),
     "embedding": ("embed",),
     "encoders": ("Encoder", "EncoderIdentity", "ImageEncoder"),
     "errors": (
@@ -116,6 +118,7 @@ __all__ = [
     "WordEncoder",
     "__version__",
     "automatic_threshold",
+    "choose_code",
     "embed",
     "embed_query",
     "feature_at",
@@ -132,6 +135,7 @@ __all__ = [
     "read_sparse_points",
     "read_views",
     "read_vocabulary",
+    "recoded",
     "register",
     "render",
     "save_codebook",

@@ -100,3 +100,40 @@ def adam_step(
     threads: int,
     isa: str,
 ) -> None: ...
+def mixture_encode(
+    values: Array,
+    scales: Array,
+    features: Array,
+    starts: Array,
+    columns: Array,
+    further: Array,
+    wanted: int,
+    threads: int,
+    isa: str,
+) -> tuple[Array, Array, Array]: ...
+def nearest_centres(points: Array, centres: Array, threads: int, isa: str) -> Array: ...
+def nearest_members(
+    values: Array,
+    scales: Array,
+    points: Array,
+    groups: Array,
+    members: Array,
+    wanted: int,
+    threads: int,
+    isa: str,
+) -> Array: ...
+def mixture_scores(parts: tuple[Array, ...], queries: Array, threads: int, isa: str) -> Array: ...
+def mixture_select(
+    parts: tuple[Array, ...],
+    query: Array,
+    threshold: float,
+    floor: Array | None,
+    threads: int,
+    isa: str,
+) -> tuple[Array, Array]: ...
+def mixture_top(
+    parts: tuple[Array, ...], query: Array, count: int, threads: int, isa: str
+) -> tuple[Array, Array]: ...
+def mixture_best(
+    parts: tuple[Array, ...], queries: Array, threads: int, isa: str
+) -> tuple[Array, Array, Array]: ...

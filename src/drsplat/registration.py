@@ -90,14 +90,16 @@ class Registration:
         codebook: "Codebook | None" = None,
         *,
         num_subvectors: int | None = None,
+        atoms_per_row: int | None = None,
         aggregator: str | Aggregator = "mean",
         gaussians: Gaussians | None = None,
         threads: int = 0,
         track: Track = untracked,
     ) -> LanguageField:
-        """One feature per Gaussian, product-quantised; unseen Gaussians are pruned.
+        """One feature per Gaussian, coded; unseen Gaussians are pruned.
 
-        codebook None trains one of `num_subvectors` on this scene's features. aggregator: how a Gaussian's
+        codebook None trains one of `num_subvectors` on this scene's features. atoms_per_row: instead, a mixture
+        of so many of the scene's segments each, 3 K + 2 bytes; `choose_code` says when. aggregator: how a Gaussian's
         votes become its feature, the paper's weighted mean or another of docs/aggregators.md; those that
         look at neighbours need the `gaussians` that were registered. track: shows progress.
 
@@ -108,7 +110,7 @@ class Registration:
         self._check(how, gaussians)
         return build_field(
             self.evidence, self.scene, self.encoder, codebook, num_subvectors, threads,
-            aggregated=how(self.evidence, gaussians, threads=threads), record=how.record(self.sampling),
+            atoms_per_row=atoms_per_row, aggregated=how(self.evidence, gaussians, threads=threads), record=how.record(self.sampling),
             track=track,
         )  # fmt: skip
 

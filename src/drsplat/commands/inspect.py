@@ -7,12 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .code_facts import code_facts, codebook_facts
 from .options import add_capture_options, views_of
 
 if TYPE_CHECKING:
     import numpy as np
-
-    from ..codes import Codebook
 
 SUMMARY = "say what is in a scene, a capture, a feature folder, a field, a codebook or a vocabulary"
 EXAMPLES = """\
@@ -156,7 +155,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "encoder": field.encoder.name,
         "encoder_weights": field.encoder.weights,
         "dim": field.encoder.dim,
-        **_codebook_facts(field.codebook),
+        **code_facts(field.code),
         "scene": field.scene,
         "aggregator": field.aggregator.name,
         "num_views": None if evidence is None else len(evidence.segments.view_names),
@@ -178,17 +177,7 @@ def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
         codebook = read_faiss_codebook(arguments.path, EncoderIdentity("unknown", dim))
     else:
         codebook = load_codebook(arguments.path)
-    return {"encoder": codebook.encoder.name, "dim": codebook.dim, **_codebook_facts(codebook)}
-
-
-def _codebook_facts(codebook: Codebook) -> dict[str, Any]:
-    coarse = codebook.coarse
-    return {
-        "codebook": codebook.hash,
-        "num_subvectors": codebook.num_subvectors,
-        "num_coarse": 0 if coarse is None else len(coarse),
-        "bytes_per_gaussian": codebook.code_bytes,
-    }
+    return {"encoder": codebook.encoder.name, "dim": codebook.dim, **codebook_facts(codebook)}
 
 
 def _vocabulary(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .code_facts import code_facts
 from .options import (
     LEVEL_HELP,
     add_capture_options,
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from ..aggregation import Aggregator, Sampling
     from ..codes import Codebook
     from ..encoders import EncoderIdentity
-    from ..field import LanguageField
+    from ..registration import Registration
 
 DEFAULT_TOPK = 40
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
@@ -75,6 +76,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
     )  # fmt: skip
     method.add_argument(
+        "--code", choices=("auto", "pq", "mixture"), default="auto",
+        help="pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "
+        "scene's own masks per Gaussian, 14 bytes and the masks' embeddings. auto: the smaller one; pq with "
+        "--codebook or --subvectors (default: auto)",
+    )  # fmt: skip
+    method.add_argument(
+        "--atoms", type=count, metavar="K", help="masks per Gaussian of a mixture, 1 to 16 (default: 4)",
+    )  # fmt: skip
+    method.add_argument(
         "--codebook", metavar="FILE",
         help="codebook to code features with, .safetensors or the authors' .faiss (default: trained on this scene)",
     )  # fmt: skip
@@ -118,8 +128,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     )  # fmt: skip
     watch.lap("register")
     field = registration.to_field(
-        codebook, num_subvectors=arguments.subvectors, aggregator=how, gaussians=gaussians,
-        threads=arguments.threads, track=tracker(arguments),
+        codebook, num_subvectors=arguments.subvectors, atoms_per_row=_atoms_per_row(arguments, registration),
+        aggregator=how, gaussians=gaussians, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)
@@ -135,7 +145,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_views_reused": reused,
         "num_segments": len(registration.segments),
         "num_weights": int(registration.weights.nnz),
-        **_coding(field),
+        "dim": field.encoder.dim,
+        "encoder": field.encoder.name,
+        **code_facts(field.code),
         "aggregator": how.name,
         "topk": sampling.topk,
         "seconds": sum(watch.seconds.values()),
@@ -145,14 +157,23 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _coding(field: "LanguageField") -> dict[str, Any]:
-    return {
-        "dim": field.encoder.dim,
-        "encoder": field.encoder.name,
-        "num_subvectors": field.codebook.num_subvectors,
-        "bytes_per_gaussian": field.codebook.code_bytes,
-        "codebook": field.codebook.hash,
-    }
+def _atoms_per_row(arguments: argparse.Namespace, registration: "Registration") -> int | None:
+    """Of a mixture; None for product quantisation."""
+    from ..codes.mixture import DEFAULT_ATOMS, choose_code
+    from ..errors import InputError
+
+    quantised = arguments.codebook is not None or arguments.subvectors is not None
+    mixed = arguments.code == "mixture" or arguments.atoms is not None
+    if mixed and (quantised or arguments.code == "pq"):
+        raise InputError(
+            "--code mixture and --atoms go with neither --codebook, --subvectors nor --code pq: drop one of them"
+        )
+    if quantised or arguments.code == "pq":
+        return None
+    atoms = arguments.atoms or DEFAULT_ATOMS
+    rows, segments = registration.num_registered, len(registration.segments)
+    chosen = choose_code(rows, segments, registration.encoder.dim, atoms).name
+    return atoms if mixed or chosen == "mixture" else None
 
 
 def show(answer: dict[str, Any]) -> None:

@@ -333,7 +333,7 @@ class LanguageField:
 
     def _code_json(self) -> dict[str, object]:
         if not isinstance(self.code, PQCode):
-            return {"kind": self.code.kind}
+            return {"kind": self.code.kind}  # its arrays say the rest
         book = self.codebook
         return {"kind": PQCode.kind, "codebook": book.hash, "encoder": identity_json(book.encoder)}
 

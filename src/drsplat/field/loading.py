@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from ..aggregation import record_from_json
-from ..codes import PQCode, codebook_from_tensors, encoder_from_json
+from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
+from ..codes.mixture import MixtureCode, mixture_from_tensors
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
 from ..formats.field_folder import read_manifest
@@ -56,7 +57,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
-    code = _pq_code(tensors, _codebook_listed(manifest, version, path), version, str(path / CODES))
+    code = _code(tensors, manifest, path)
     try:
         return LanguageField(
             tensors["gaussian_ids"],
@@ -72,30 +73,28 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
         raise FormatError(f"{path}: {error}") from error
 
 
-def _codebook_listed(
-    manifest: dict[str, object], version: int, path: Path
-) -> tuple[object, object]:
-    """Hash of the codebook, and its encoder; version 1 knew no other code."""
-    listed = manifest.get("codebook" if version == 1 else "code")
-    if not isinstance(listed, dict):
-        raise FormatError(f"{path}: expected the hash and encoder of the codebook")
-    if version == 1:
-        return listed.get("hash"), listed.get("encoder")
-    if listed.get("kind") != PQCode.kind:
+def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
+    """Of any kind; version 1 knew product quantisation only, and wrote codes row by row."""
+    where = str(path / CODES)
+    old = manifest.get("version") == 1
+    about = manifest.get("codebook" if old else "code")
+    if not isinstance(about, dict):
+        raise FormatError(f"{path}: expected how the features are coded")
+    kind = PQCode.kind if old else about.get("kind")
+    if kind == MixtureCode.kind:
+        expected = {"gaussian_ids": _ARRAYS["gaussian_ids"]}
+        check_tensors(tensors, expected, where)
+        return mixture_from_tensors(tensors, where)
+    if kind != PQCode.kind:
         raise FormatError(
-            f"{path}: features kept as {ascii(listed.get('kind'))[:40]}; this version of drsplat reads "
-            f"'{PQCode.kind}'"
+            f"{path}: features kept as {ascii(kind)[:40]}; this version of drsplat reads '{PQCode.kind}' "
+            f"and '{MixtureCode.kind}'"
         )
-    return listed.get("codebook"), listed.get("encoder")
-
-
-def _pq_code(tensors: _Tensors, listed: tuple[object, object], version: int, where: str) -> PQCode:
-    """Codes as they are scanned: those of version 1 are brought into that order."""
-    expected_hash, encoder = listed
-    codebook = codebook_from_tensors(tensors, encoder, expected_hash, where)
+    expected_hash = about.get("hash" if old else "codebook")
+    codebook = codebook_from_tensors(tensors, about.get("encoder"), expected_hash, where)
     expected = {k: v for k, v in _ARRAYS.items() if k != "coarse_ids" or k in tensors}
-    check_tensors(tensors, expected | _CODES[version], where)
-    grouped = tensors["grouped_codes"] if version > 1 else group_codes(tensors["codes"])
+    check_tensors(tensors, expected | _CODES[1 if old else 2], where)
+    grouped = group_codes(tensors["codes"]) if old else tensors["grouped_codes"]
     try:
         return PQCode(codebook, grouped, tensors.get("coarse_ids"), tensors["inverse_norms"])
     except InputError as error:

@@ -1,0 +1,69 @@
+"""The atoms that rows are mixed of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32, Integer
+
+from ...errors import InputError
+from ...kernels.mixture import ADDRESSABLE, Dictionary
+
+SCENE_ATOM = -1  # of no segment
+_DTYPES = {"values": np.int8, "scales": np.float32, "segments": np.int32}
+
+
+def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
+    """Signed bytes, a scale per vector; what they stand for has unit length, or none where a vector has none.
+
+    Raises: InputError: a vector that is not finite.
+    """
+    if not np.isfinite(vectors).all():
+        raise InputError("atoms must be finite")
+    largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
+    steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > 0)
+    values = np.rint(vectors * steps).astype(np.int8)
+    squared = np.einsum("ad,ad->a", values, values, dtype=np.int64).astype(np.float64)
+    scales = np.divide(1, np.sqrt(squared), out=np.zeros_like(squared), where=squared > 0)
+    return Dictionary(values, scales.astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class AtomTable:
+    """Up to 65,536 atoms. segments: the column of W whose embedding an atom is, or -1: a scene atom.
+
+    Raises: InputError: arrays that do not fit each other, or scales that are no lengths.
+    """
+
+    dictionary: Dictionary
+    segments: Int32[np.ndarray, " a"]
+
+    def __post_init__(self) -> None:
+        values, scales = self.dictionary
+        arrays = {"values": values, "scales": scales, "segments": self.segments}
+        for name, array in arrays.items():
+            if array.dtype != _DTYPES[name] or array.ndim != 1 + (name == "values"):
+                raise InputError(f"atoms: {name}: got {array.dtype} {array.shape}")
+        if not len(values) == len(scales) == len(self.segments) or not values.shape[1]:
+            raise InputError(f"expected one scale and one segment for each of {len(values)} atoms")
+        if not 1 <= len(values) <= ADDRESSABLE:
+            raise InputError(f"expected 1 to {ADDRESSABLE:,} atoms, got {len(values):,}")
+        if not ((scales >= 0) & (scales <= 1)).all():  # 1 / length of whole numbers
+            raise InputError("atoms: scales must lie between 0 and 1")
+        if self.segments.min() < SCENE_ATOM:
+            raise InputError(f"atoms: segment {self.segments.min()}: expected a column, or -1")
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    @property
+    def dim(self) -> int:
+        return int(self.dictionary.values.shape[1])
+
+    @property
+    def nbytes(self) -> int:
+        values, scales = self.dictionary
+        return values.nbytes + scales.nbytes + self.segments.nbytes
+
+    def vectors(self, ids: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+        """The unit vectors of some atoms."""
+        return np.asarray(self.dictionary.values[ids] * self.dictionary.scales[ids, None])

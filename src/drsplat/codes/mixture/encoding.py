@@ -1,0 +1,163 @@
+"""Rows of W to a mixture code, a block of rows at a time: there is never a dense matrix of all features."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64, Integer
+from scipy.sparse import csr_array
+
+from ...errors import InputError
+from ...kernels.mixture import (
+    ADDRESSABLE,
+    MOST_ATOMS,
+    Candidates,
+    Dictionary,
+    Encoded,
+    mixture_encode,
+)
+from ..kmeans import Track, untracked
+from .code import MixtureCode, packed
+from .dictionary import SCENE_ATOM, AtomTable, quantised
+from .scene_atoms import POINTS_PER_ATOM, SceneAtoms, train_scene_atoms
+
+BLOCK = 8192
+DEFAULT_ATOMS = 4  # of a row
+MOST_SCENE_ATOMS = 4096
+ROWS_PER_SCENE_ATOM = 16
+
+
+@runtime_checkable
+class MixtureSource(Protocol):
+    """What features are mixtures of: `Evidence` is one, and so is an aggregator's."""
+
+    @property
+    def weights(self) -> csr_array: ...
+    @property
+    def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
+    def __len__(self) -> int: ...
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n D"]: ...
+    def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
+
+
+class _Plan(NamedTuple):
+    """positions: of each column's atom, -1 for none. first_scene: position of the first scene atom."""
+
+    dictionary: Dictionary
+    positions: Int32[np.ndarray, " m"]
+    scene: SceneAtoms | None
+    first_scene: int
+
+
+def encode_mixture(
+    source: MixtureSource,
+    atoms_per_row: int = DEFAULT_ATOMS,
+    *,
+    scene_atoms: int | SceneAtoms | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    track: Track = untracked,
+) -> MixtureCode:
+    """The code of every row: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
+
+    A row is made of the segments in it and of scene atoms near its feature. scene_atoms: those, or how many
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those used most are
+    kept and all rows are coded again with them. Equal to the bit for any number of threads.
+
+    Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
+    """
+    if not 1 <= atoms_per_row <= MOST_ATOMS:
+        raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
+    if not len(source) or not len(source.embeddings):
+        raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} segments")
+    if not isinstance(scene_atoms, SceneAtoms):
+        scene_atoms = _learn(source, scene_atoms, seed, threads)
+    columns = np.arange(len(source.embeddings), dtype=np.int32)
+    while True:
+        plan = _plan(source, columns, scene_atoms)
+        encoded = _encode_rows(source, plan, atoms_per_row, threads, track)
+        used = _by_use(encoded)
+        if len(used) <= ADDRESSABLE:
+            return _assemble(encoded, plan, columns, used)
+        own = used[used < plan.first_scene][
+            : ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)
+        ]
+        columns = np.sort(columns[own])
+
+
+def _learn(source: MixtureSource, wanted: int | None, seed: int, threads: int) -> SceneAtoms | None:
+    if wanted is None:
+        wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
+    if not 0 <= wanted <= ADDRESSABLE // 2:
+        raise InputError(f"expected 0 to {ADDRESSABLE // 2:,} scene atoms, got {wanted:,}")
+    count = min(len(source), POINTS_PER_ATOM * wanted)
+    spread = np.linspace(0, len(source) - 1, count).astype(np.int64)
+    points = source.rows(spread).features(0, count, threads=threads)
+    directed = np.ascontiguousarray(points[points.any(axis=1)])
+    if not wanted or not len(directed):
+        return None
+    return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
+
+
+def _plan(
+    source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None
+) -> _Plan:
+    parts = [quantised(source.embeddings[columns])] + ([scene.coded] if scene else [])
+    values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    positions = np.full(len(source.embeddings), -1, np.int32)
+    positions[columns] = np.arange(len(columns), dtype=np.int32)
+    return _Plan(Dictionary(values, scales), positions, scene, len(columns))
+
+
+def _encode_rows(
+    source: MixtureSource, plan: _Plan, atoms_per_row: int, threads: int, track: Track
+) -> Encoded:
+    rows = len(source)
+    ids = np.empty((rows, atoms_per_row), np.int32)
+    weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
+    for begin in track(range(0, rows, BLOCK), "coding Gaussians"):
+        block = slice(begin, min(begin + BLOCK, rows))
+        features = source.features(block.start, block.stop, threads=threads)
+        candidates = _candidates(source, plan, features, block, threads)
+        ids[block], weights[block], scales[block] = mixture_encode(
+            features, plan.dictionary, candidates, atoms_per_row, threads=threads
+        )
+    return Encoded(ids, weights, scales)
+
+
+def _candidates(
+    source: MixtureSource,
+    plan: _Plan,
+    features: Float32[np.ndarray, "n D"],
+    block: slice,
+    threads: int,
+) -> Candidates:
+    indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
+    atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
+    kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
+    further = np.empty((len(features), 0), np.int32)
+    if plan.scene is not None:
+        further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
+    return Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
+
+
+def _by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
+    """Atoms with a weight in any row, those used most first: scans find them close together."""
+    uses = np.bincount(encoded.ids[encoded.weights > 0])
+    order = np.argsort(-uses, kind="stable")
+    return np.asarray(order[uses[order] > 0])
+
+
+def _assemble(
+    encoded: Encoded,
+    plan: _Plan,
+    columns: Int32[np.ndarray, " c"],
+    used: Int64[np.ndarray, " u"],
+) -> MixtureCode:
+    kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
+    is_segment = kept < plan.first_scene
+    segments = np.where(is_segment, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)
+    places = np.zeros(len(plan.dictionary.scales), np.uint16)
+    places[kept] = np.arange(len(kept), dtype=np.uint16)
+    dictionary = Dictionary(plan.dictionary.values[kept], plan.dictionary.scales[kept])
+    atoms = AtomTable(dictionary, segments.astype(np.int32))
+    return MixtureCode(packed(places[encoded.ids], encoded.weights, encoded.scales), atoms)

@@ -1,0 +1,223 @@
+"""The mixture code's kernels (native): which atoms make a feature, and scans of what was chosen.
+
+Encoding is the same to the bit for any number of threads. Scans add whole numbers: their scores are
+the same to the bit for any number of threads, of queries at once, and on any instruction set.
+`threads=0` takes all cores and `isa` names an instruction set of `available_isas()`, "" the best.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
+
+from .. import _native
+from ..errors import InputError
+from .splatting import _checked_isa
+
+ROWS_OF_A_BLOCK = 64
+MOST_ATOMS = 16  # of one row
+MOST_FURTHER = 64
+ADDRESSABLE = 1 << 16  # atoms that an id can name
+T = TypeVar("T")
+
+
+class Dictionary(NamedTuple):
+    """Unit vectors as signed bytes: atom = scale * values."""
+
+    values: Int8[np.ndarray, "a D"]
+    scales: Float32[np.ndarray, " a"]
+
+
+class Encoded(NamedTuple):
+    """Rows as chosen: ids and weights of the heaviest first; scale * sum of weight * atom is a unit vector."""
+
+    ids: Int32[np.ndarray, "n k"]
+    weights: UInt8[np.ndarray, "n k"]
+    scales: Float32[np.ndarray, " n"]
+
+
+class Blocks(NamedTuple):
+    """Rows as they are scanned: within a block of 64 rows, the k-th ids of all rows lie together."""
+
+    ids: UInt16[np.ndarray, "b k r"]
+    weights: UInt8[np.ndarray, "b k r"]
+    scales: Float16[np.ndarray, " n"]
+
+
+class Candidates(NamedTuple):
+    """Atoms that a row may be made of: those of its columns, and some more.
+
+    indptr, columns: rows of CSR. further: as many for every row.
+    """
+
+    indptr: Integer[np.ndarray, " n1"]
+    columns: Int32[np.ndarray, " e"]
+    further: Int32[np.ndarray, "n f"]
+
+
+def mixture_encode(
+    features: Float32[np.ndarray, "n D"],
+    dictionary: Dictionary,
+    candidates: Candidates,
+    atoms_per_row: int,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Encoded:
+    """Up to `atoms_per_row` candidates whose mixture with positive weights comes nearest to a feature.
+
+    Greedily by orthogonal least squares, then each chosen atom once gives way to the candidate that
+    fits best without it. Rows that no candidate points the way of become zero.
+
+    Raises: InputError: shapes disagree, candidates that are no atoms, more than 16 atoms per row.
+    Source: Chen, Billings & Luo 1989 (orthogonal least squares).
+    Twin: kernels.reference_mixture.mixture_encode.
+    """
+    if not np.isfinite(features).all():
+        raise InputError("features to encode must be finite")
+    given = (
+        *_contiguous(dictionary),
+        np.ascontiguousarray(features),
+        np.ascontiguousarray(candidates.indptr, np.int64),
+        np.ascontiguousarray(candidates.columns),
+        np.ascontiguousarray(candidates.further),
+    )
+    found = _refusing(_native.mixture_encode, *given, atoms_per_row, threads, _checked_isa(isa))
+    return Encoded(*map(np.asarray, found))
+
+
+def nearest_centres(
+    points: Float32[np.ndarray, "n D"],
+    centres: Float32[np.ndarray, "c D"],
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Int32[np.ndarray, " n"]:
+    """The centre of largest inner product with each point, ties to the lowest.
+
+    Raises: InputError: no centres, or of another dimension.
+    Twin: kernels.reference_mixture.nearest_centres.
+    """
+    given = np.ascontiguousarray(points), np.ascontiguousarray(centres)
+    return np.asarray(_refusing(_native.nearest_centres, *given, threads, _checked_isa(isa)))
+
+
+def nearest_members(
+    points: Float32[np.ndarray, "n D"],
+    dictionary: Dictionary,
+    groups: Int32[np.ndarray, " n"],
+    members: Int32[np.ndarray, "g m"],
+    wanted: int,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Int32[np.ndarray, "n w"]:
+    """The `wanted` atoms with the largest inner products with each point, among the members of its group.
+
+    Raises: InputError: groups or members that are not there, or fewer members than wanted.
+    Twin: kernels.reference_mixture.nearest_members.
+    """
+    given = [np.ascontiguousarray(part) for part in (points, groups, members)]
+    arrays = (*_contiguous(dictionary), *given)
+    return np.asarray(
+        _refusing(_native.nearest_members, *arrays, wanted, threads, _checked_isa(isa))
+    )
+
+
+def mixture_scores(
+    blocks: Blocks,
+    dictionary: Dictionary,
+    queries: Float32[np.ndarray, "q D"],
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Float32[np.ndarray, "q n"]:
+    """scale_i * sum_k weight_ik * <query, atom of id_ik>, where <query, atom> is in steps of 1 / 32767.
+
+    Raises: InputError: shapes disagree, or a query that is not finite.
+    Twin: kernels.reference_mixture.mixture_scores.
+    """
+    given = _scanned(blocks, dictionary), _finite(queries)
+    return np.asarray(_refusing(_native.mixture_scores, *given, threads, _checked_isa(isa)))
+
+
+def mixture_select(
+    blocks: Blocks,
+    dictionary: Dictionary,
+    query: Float32[np.ndarray, " D"],
+    threshold: float,
+    floor: Float32[np.ndarray, " n"] | None = None,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+    """Rows with score - floor > threshold, ascending, and their scores.
+
+    Raises: InputError: shapes disagree, or a query that is not finite.
+    """
+    floors = None if floor is None else np.ascontiguousarray(floor)
+    given = _scanned(blocks, dictionary), _finite(query), threshold, floors
+    rows, scores = _refusing(_native.mixture_select, *given, threads, _checked_isa(isa))
+    return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
+
+
+def mixture_top(
+    blocks: Blocks,
+    dictionary: Dictionary,
+    query: Float32[np.ndarray, " D"],
+    count: int,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+    """The `count` rows of the best scores, best first, ties to the lower row, and their scores.
+
+    Raises: InputError: shapes disagree, a count below 1, or a query that is not finite.
+    """
+    if count < 1:
+        raise InputError(f"count: expected 1 or more, got {count}")
+    given = _scanned(blocks, dictionary), _finite(query), count
+    rows, scores = _refusing(_native.mixture_top, *given, threads, _checked_isa(isa))
+    return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
+
+
+def mixture_best(
+    blocks: Blocks,
+    dictionary: Dictionary,
+    queries: Float32[np.ndarray, "c D"],
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """Which query scores best in each row, ties to the first; its score, and the second best.
+
+    Raises: InputError: shapes disagree, no query, or one that is not finite.
+    Twin: kernels.reference_mixture.mixture_best.
+    """
+    given = _scanned(blocks, dictionary), _finite(queries)
+    index, scores, runner_up = _refusing(_native.mixture_best, *given, threads, _checked_isa(isa))
+    return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
+
+
+def _refusing(kernel: Callable[..., T], *arguments: object) -> T:
+    try:
+        return kernel(*arguments)
+    except (ValueError, TypeError) as error:
+        expected = str(error).splitlines()[0]
+        raise InputError(f"{kernel.__name__}: expected {expected}") from None
+
+
+def _contiguous(dictionary: Dictionary) -> tuple[np.ndarray, np.ndarray]:
+    return np.ascontiguousarray(dictionary.values), np.ascontiguousarray(dictionary.scales)
+
+
+def _scanned(blocks: Blocks, dictionary: Dictionary) -> tuple[np.ndarray, ...]:
+    ids, weights, scales = (np.ascontiguousarray(part) for part in blocks)
+    return ids, weights, scales.view(np.uint16), *_contiguous(dictionary)
+
+
+def _finite(queries: np.ndarray) -> np.ndarray:
+    if not np.isfinite(queries).all():
+        raise InputError("queries must be finite")
+    return np.ascontiguousarray(queries)

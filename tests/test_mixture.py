@@ -1,0 +1,290 @@
+"""The mixture code: from evidence to rows that are searched, explained and handed on."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drsplat.codes import Code, Codebook, official_bytes, train_codebook
+from drsplat.codes.mixture import (
+    MixtureCode,
+    choose_code,
+    encode_mixture,
+    encoding,
+    mixture_from_tensors,
+    quantised,
+    recoded,
+    scene_atoms,
+    train_scene_atoms,
+)
+from drsplat.encoders import EncoderIdentity
+from drsplat.errors import FormatError, InputError
+from drsplat.evidence import Evidence
+from drsplat.field import LanguageField
+from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.kernels import reference_mixture
+from fields import SCENE, TOY, random_evidence, unit_rows
+from mutations import bounded_allocations
+
+SMALL = EncoderIdentity("small", 16)
+
+
+@lru_cache
+def evidence() -> Evidence:
+    return random_evidence(np.random.default_rng(0), rows=900)
+
+
+@lru_cache
+def code() -> MixtureCode:
+    return encode_mixture(evidence(), scene_atoms=20)
+
+
+def rows_of(found: MixtureCode) -> tuple[np.ndarray, np.ndarray]:
+    ids, weights, _ = found.unpacked(slice(None))
+    return ids, weights
+
+
+def test_it_is_a_code() -> None:
+    assert isinstance(code(), Code)
+    assert code().kind == "mixture"
+    assert (len(code()), code().dim, code().atoms_per_row, code().row_bytes) == (900, 32, 4, 14)
+
+
+def test_quantised_vectors_have_unit_length_and_hardly_turn() -> None:
+    vectors = 7 * unit_rows(np.random.default_rng(1), 50, 300)
+    vectors[3] = 0
+    found = reference_mixture.atoms(quantised(vectors))
+    lengths = np.linalg.norm(found, axis=1)
+    assert_allclose(np.delete(lengths, 3), 1, atol=1e-6)
+    assert lengths[3] == 0
+    assert np.einsum("nd,nd->n", found, vectors / 7)[np.arange(50) != 3].min() > 0.9995
+    with pytest.raises(InputError, match="finite"):
+        quantised(np.full((1, 2), np.inf, np.float32))
+
+
+def test_rows_of_up_to_four_segments_are_kept() -> None:
+    lengths = np.diff(evidence().weights.indptr)
+    short = (lengths > 0) & (lengths <= 4)
+    features = evidence().features(0, 900)[short]
+    decoded = encode_mixture(evidence(), scene_atoms=0).decode(np.flatnonzero(short))
+    assert short.sum() > 500
+    assert (
+        np.einsum("nd,nd->n", features, decoded).min() > 0.998
+    )  # of eight bits per number and weight
+
+
+def test_decoded_rows_have_unit_length_or_none() -> None:
+    lengths = np.linalg.norm(code().decode(slice(None)), axis=1)
+    seen = np.diff(evidence().weights.indptr) > 0
+    assert 0 < seen.sum() < 900
+    assert_allclose(lengths[seen], 1, atol=1e-3)  # a half float's digits
+    assert not lengths[~seen].any()
+
+
+def test_scores_are_cosines_of_what_is_decoded() -> None:
+    queries = unit_rows(np.random.default_rng(2), 5, 32)
+    scores = code().scores(queries)
+    assert_allclose(scores, queries @ code().decode(slice(None)).T, atol=4e-5)
+    assert not scores[:, np.diff(evidence().weights.indptr) == 0].any()
+
+
+def test_all_ways_to_search_agree() -> None:
+    queries = unit_rows(np.random.default_rng(3), 6, 32)
+    scores = code().scores(queries)
+    hits = code().select(queries[0], 0.2)
+    assert_array_equal(hits.rows, np.flatnonzero(scores[0] > np.float32(0.2)))
+    above = code().select(queries[0], 0.1, scores[1])
+    assert_array_equal(above.rows, np.flatnonzero(scores[0] - scores[1] > np.float32(0.1)))
+    top = code().top(queries[0], 7)
+    assert_array_equal(top.rows, np.lexsort((np.arange(900), -scores[0]))[:7])
+    best = code().best(queries)
+    assert_array_equal(best.scores, scores.max(axis=0))
+    assert_array_equal(best.runner_up, np.sort(scores, axis=0)[-2])
+
+
+def test_rows_are_made_of_their_own_segments_and_of_scene_atoms() -> None:
+    ids, weights = rows_of(code())
+    segments, w = code().atoms.segments, evidence().weights
+    for i in range(900):
+        own = set(w.indices[w.indptr[i] : w.indptr[i + 1]])
+        assert set(segments[ids[i][weights[i] > 0]]) <= own | {-1}
+    assert (segments == -1).sum() <= 20
+    assert len(np.unique(segments[segments >= 0])) == (segments >= 0).sum()
+
+
+def test_atoms_that_no_row_uses_are_left_out() -> None:
+    ids, weights = rows_of(code())
+    uses = np.bincount(ids[weights > 0], minlength=len(code().atoms))
+    assert (uses > 0).all()
+    assert (np.diff(uses) <= 0).all()
+
+
+def test_scene_atoms_help() -> None:
+    rng = np.random.default_rng(4)
+    base = random_evidence(rng, rows=2000, columns=60)
+    features = base.features(0, 2000)
+    cosines = [
+        np.einsum("nd,nd->n", encode_mixture(base, 1, scene_atoms=count).decode(slice(None)), features).mean()
+        for count in (0, 300)
+    ]  # fmt: skip
+    assert cosines[1] > cosines[0] + 0.01
+
+
+def test_spherical_kmeans_finds_what_is_there() -> None:
+    rng = np.random.default_rng(5)
+    things = unit_rows(rng, 12, 24)
+    points = things[rng.integers(0, 12, 2000)] + 0.02 * rng.standard_normal((2000, 24))
+    points = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
+    atoms = train_scene_atoms(points, 80)  # drawn at random, 12 would miss some
+    assert (atoms.vectors @ things.T).max(axis=0).min() > 0.995
+    assert_allclose(np.linalg.norm(atoms.vectors, axis=1), 1, atol=1e-5)
+    nearest = np.argmax(points @ atoms.vectors.T, axis=1)
+    assert (atoms.near(points)[:, 0] == nearest).mean() > 0.9
+
+
+def test_idle_centres_move_to_where_the_fit_is_worst() -> None:
+    points = np.repeat(np.eye(3, dtype=np.float32), [8, 1, 1], axis=0)
+    centres = np.eye(3, dtype=np.float32)[[0, 0, 0]]
+    moved = scene_atoms._means(points, np.zeros(10, np.int32), centres)
+    assert_array_equal(np.sort(moved[1:].argmax(axis=1)), [1, 2])
+    with pytest.raises(InputError, match="atoms of 0 points"):
+        train_scene_atoms(points[:0], 3)
+
+
+def test_threads_change_no_bit() -> None:
+    one, three = (encode_mixture(evidence(), scene_atoms=20, threads=t) for t in (1, 3))
+    for name, array in one.tensors().items():
+        assert_array_equal(array, three.tensors()[name])
+
+
+def test_more_segments_than_ids_keep_those_used_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """65,536 is far more than a test wants; the rule is the same."""
+    full = encode_mixture(evidence(), scene_atoms=5)
+    monkeypatch.setattr(encoding, "ADDRESSABLE", 25)
+    fewer = encode_mixture(evidence(), scene_atoms=5)
+    assert len(fewer.atoms) <= 25 < len(full.atoms)
+    kept = fewer.atoms.segments[fewer.atoms.segments >= 0]
+    assert len(kept) == len(set(kept))
+    features = evidence().features(0, 900)
+    fits = [np.einsum("nd,nd->n", c.decode(slice(None)), features).mean() for c in (fewer, full)]
+    assert 0.6 < fits[0] < fits[1]
+
+
+def test_what_cannot_be_coded_is_refused() -> None:
+    nothing = evidence().rows(np.arange(0))
+    with pytest.raises(InputError, match="0 rows"):
+        encode_mixture(nothing)
+    for per_row in (0, 17):
+        with pytest.raises(InputError, match="1 to 16 atoms"):
+            encode_mixture(evidence(), per_row)
+    for atoms in (-1, 40_000):
+        with pytest.raises(InputError, match="scene atoms"):
+            encode_mixture(evidence(), scene_atoms=atoms)
+
+
+def test_rows_without_any_segment_are_zero() -> None:
+    empty = evidence().rows(np.flatnonzero(np.diff(evidence().weights.indptr) == 0))
+    found = encode_mixture(empty, scene_atoms=3)
+    assert len(found) == len(empty) > 0
+    assert not found.decode(slice(None)).any()
+    assert not found.scores(unit_rows(np.random.default_rng(6), 2, 32)).any()
+
+
+def test_the_segments_behind_a_score_are_named() -> None:
+    query = unit_rows(np.random.default_rng(7), 1, 32)[0]
+    row = int(code().top(query, 1).rows[0])
+    parts = code().parts(row, query, top=10)
+    assert parts
+    assert sum(part.share for part in parts) == pytest.approx(1)
+    assert [p.share for p in parts] == sorted((p.share for p in parts), reverse=True)
+    own = evidence().weights[[row]].indices
+    assert {part.segment for part in parts} <= {*own, -1}
+    one = encode_mixture(evidence(), 1, scene_atoms=0)
+    strongest = one.top(query, 1).rows[0]
+    assert one.parts(int(strongest), query)[0].share == 1
+    with pytest.raises(InputError, match="row 900"):
+        code().parts(900, query)
+
+
+def test_some_rows_are_a_code_of_their_own() -> None:
+    index = np.array([5, 899, 0, 5, 64])
+    part = code().rows(index)
+    assert_array_equal(part.decode(slice(None)), code().decode(index))
+    query = unit_rows(np.random.default_rng(8), 1, 32)
+    assert_array_equal(part.scores(query), code().scores(query)[:, index])
+    assert len(code().rows(slice(0, 0)).top(query[0], 3).rows) == 0
+
+
+def test_it_can_always_become_a_product_quantised_code() -> None:
+    decoded = code().decode(slice(None))
+    directed = decoded[decoded.any(axis=1)]
+    plain = train_codebook(directed, 8, encoder=TOY)
+    residual = Codebook(plain.centroids, unit_rows(np.random.default_rng(9), 6, 32), TOY)
+    for book in (plain, residual):
+        found, expected = recoded(code(), book), book.encode(decoded)
+        assert_array_equal(found.codes().codes, expected.codes)
+    assert official_bytes(recoded(code(), residual).codes()).shape == (900, 10)
+    other = train_codebook(unit_rows(np.random.default_rng(0), 9, 16), 4, encoder=SMALL)
+    with pytest.raises(InputError, match="16 numbers for features of 32"):
+        recoded(code(), other)
+
+
+def test_a_file_holds_it(tmp_path: Path) -> None:
+    write_tensors(tmp_path / "a", code().tensors())
+    tensors, _ = map_tensors(tmp_path / "a")
+    found = mixture_from_tensors(tensors, "a")
+    assert isinstance(found.blocks.ids, np.ndarray)
+    assert not found.blocks.ids.flags.writeable
+    query = unit_rows(np.random.default_rng(10), 3, 32)
+    assert_array_equal(found.scores(query), code().scores(query))
+    size = (tmp_path / "a").stat().st_size
+    assert found.nbytes + found.atoms.nbytes == code().nbytes + code().atoms.nbytes < size
+
+
+def test_missing_arrays_are_named() -> None:
+    for name in code().tensors():
+        others = {key: array for key, array in code().tensors().items() if key != name}
+        with pytest.raises(FormatError, match=name):
+            mixture_from_tensors(others, "a")
+
+
+def test_encoding_never_holds_all_features() -> None:
+    rng = np.random.default_rng(11)
+    large = random_evidence(rng, rows=60_000, columns=50, dim=512)  # 123 MB of features
+    encode_mixture(large.rows(np.arange(9000)), scene_atoms=30, threads=1)  # what stays loaded
+    with bounded_allocations(80 << 20):
+        found = encode_mixture(large, scene_atoms=30, threads=1)
+    assert len(found) == 60_000
+
+
+def test_the_smaller_code_is_chosen() -> None:
+    assert choose_code(1_000_000, 30_000, 512).name == "mixture"
+    assert choose_code(100_000, 30_000, 512).name == "pq"
+    assert choose_code(5_000, 300, 512).name == "mixture"
+    few, many = choose_code(120_000, 30_000, 512), choose_code(180_000, 30_000, 512)
+    assert (few.name, many.name) == ("pq", "mixture")
+    assert few.pq_bytes == 120_000 * 132 + 256 * 512 * 4
+    assert many.mixture_bytes == 180_000 * 14 + 34_096 * 520
+    with pytest.raises(InputError, match="rows"):
+        choose_code(-1, 3, 512)
+
+
+def test_a_field_can_hold_it(tmp_path: Path) -> None:
+    seen = np.flatnonzero(np.diff(evidence().weights.indptr) > 0)
+    kept = evidence().rows(seen)
+    mixed = encode_mixture(kept, scene_atoms=20)
+    field = LanguageField(seen.astype(np.uint32), mixed, TOY, SCENE, 900, kept)
+    queries = unit_rows(np.random.default_rng(12), 3, 32)
+    assert_array_equal(field.scores(queries), mixed.scores(queries))
+    assert_array_equal(field.best(queries).index, mixed.best(queries).index)
+    assert_array_equal(field.select(queries[0], 0.2).rows, mixed.select(queries[0], 0.2).rows)
+    relevant = field.with_negatives(queries[1:]).select_relevant(queries[0], 0.55)
+    margin = np.float32(np.log(0.55 / 0.45) / 10)
+    scores = mixed.scores(queries)
+    assert_array_equal(relevant.rows, np.flatnonzero(scores[0] - scores[1:].max(axis=0) > margin))
+    assert_array_equal(field.feature(slice(0, 9)), mixed.decode(slice(0, 9)))
+    field.save(tmp_path / "a.field")
+    tensors, _ = map_tensors(tmp_path / "a.field" / "codes.safetensors")
+    assert_array_equal(mixture_from_tensors(tensors, "a").scores(queries), scores)
