@@ -60,4 +60,4 @@ def _solid(gaussians: Gaussians, thing: Instance) -> Float64[np.ndarray, "n 3"]:
     """Centres of what can be seen of a thing."""
     ids = thing.gaussian_ids
     solid = ids[gaussians.opacities[ids] >= HAZE]
-    return gaussians.means[solid if len(solid) else ids].astype(np.float64)
+    return np.asarray(gaussians.means[solid if len(solid) else ids], np.float64)

@@ -9,10 +9,14 @@ from ..adapters.loading import load_encoder
 from ..asking import AskableScene, find_scene, open_scene
 from ..asking.opening import FIELD_SUFFIX
 from ..encoders import Encoder
-from ..errors import InputError
+from ..errors import DrSplatError, InputError
 from ..formats.field_folder import read_manifest
 
 LISTED = 20
+
+
+class SceneFaultError(DrSplatError):
+    """A scene is there, but its files cannot be opened."""
 
 
 class UnknownSceneError(InputError):
@@ -76,7 +80,7 @@ class Catalog:
     def scene(self, name: str) -> AskableScene:
         """Open, or the one that is open.
 
-        Raises: UnknownSceneError. InputError, FormatError, MismatchError: its files do not do.
+        Raises: UnknownSceneError. SceneFaultError: its files cannot be opened.
         """
         folders = self.folders()
         if name not in folders:
@@ -87,7 +91,11 @@ class Catalog:
                 self._open.move_to_end(name)
                 return self._open[name]
         with self._loading:
-            return self._opened(name, folders[name])
+            try:
+                return self._opened(name, folders[name])
+            except (DrSplatError, OSError) as error:
+                reason = without_paths(str(error), self.folder)
+                raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
 
     def only(self) -> str | None:
         """The name of the only scene, None if there are more or none."""
@@ -130,16 +138,19 @@ def _has_field(folder: Path) -> bool:
 
 
 def _summary(name: str, folder: Path) -> Summary:
-    from ..errors import DrSplatError
-
     try:
         manifest = read_manifest(find_scene(folder).field)
     except DrSplatError as error:
         return Summary(name, fault=without_paths(str(error), folder))
     encoder = manifest.get("encoder")
     known = encoder.get("name") if isinstance(encoder, dict) else ""
-    counts = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
-    return Summary(name, *(one if type(one) is int else 0 for one in counts), str(known))
+    every, registered = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
+    return Summary(
+        name,
+        every if isinstance(every, int) else 0,
+        registered if isinstance(registered, int) else 0,
+        str(known),
+    )
 
 
 def without_paths(message: str, folder: Path) -> str:

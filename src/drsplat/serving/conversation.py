@@ -18,6 +18,7 @@ from .models import (
     Thing,
     Things,
     Vector,
+    Word,
     measured,
     summarized,
     things_of,
@@ -56,11 +57,6 @@ class Distance(Answer):
     second_center: Vector
     units: str = UNITS
     advice: str = ""
-
-
-class Word(Answer):
-    name: str
-    score: float = Field(description="cosine; only the order means something across encoders")
 
 
 class Here(Answer):
@@ -139,7 +135,7 @@ class Conversation:
         opened = self._scene(scene)
         found = opened.find(Question(text=_text(text)))
         if not found:
-            return Place(query=text, found=False, advice=_absent(text))
+            return Place(query=text, found=False, others=0, best_view=None, advice=_absent(text))
         thing = found[0].thing
         view = opened.best_view(thing.gaussian_ids).name if opened.views else None
         return Place(

@@ -3,7 +3,7 @@
 Coordinates are world coordinates of the scene, in scene units: metres only where the capture was scaled so.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,6 +29,72 @@ class SceneSummary(Answer):
     fault: str = Field("", description="why it cannot be opened; empty if it can")
 
 
+class Word(Answer):
+    name: str
+    score: float = Field(description="cosine; only the order means something across encoders")
+
+
+class Named(Answer):
+    names: list[Word] = Field(description="best first")
+
+
+class Problem(Answer):
+    """Why there is no answer."""
+
+    error: str = Field(description="what was given, what is expected, what to do")
+    kind: str
+
+
+class Health(Answer):
+    status: str
+    num_scenes: int
+
+
+class SceneDetails(SceneSummary):
+    views: list[str] = Field(description="names of the photos")
+    low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
+    high: Vector
+    up: Vector | None = Field(None, description="unit direction, told by the photos")
+    units: str = UNITS
+
+
+class Measured(Answer):
+    """How a query was scored and cut."""
+
+    measure: str = Field(description="cosine or relevancy")
+    threshold: float
+    threshold_rule: str
+    num_selected: int
+    num_registered: int
+
+
+class Selected(Answer):
+    """What a query selects."""
+
+    measured: Measured
+    score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
+    gaussian_ids: list[int] | None = Field(
+        None, description="rows of the scene, ascending; only where asked for"
+    )
+
+
+class ClassCount(Answer):
+    name: str
+    num_gaussians: int
+    share: float = Field(description="of the registered Gaussians")
+    threshold: float
+
+
+class Segmented(Answer):
+    measure: str
+    num_registered: int
+    num_labelled: int
+    classes: list[ClassCount]
+    labels: list[int] | None = Field(
+        None, description="per Gaussian of the scene the number of its class, -1 for none"
+    )
+
+
 class SceneList(Answer):
     scenes: list[SceneSummary]
     advice: str = ""
@@ -51,16 +117,6 @@ class Thing(Answer):
     score: float
     num_gaussians: int
     support: list[Support]
-
-
-class Measured(Answer):
-    """How a query was scored and cut."""
-
-    measure: str = Field(description="cosine or relevancy")
-    threshold: float
-    threshold_rule: str
-    num_selected: int
-    num_registered: int
 
 
 class Things(Answer):
@@ -103,5 +159,5 @@ def things_of(found: Sequence[Found]) -> list[Thing]:
     ]
 
 
-def _rounded(values: Sequence[float]) -> list[float]:
+def _rounded(values: Iterable[float]) -> list[float]:
     return [round(float(value), 4) for value in values]
