@@ -29,7 +29,9 @@ from drsplat.demo import story as household
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[serve] is not installed")
 pytest.importorskip("prometheus_client", reason="the extra drsplat[serve] is not installed")
-httpx = pytest.importorskip("httpx", reason="httpx, the tests' client, is not installed")
+pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not installed")
+
+import httpx
 
 from drsplat.serving.app import Settings, create_app
 from drsplat.serving.catalog import Catalog, UnknownSceneError
