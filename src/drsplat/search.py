@@ -191,7 +191,7 @@ def feature_at(
     Source: Dr. Splat Sec. F "Broader application".
     """
     found = gaussian_at(field, gaussians, view, xy, threads=threads)
-    row = int(np.searchsorted(field.gaussian_ids, found))
+    row = int(np.searchsorted(field.gaussian_ids, np.uint32(found)))
     feature: np.ndarray = field.feature(np.array([row]))[0]
     return feature
 

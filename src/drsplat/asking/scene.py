@@ -234,8 +234,9 @@ class AskableScene:
 
     def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
         rows = self.field.gaussian_ids
-        row = int(np.searchsorted(rows, gaussian_id))
-        if gaussian_id < 0 or row == len(rows) or rows[row] != gaussian_id:
+        known = 0 <= gaussian_id < self.field.num_gaussians
+        row = int(np.searchsorted(rows, np.uint32(gaussian_id))) if known else len(rows)
+        if row == len(rows) or rows[row] != gaussian_id:
             raise InputError(
                 f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it"
             )
