@@ -19,7 +19,7 @@ from .errors import DrSplatError, DrSplatWarning
 # in the order of the pipeline
 VERBS = (
     "train", "inspect", "embed", "codebook", "register", "select", "locate", "segment", "render", "view",
-    "evaluate", "demo", "doctor",
+    "evaluate", "demo", "serve", "mcp", "doctor",
 )  # fmt: skip
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -24,6 +24,7 @@ __all__ = [
     "feature_at",
     "fits_all",
     "fits_but_not",
+    "gaussian_at",
     "null_rises",
     "query",
     "relevancy_from_scores",
@@ -189,7 +190,27 @@ def feature_at(
     one where no Gaussian has a feature.
     Source: Dr. Splat Sec. F "Broader application".
     """
+    found = gaussian_at(field, gaussians, view, xy, threads=threads)
+    row = int(np.searchsorted(field.gaussian_ids, np.uint32(found)))
+    feature: np.ndarray = field.feature(np.array([row]))[0]
+    return feature
+
+
+def gaussian_at(
+    field: LanguageField,
+    gaussians: Gaussians,
+    view: View,
+    xy: tuple[float, float],
+    *,
+    threads: int = 0,
+) -> int:
+    """Row of the Gaussian with the largest blending weight at a pixel among those that have a feature.
+
+    Arguments and Raises: as `feature_at`.
+    """
     field.check_scene(gaussians)
+    if not np.isfinite(xy).all():
+        raise InputError(f"expected a pixel of two finite numbers, got {xy}")
     column, row = (int(np.floor(at)) for at in xy)
     if not (0 <= column < view.width and 0 <= row < view.height):
         raise InputError(
@@ -204,9 +225,7 @@ def feature_at(
         raise InputError(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"
         )
-    best = rows[known][seen.weights[known].argmax()]
-    feature: np.ndarray = field.feature(np.array([best]))[0]
-    return feature
+    return int(seen.gaussian_ids[known][seen.weights[known].argmax()])
 
 
 def query(

@@ -27,15 +27,17 @@ def nearest_gaussian(
     if not len(candidates):
         raise InputError("no Gaussian of this scene has a feature")
     means = gaussians.means[candidates].astype(np.float64)
-    distances = np.linalg.norm(means - at, axis=1)
-    near = np.argsort(distances, kind="stable")[:NEAREST]
+    squares = np.einsum("ni,ni->n", means - at, means - at)
+    near = np.argpartition(squares, min(NEAREST, len(squares)) - 1)[:NEAREST]
+    near = near[np.argsort(squares[near], kind="stable")]
+    distance = float(np.sqrt(squares[near[0]]))
     ids = np.asarray(candidates)[near].astype(np.int64)
     deviations = _deviations(gaussians, ids, at)
-    if deviations.min() > FAR and distances[near[0]] > SLACK * _size(means):
+    if deviations.min() > FAR and distance > SLACK * _size(means):
         x, y, z = means[near[0]]
         raise InputError(
             f"nothing with a feature is at {at[0]:g}, {at[1]:g}, {at[2]:g}: the nearest Gaussian is "
-            f"{distances[near[0]]:.3g} away, at {x:.3f}, {y:.3f}, {z:.3f}"
+            f"{distance:.3g} away, at {x:.3f}, {y:.3f}, {z:.3f}"
         )
     density = gaussians.opacities[ids] * np.exp(-0.5 * np.minimum(deviations, 30.0) ** 2)
     return int(ids[density.argmax()] if deviations.min() <= FAR else ids[0])

@@ -1,7 +1,7 @@
 """One opened scene, and everything that can be asked of it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -23,13 +23,14 @@ from ..pictures import (
     visible_share,
 )
 from ..rendering import render
-from ..search import feature_at
+from ..search import feature_at, gaussian_at
 from ..support import supporting_masks
 from ..tasks import Instance, locate, segment
 from ..views import View
 from .answering import Asked, Asking, Background
 from .defaults import MIN_GAUSSIANS
 from .naming import best_names
+from .places import nearest_gaussian
 from .questions import Question
 from .views import view_named
 
@@ -180,9 +181,16 @@ class AskableScene:
         Raises: InputError: a point that is not finite, or further than 3 standard deviations and a hundredth
         of the scene's size from all of them.
         """
-        from .places import nearest_gaussian
-
         return nearest_gaussian(self.gaussians, self.field.gaussian_ids, point)
+
+    def point_at(self, click: tuple[str, float, float]) -> Float32[np.ndarray, " 3"]:
+        """Centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
+
+        Raises: InputError: no such view or pixel, or nothing with a feature there.
+        """
+        view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
+        found = gaussian_at(self.field, self.gaussians, view, xy, threads=self.threads)
+        return np.asarray(self.gaussians.means[found])
 
     def picture(
         self,
@@ -226,8 +234,9 @@ class AskableScene:
 
     def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
         rows = self.field.gaussian_ids
-        row = int(np.searchsorted(rows, gaussian_id))
-        if gaussian_id < 0 or row == len(rows) or rows[row] != gaussian_id:
+        known = 0 <= gaussian_id < self.field.num_gaussians
+        row = int(np.searchsorted(rows, np.uint32(gaussian_id))) if known else len(rows)
+        if row == len(rows) or rows[row] != gaussian_id:
             raise InputError(
                 f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it"
             )
@@ -246,4 +255,4 @@ def _limited(view: View, max_side: int | None) -> View:
         return view
     scale = max_side / longest
     size = (max(1, round(side * scale)) for side in (view.width, view.height))
-    return replace(view.resized(*size))
+    return view.resized(*size)

@@ -1,0 +1,69 @@
+"""What lies in a part of a scene."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import InputError
+from .defaults import MIN_GAUSSIANS
+from .naming import own_vocabulary
+from .scene import AskableScene
+
+
+class InRegion(NamedTuple):
+    """What a share of a region's Gaussians is called. center: their median, in world coordinates.
+
+    score: mean cosine.
+    """
+
+    name: str
+    num_gaussians: int
+    share: float
+    score: float
+    center: Float64[np.ndarray, " 3"]
+
+
+def region(
+    scene: AskableScene,
+    center: tuple[float, float, float],
+    radius: float,
+    vocabulary: Sequence[str] | None = None,
+) -> list[InRegion]:
+    """What the Gaussians within `radius` (scene units) of a point are called, most frequent first.
+
+    Each has the name of the highest cosine. A name has to have 40 Gaussians there, and to exceed the
+    threshold of an encoder that has one. vocabulary: as for `what_is`.
+
+    Raises: InputError: a radius that is not positive, nothing with a feature there, no list of words.
+    """
+    at = np.asarray(center, np.float64)
+    if not (np.isfinite(at).all() and np.isfinite(radius) and radius > 0):
+        raise InputError(f"expected a point and a positive radius, got {center}, {radius}")
+    field, encoder = scene.field, scene.encoder
+    names = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
+    if not names:
+        raise InputError(f"'{encoder.identity.name}' takes any words: say which to choose from")
+    means = scene.gaussians.means[field.gaussian_ids].astype(np.float64)
+    inside = np.flatnonzero(((means - at) ** 2).sum(1) <= radius**2)
+    if not len(inside):
+        raise InputError(
+            f"no Gaussian with a feature is within {radius:g} of {at[0]:g}, {at[1]:g}, {at[2]:g}"
+        )
+    field.check_encoder(encoder.identity)
+    features = field.feature(inside)
+    scores = features @ np.asarray(encoder.encode_texts(names), np.float32).T
+    best, own = scores.argmax(1), scores.max(1)
+    clear = own > getattr(encoder, "threshold", -1.0)
+    found = [
+        _named(names[k], (best == k) & clear, own, means[inside]) for k in np.unique(best[clear])
+    ]
+    kept = [one for one in found if one.num_gaussians >= MIN_GAUSSIANS]
+    return sorted(kept, key=lambda one: -one.num_gaussians)
+
+
+def _named(name: str, mine: np.ndarray, scores: np.ndarray, means: np.ndarray) -> InRegion:
+    count = int(mine.sum())
+    center = np.median(means[mine], axis=0)
+    return InRegion(name, count, count / len(mine), float(scores[mine].mean()), center)

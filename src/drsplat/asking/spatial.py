@@ -1,0 +1,63 @@
+"""How things lie to each other."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial import cKDTree
+
+from ..errors import InputError
+from ..gaussians import Gaussians
+from ..tasks import HAZE, Instance
+from ..views import View
+
+ABOVE = 0.5  # of its extent: how far a thing's lower side may hang above what it stands on
+REACH = 0.05  # of its size: how far a thing may stand out of what it stands on
+
+
+def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
+    """The unit direction that is up in most photos: people hold cameras upright.
+
+    Raises: InputError: no views, or they look up and down alike.
+    """
+    if not views:
+        raise InputError("which way is up is told by the photos, and this scene has none")
+    total = -np.sum([view.cam_from_world[1, :3] for view in views], axis=0)
+    length = float(np.linalg.norm(total))
+    if length < 0.1 * len(views):
+        raise InputError("the photos of this scene do not agree on which way is up")
+    return np.asarray(total / length)
+
+
+def gap(gaussians: Gaussians, one: Instance, other: Instance) -> float:
+    """Distance between the nearest solid Gaussians of two things, centre to centre, in scene units."""
+    first, second = _solid(gaussians, one), _solid(gaussians, other)
+    small, large = (first, second) if len(first) < len(second) else (second, first)
+    return float(cKDTree(large).query(small)[0].min())
+
+
+def stands_on(
+    gaussians: Gaussians, thing: Instance, support: Instance, up: Float64[np.ndarray, " 3"]
+) -> bool:
+    """Whether a thing's middle is over the support, and its lower side at the upper half of the support or
+    not far above.
+
+    Over is meant as seen from above: within a twentieth of the support's size of one of its Gaussians.
+    """
+    below, above = _solid(gaussians, support), _solid(gaussians, thing)
+    heights, own = below @ up, above @ up
+    low, top = np.quantile(heights, (0.02, 0.98))
+    foot, head = np.quantile(own, (0.02, 0.98))
+    if foot < (low + top) / 2 or foot - top > ABOVE * max(head - foot, 1e-9):
+        return False
+    flat = np.eye(3) - np.outer(up, up)
+    size = float(np.linalg.norm(np.ptp(below @ flat, axis=0)))
+    distance = cKDTree(below @ flat).query(above.mean(0) @ flat)[0]
+    return bool(distance <= REACH * size)
+
+
+def _solid(gaussians: Gaussians, thing: Instance) -> Float64[np.ndarray, "n 3"]:
+    """Centres of what can be seen of a thing."""
+    ids = thing.gaussian_ids
+    solid = ids[gaussians.opacities[ids] >= HAZE]
+    return np.asarray(gaussians.means[solid if len(solid) else ids], np.float64)

@@ -1,0 +1,275 @@
+"""What a language model can ask: each method is a tool, with short answers that it can reason on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from ..asking import AskableScene, Question
+from ..asking.regions import region
+from ..asking.spatial import gap, stands_on, upward
+from ..errors import InputError
+from ..tasks import Instance
+from .catalog import Catalog
+from .models import (
+    UNITS,
+    Answer,
+    SceneList,
+    Thing,
+    Things,
+    Vector,
+    Word,
+    measured,
+    summarized,
+    things_of,
+)
+from .pictures import png
+
+MOST_THINGS, MOST_TEXT, PICTURE_SIDE = 20, 200, 768
+
+
+class Count(Answer):
+    query: str
+    count: int
+    of: int = Field(description="how many there are in the whole scene")
+    centers: list[Vector] = Field(description="of the things counted, best score first")
+    units: str = UNITS
+    advice: str = ""
+
+
+class Place(Answer):
+    query: str
+    found: bool
+    best: Thing | None = None
+    others: int = Field(0, description="further things that fit less well")
+    best_view: str | None = Field(None, description="the photo that shows most of it")
+    units: str = UNITS
+    advice: str = ""
+
+
+class Distance(Answer):
+    first: str
+    second: str
+    center_distance: float = Field(description="between the centres of the two")
+    gap: float = Field(description="between their nearest parts")
+    offset: Vector = Field(description="from the centre of the first to that of the second")
+    first_center: Vector
+    second_center: Vector
+    units: str = UNITS
+    advice: str = ""
+
+
+class Here(Answer):
+    point: Vector = Field(description="centre of the Gaussian that was found there")
+    names: list[Word] = Field(description="best first")
+    units: str = UNITS
+    advice: str = ""
+
+
+class Part(Answer):
+    name: str
+    share: float = Field(description="of the registered Gaussians in the region")
+    num_gaussians: int
+    center: Vector
+
+
+class Region(Answer):
+    center: Vector
+    radius: float
+    things: list[Part]
+    units: str = UNITS
+    advice: str = ""
+
+
+class Shown(Answer):
+    view: str
+    query: str | None
+    num_found: int
+    width: int
+    height: int
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Conversation:
+    """The questions, over the scenes of a catalog. All raise DrSplatError with what to do next."""
+
+    catalog: Catalog
+
+    def list_scenes(self) -> SceneList:
+        scenes = [summarized(one) for one in self.catalog.summaries()]
+        advice = "" if scenes else "there is no scene: ask the user to add a folder with a field"
+        return SceneList(scenes=scenes, advice=advice)
+
+    def find(self, text: str, scene: str, limit: int) -> Things:
+        opened = self._scene(scene)
+        asked = opened.ask(Question(text=_text(text)))
+        if not 1 <= limit <= MOST_THINGS:
+            raise InputError(f"limit: expected 1 to {MOST_THINGS}, got {limit}")
+        found = opened.find(asked)
+        return Things(
+            query=text,
+            num_found=len(found),
+            things=things_of(found[:limit]),
+            advice="" if found else _absent(text),
+            measured=measured(asked),
+        )
+
+    def count(self, text: str, on: str | None, scene: str) -> Count:
+        opened = self._scene(scene)
+        every = self._things(opened, text)
+        counted = self._on(opened, every, on) if on else every
+        advice = "" if every else _absent(text)
+        if on and every and not counted:
+            advice = f"{len(every)} in the scene, but none on the {on}: where_is says where"
+        centers = [_vector(thing.center) for thing in counted[:MOST_THINGS]]
+        return Count(
+            query=text if not on else f"{text} on {on}",
+            count=len(counted),
+            of=len(every),
+            centers=centers,
+            advice=advice,
+        )
+
+    def where_is(self, text: str, scene: str) -> Place:
+        opened = self._scene(scene)
+        found = opened.find(Question(text=_text(text)))
+        if not found:
+            return Place(query=text, found=False, others=0, best_view=None, advice=_absent(text))
+        thing = found[0].thing
+        view = opened.best_view(thing.gaussian_ids).name if opened.views else None
+        return Place(
+            query=text,
+            found=True,
+            best=things_of(found[:1])[0],
+            others=len(found) - 1,
+            best_view=view,
+        )
+
+    def how_far_apart(self, first: str, second: str, scene: str) -> Distance:
+        opened = self._scene(scene)
+        one, other = (self._best(opened, text) for text in (first, second))
+        if np.intersect1d(one.gaussian_ids, other.gaussian_ids).size:
+            raise InputError(
+                f"'{first}' and '{second}' mean the same thing here: describe each more exactly, e.g. by colour"
+            )
+        offset = other.center - one.center
+        return Distance(
+            first=first,
+            second=second,
+            center_distance=round(float(np.linalg.norm(offset)), 4),
+            gap=round(gap(opened.gaussians, one, other), 4),
+            offset=_vector(offset),
+            first_center=_vector(one.center),
+            second_center=_vector(other.center),
+        )
+
+    def what_is_at(
+        self, place: tuple[float, float, float] | tuple[str, float, float], scene: str,
+        names: list[str] | None,
+    ) -> Here:  # fmt: skip
+        opened = self._scene(scene)
+        words = opened.what_is(place, _names(names), top=5)
+        point = _point(opened, place)
+        return Here(
+            point=_vector(point),
+            names=[Word(name=word.text, score=round(word.score, 4)) for word in words],
+        )
+
+    def describe_region(
+        self, center: list[float], radius: float, scene: str, names: list[str] | None
+    ) -> Region:
+        opened = self._scene(scene)
+        if len(center) != 3:
+            raise InputError(f"center: expected [x, y, z], got {len(center)} numbers")
+        parts = region(opened, (center[0], center[1], center[2]), radius, _names(names))
+        things = [
+            Part(
+                name=one.name,
+                share=round(one.share, 4),
+                num_gaussians=one.num_gaussians,
+                center=_vector(one.center),
+            )
+            for one in parts[:MOST_THINGS]
+        ]
+        advice = (
+            ""
+            if things
+            else "nothing there is called by these words: give names, or a larger radius"
+        )
+        return Region(center=center, radius=radius, things=things, advice=advice)
+
+    def show(self, text: str | None, view: str | None, scene: str) -> tuple[Shown, bytes]:
+        opened = self._scene(scene)
+        ids, advice, count = None, "", 0
+        if text:
+            things = self._things(opened, text)
+            count = len(things)
+            ids = np.concatenate([t.gaussian_ids for t in things] or [np.empty(0, np.int64)])
+            advice = "" if things else _absent(text)
+        chosen = opened.view(view) if view else opened.best_view(ids if count else None)
+        pixels = opened.picture(chosen, ids, max_side=PICTURE_SIDE)
+        height, width = pixels.shape[:2]
+        shown = Shown(
+            view=chosen.name, query=text, num_found=count, width=width, height=height, advice=advice
+        )
+        return shown, png(pixels)
+
+    def _scene(self, name: str) -> AskableScene:
+        chosen = name or self.catalog.only()
+        if not chosen:
+            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_THINGS])) or "none"
+            raise InputError(f"say which scene; there are: {known}")
+        return self.catalog.scene(chosen)
+
+    def _things(self, scene: AskableScene, text: str) -> list[Instance]:
+        return [one.thing for one in scene.find(Question(text=_text(text)))]
+
+    def _best(self, scene: AskableScene, text: str) -> Instance:
+        things = self._things(scene, text)
+        if not things:
+            raise InputError(_absent(text))
+        return things[0]
+
+    def _on(self, scene: AskableScene, things: list[Instance], on: str) -> list[Instance]:
+        """Those that stand on the largest thing of that name, itself left out."""
+        supports = self._things(scene, on)
+        if not supports:
+            raise InputError(_absent(on))
+        support, up = max(supports, key=len), upward(scene.views)
+        return [thing for thing in things if stands_on(scene.gaussians, thing, support, up)]
+
+
+def _text(text: str) -> str:
+    if not text.strip() or len(text) > MOST_TEXT:
+        raise InputError(
+            f"text: expected a few words that name a thing, at most {MOST_TEXT} characters; got {len(text)}"
+        )
+    return text
+
+
+def _names(names: list[str] | None) -> list[str] | None:
+    if names is not None and (
+        not 1 <= len(names) <= 100 or any(len(one) > MOST_TEXT for one in names)
+    ):
+        raise InputError(f"names: expected 1 to 100 texts of at most {MOST_TEXT} characters")
+    return names
+
+
+def _absent(text: str) -> str:
+    return (
+        f"nothing found for '{text[:60]}': try a more general word or a synonym, add the colour, or see what is there "
+        "with describe_region"
+    )
+
+
+def _vector(values: np.ndarray) -> list[float]:
+    return [round(float(value), 4) for value in values]
+
+
+def _point(
+    scene: AskableScene, place: tuple[float, float, float] | tuple[str, float, float]
+) -> np.ndarray:
+    if isinstance(place[0], str):
+        return scene.point_at((place[0], place[1], place[2]))
+    return np.asarray(scene.gaussians.means[scene.nearest((place[0], place[1], place[2]))])

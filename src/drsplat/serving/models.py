@@ -1,0 +1,163 @@
+"""What answers look like as JSON, for programs and for language models alike.
+
+Coordinates are world coordinates of the scene, in scene units: metres only where the capture was scaled so.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..asking import Asked, Found
+from .catalog import Summary
+
+UNITS = "scene units"
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class Answer(BaseModel):
+    """A JSON object of an answer."""
+
+    model_config = ConfigDict(ser_json_inf_nan="null")
+
+
+class SceneSummary(Answer):
+    name: str = Field(description="what to pass as scene")
+    num_gaussians: int = Field(description="Gaussians of the scene")
+    num_registered: int = Field(description="those that have a language feature")
+    encoder: str = Field(description="the model whose words the scene understands")
+    fault: str = Field("", description="why it cannot be opened; empty if it can")
+
+
+class Word(Answer):
+    name: str
+    score: float = Field(description="cosine; only the order means something across encoders")
+
+
+class Named(Answer):
+    names: list[Word] = Field(description="best first")
+
+
+class Problem(Answer):
+    """Why there is no answer."""
+
+    error: str = Field(description="what was given, what is expected, what to do")
+    kind: str
+
+
+class Health(Answer):
+    status: str
+    num_scenes: int
+
+
+class SceneDetails(SceneSummary):
+    views: list[str] = Field(description="names of the photos")
+    low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
+    high: Vector
+    up: Vector | None = Field(None, description="unit direction, told by the photos")
+    units: str = UNITS
+
+
+class Measured(Answer):
+    """How a query was scored and cut."""
+
+    measure: str = Field(description="cosine or relevancy")
+    threshold: float
+    threshold_rule: str
+    num_selected: int
+    num_registered: int
+
+
+class Selected(Answer):
+    """What a query selects."""
+
+    measured: Measured
+    score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
+    gaussian_ids: list[int] | None = Field(
+        None, description="rows of the scene, ascending; only where asked for"
+    )
+
+
+class ClassCount(Answer):
+    name: str
+    num_gaussians: int
+    share: float = Field(description="of the registered Gaussians")
+    threshold: float
+
+
+class Segmented(Answer):
+    measure: str
+    num_registered: int
+    num_labelled: int
+    classes: list[ClassCount]
+    labels: list[int] | None = Field(
+        None, description="per Gaussian of the scene the number of its class, -1 for none"
+    )
+
+
+class SceneList(Answer):
+    scenes: list[SceneSummary]
+    advice: str = ""
+
+
+class Support(Answer):
+    """A photo that speaks for an answer."""
+
+    view: str
+    segment: int = Field(description="number of the mask in the photo")
+    share: float = Field(description="its part of all that spoke for it")
+
+
+class Thing(Answer):
+    """A found thing with its oriented box."""
+
+    center: Vector
+    extent: Vector = Field(description="full lengths of the box along its axes, longest first")
+    axes: list[Vector] = Field(description="unit directions of the box, one per row")
+    score: float
+    num_gaussians: int
+    support: list[Support]
+
+
+class Things(Answer):
+    query: str
+    num_found: int
+    things: list[Thing]
+    units: str = UNITS
+    advice: str = ""
+    measured: Measured | None = None
+
+
+def summarized(summary: Summary) -> SceneSummary:
+    return SceneSummary(**vars(summary))
+
+
+def measured(asked: Asked) -> Measured:
+    return Measured(
+        measure=asked.measure,
+        threshold=asked.threshold,
+        threshold_rule=asked.rule,
+        num_selected=len(asked.gaussian_ids),
+        num_registered=len(asked.field),
+    )
+
+
+def things_of(found: Sequence[Found]) -> list[Thing]:
+    return [
+        Thing(
+            center=_rounded(one.thing.center),
+            extent=_rounded(one.thing.extent),
+            axes=[_rounded(axis) for axis in one.thing.axes],
+            score=round(one.thing.score, 4),
+            num_gaussians=len(one.thing),
+            support=[
+                Support(view=s.view_name, segment=s.segment_id, share=round(s.share, 4))
+                for s in one.support
+            ],
+        )
+        for one in found
+    ]
+
+
+def _rounded(values: Iterable[float]) -> list[float]:
+    return [round(float(value), 4) for value in values]

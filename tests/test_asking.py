@@ -1,0 +1,229 @@
+"""The layer that the commands, the viewer, the service and language models share."""
+
+import json
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from world.furnished.story import Story
+
+from drsplat import MiniEncoder, WordEncoder, select, write_gaussians
+from drsplat.asking import AskableScene, Question, find_scene, open_scene
+from drsplat.asking.places import nearest_gaussian
+from drsplat.asking.regions import region
+from drsplat.asking.spatial import gap, stands_on, upward
+from drsplat.demo import story as household
+from drsplat.errors import InputError, MismatchError
+from drsplat.search import feature_at
+
+
+@pytest.fixture(scope="module")
+def room(household_story: household.Story, household_folder: Path) -> AskableScene:
+    return open_scene(household_folder, threads=1)
+
+
+@pytest.fixture(scope="module")
+def centers(household_folder: Path, room: AskableScene) -> dict[str, tuple[float, float, float]]:
+    known = json.loads((household_folder / "truth.json").read_text(encoding="utf-8"))
+    return {thing["category"]: tuple(thing["center"]) for thing in known["objects"]}
+
+
+def vector(text: str) -> np.ndarray:
+    return np.asarray(MiniEncoder().encode_texts([text])[0], np.float32)
+
+
+def test_a_question_in_words_and_its_vector_have_the_same_scores(room: AskableScene) -> None:
+    words = room.ask(Question(text="red vase"))
+    same = room.ask(Question(vector=vector("red vase") * 4, threshold=words.threshold))
+    np.testing.assert_array_equal(words.values, same.values)
+    np.testing.assert_array_equal(words.gaussian_ids, same.gaussian_ids)
+    assert (words.rule, same.rule) == ("encoder", "given")
+    np.testing.assert_array_equal(
+        words.gaussian_ids, select(room.field, words.values, words.threshold)
+    )
+
+
+def test_a_point_a_gaussian_and_a_click_mean_the_thing_that_is_there(
+    room: AskableScene, centers: dict[str, tuple[float, float, float]]
+) -> None:
+    vase = room.find(Question(text="red vase"))[0]
+    there = room.find(Question(point=centers["red vase"]))[0]
+    overlap = np.intersect1d(vase.thing.gaussian_ids, there.thing.gaussian_ids)
+    assert len(overlap) > 0.7 * len(vase.thing)
+    view = room.best_view(vase.thing.gaussian_ids)
+    seen = view.K @ (view.cam_from_world @ np.append(vase.thing.center, 1))[:3]
+    click = (view.name, float(seen[0] / seen[2]), float(seen[1] / seen[2]))
+    np.testing.assert_array_equal(
+        room.feature_of(click), feature_at(room.field, room.gaussians, view, click[1:])
+    )
+    nearest = room.nearest(centers["red vase"])
+    for place in (centers["red vase"], click, nearest):
+        assert room.what_is(place)[0].text == "red vase"
+        assert [one.text for one in room.what_is(place, ["mug", "vase"])] == ["vase", "mug"]
+    assert np.linalg.norm(room.point_at(click) - vase.thing.center) < 0.15
+
+
+def test_an_image_is_asked_like_its_vector(room: AskableScene) -> None:
+    picture = np.zeros((40, 40, 3), np.uint8)
+    picture[5:35, 5:35] = (200, 30, 30)
+    asked = room.ask(Question(image=picture))
+    assert asked.measure == "cosine"
+    np.testing.assert_allclose(asked.query, MiniEncoder().encode_images([picture])[0], atol=1e-6)
+
+
+def test_evidence_names_photos_of_the_scene(room: AskableScene) -> None:
+    names = {view.name for view in room.views}
+    for found in room.find(Question(text="toys")):
+        assert 0 < len(found.support) <= 3
+        assert {one.view_name for one in found.support} <= names
+    assert room.find(Question(text="laptop")) == []
+    assert len(room.find(Question(text="toys"), top=1)) == 1
+
+
+def test_classes_are_those_that_are_there(room: AskableScene) -> None:
+    found = room.classes(["red vase", "laptop", "orange sofa"])
+    counts = np.bincount(found.labels[found.labels >= 0], minlength=3)
+    assert counts[1] == 0
+    assert min(counts[0], counts[2]) > 500
+    assert found.labels.shape == (len(room.gaussians),)
+    for bad in ([], ["mug", "mug"]):
+        with pytest.raises(InputError, match="different classes"):
+            room.classes(bad)
+
+
+def test_a_region_is_what_lies_in_it(
+    room: AskableScene, centers: dict[str, tuple[float, float, float]]
+) -> None:
+    found = region(room, centers["red vase"], 0.2)
+    assert found[0].name == "red vase"
+    assert sum(one.share for one in found) <= 1 + 1e-9
+    assert [one.num_gaussians for one in found] == sorted(
+        (one.num_gaussians for one in found), reverse=True
+    )
+    larger = {one.name for one in region(room, centers["red vase"], 0.6)}
+    assert {"table", "red vase"} <= larger
+    with pytest.raises(InputError, match="positive radius"):
+        region(room, centers["red vase"], 0.0)
+    with pytest.raises(InputError, match="no Gaussian with a feature"):
+        region(room, (90.0, 0.0, 0.0), 1.0)
+
+
+def test_how_things_lie(room: AskableScene) -> None:
+    """Truth: the demo's z is up, the duck is on the table, the stacking toy is not, nor is the table on the duck."""
+    up = upward(room.views)
+    assert up[2] > 0.99
+    duck, stack, table = (
+        room.find(Question(text=text))[0].thing for text in ("toy duck", "stacking toy", "table")
+    )
+    assert stands_on(room.gaussians, duck, table, up)
+    assert not stands_on(room.gaussians, stack, table, up)
+    assert not stands_on(room.gaussians, table, duck, up)
+    apart = float(np.linalg.norm(duck.center - stack.center))
+    assert 0 < gap(room.gaussians, duck, stack) < apart
+    assert gap(room.gaussians, duck, stack) == gap(room.gaussians, stack, duck)
+    assert gap(room.gaussians, duck, duck) == 0
+    with pytest.raises(InputError, match="has none"):
+        upward([])
+
+
+def test_nearest_is_among_the_candidates(room: AskableScene) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        some = np.sort(rng.choice(len(room.gaussians), 500, replace=False))
+        target = int(rng.choice(some))
+        x, y, z = (float(value) for value in room.gaussians.means[target])
+        found = nearest_gaussian(room.gaussians, some, (x, y, z))
+        assert found in some
+    with pytest.raises(InputError, match="no Gaussian of this scene"):
+        nearest_gaussian(room.gaussians, np.empty(0, np.int64), (0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="three finite numbers"):
+        room.nearest((float("nan"), 0.0, 0.0))
+
+
+def test_pictures_keep_the_answer_in_colour(room: AskableScene) -> None:
+    asked = room.ask(Question(text="orange sofa"))
+    view = room.best_view(asked.gaussian_ids)
+    plain = room.picture(view)
+    assert plain.shape == (view.height, view.width, 3)
+    shown = room.picture(view.name, asked, max_side=320)
+    assert max(shown.shape) == 320
+    grey = room.picture(view, np.empty(0, np.int64))
+    assert np.ptp(grey.astype(int), axis=-1).max() < 4
+    assert np.ptp(shown.astype(int), axis=-1).max() > 100
+    photo = room.picture(view, photo=True)
+    assert 0 < np.abs(photo.astype(int) - plain).mean() < 40
+    with pytest.raises(InputError, match="no view 'nowhere'"):
+        room.picture("nowhere")
+
+
+WRONG: list[tuple[Callable[[], Any], str]] = [
+    (lambda: Question(), "one of these"),
+    (lambda: Question(text="a", point=(0.0, 0.0, 0.0)), "one of these"),
+    (lambda: Question(point=(0.0, 0.0, 0.0), unwanted=("red",)), "in words"),
+    (lambda: Question(text="a", threshold="best"), "'auto'"),
+    (lambda: Question(text="a", threshold=0.5, top_share=0.1), "drop one"),
+    (lambda: Question(text="a", threshold="auto", relevancy=True), "drop relevancy"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), WRONG)
+def test_questions_that_are_none(make: Callable[[], Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_what_is_asked_wrongly_of_a_scene(room: AskableScene) -> None:
+    with pytest.raises(MismatchError, match="7 numbers"):
+        room.ask(Question(vector=np.ones(7, np.float32)))
+    with pytest.raises(InputError, match="has no feature"):
+        room.what_is(len(room.gaussians) + 5)
+    with pytest.raises(InputError, match="has no feature"):
+        room.what_is(-1)
+    with pytest.raises(InputError, match="negatives"):
+        room.ask(Question(point=(0.3, 0.14, 0.82), relevancy=True))
+
+
+def test_threads_ask_at_once_what_one_asks_alone(
+    household_folder: Path, room: AskableScene
+) -> None:
+    texts = ["red vase", "toys", "candle", "sofa", "apple", "plant", "carrot", "laptop"] * 3
+    fresh = open_scene(household_folder, threads=1)
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(lambda text: fresh.ask(Question(text=text)), texts))
+    for text, asked in zip(texts, together, strict=True):
+        alone = room.ask(Question(text=text))
+        np.testing.assert_array_equal(asked.values, alone.values)
+        assert asked.threshold == alone.threshold
+
+
+def test_the_scene_that_was_registered_is_found_among_others(
+    household_folder: Path, room: AskableScene, story: Story, demo_folder: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "room"
+    folder.mkdir()
+    with pytest.raises(InputError, match="one field"):
+        find_scene(folder)
+    shutil.copytree(demo_folder / "room.field", folder / "room.field")
+    with pytest.raises(InputError, match="expected a scene"):
+        find_scene(folder)
+    write_gaussians(folder / "a_part.ply", story.gaussians.subset(np.arange(50)))
+    with pytest.raises(MismatchError, match="50"):
+        open_scene(folder)
+    shutil.copy(demo_folder / "scene.ply", folder / "the_scene.ply")
+    opened = open_scene(folder)
+    assert opened.gaussians.fingerprint == story.gaussians.fingerprint
+    assert opened.views == ()
+    with pytest.raises(InputError, match="no views"):
+        opened.picture()
+    assert isinstance(opened.encoder, WordEncoder)
+    with pytest.raises(InputError, match="takes any words"):
+        opened.what_is(int(opened.field.gaussian_ids[0]))
+    shutil.copytree(folder / "room.field", folder / "other.field")
+    with pytest.raises(InputError, match=r"other\.field, room\.field"):
+        open_scene(folder)
+    with pytest.raises(InputError, match="no such folder"):
+        open_scene(folder / "none")

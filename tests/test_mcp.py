@@ -1,0 +1,207 @@
+"""`drsplat mcp`, driven by the SDK's own client: a conversation about the demo's room, held against its truth."""
+
+import asyncio
+import base64
+import io
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from command_line import Capture, error_of
+from drsplat.demo import story as household
+
+pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
+
+from mcp import Client, StdioServerParameters
+
+COMMAND = ["-W", "ignore", "-m", "drsplat", "mcp"]
+TOOLS = {
+    "list_scenes", "find", "count", "where_is", "how_far_apart", "what_is_at", "what_is_at_pixel", "describe_region", "show",
+}  # fmt: skip
+Talk = Callable[[Client], Awaitable[Any]]
+
+
+@pytest.fixture(scope="module")
+def room(household_story: household.Story, household_folder: Path) -> Path:
+    return household_folder
+
+
+@pytest.fixture(scope="module")
+def truth(room: Path) -> dict[str, np.ndarray]:
+    """Centre of each thing by its category, in metres."""
+    known = json.loads((room / "truth.json").read_text(encoding="utf-8"))
+    return {thing["category"]: np.array(thing["center"]) for thing in known["objects"]}
+
+
+def over_stdio(folder: Path, talk: Talk) -> Any:
+    async def conversation() -> Any:
+        given = [*COMMAND, str(folder), "--threads", "1"]
+        server = StdioServerParameters(command=sys.executable, args=given)
+        async with Client(server) as client:
+            return await talk(client)
+
+    return asyncio.run(conversation())
+
+
+@contextmanager
+def http_server(folder: Path) -> Iterator[str]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    given = [str(folder), "--threads", "1", "--http", "--port", str(port)]
+    server = subprocess.Popen([sys.executable, *COMMAND, *given], stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(600):
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            time.sleep(0.1)
+        yield f"http://127.0.0.1:{port}/mcp"
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+async def told(client: Client, tool: str, **arguments: Any) -> dict[str, Any]:
+    result = await client.call_tool(tool, arguments)
+    assert not result.is_error, result.content
+    assert isinstance(result.structured_content, dict)
+    return result.structured_content
+
+
+async def refused(client: Client, tool: str, **arguments: Any) -> str:
+    result = await client.call_tool(tool, arguments)
+    assert result.is_error
+    return str(result.content[0].text)  # type: ignore[union-attr]
+
+
+def test_ten_calls_tell_how_many_toys_are_on_the_table_and_which_is_nearest_to_the_candle(
+    room: Path, truth: dict[str, np.ndarray]
+) -> None:
+    duck, car, candle = (truth[n] for n in ("green toy duck", "green toy car", "blue candle"))
+
+    async def talk(client: Client) -> None:
+        (scene,) = (await told(client, "list_scenes"))["scenes"]
+        name = scene["name"]
+        assert scene["num_gaussians"] > scene["num_registered"] > 90_000
+        toys = await told(client, "find", text="toys", scene=name)
+        assert toys["num_found"] == 3
+        on_table = await told(client, "count", text="toys", on="table", scene=name)
+        assert (on_table["count"], on_table["of"]) == (2, 3)
+        near = [
+            np.linalg.norm(np.array(on_table["centers"]) - at, axis=1).min() for at in (duck, car)
+        ]
+        assert max(near) < 0.03
+        where = await told(client, "where_is", text="candle", scene=name)
+        assert np.linalg.norm(np.array(where["best"]["center"]) - candle) < 0.03
+        first, second = on_table["centers"]
+        names = [
+            (await told(client, "what_is_at", point=at, scene=name))["names"][0]["name"]
+            for at in (first, second)
+        ]
+        assert names == ["green toy duck", "green toy car"]
+        distances = [
+            await told(client, "how_far_apart", first=toy, second="candle", scene=name)
+            for toy in names
+        ]
+        for told_, at in zip(distances, (duck, car), strict=True):
+            assert told_["center_distance"] == pytest.approx(np.linalg.norm(at - candle), abs=0.03)
+            assert 0 < told_["gap"] < told_["center_distance"]
+            assert told_["units"] == "scene units"
+        assert distances[0]["center_distance"] < distances[1]["center_distance"]
+        region = await told(client, "describe_region", center=where["best"]["center"], radius=0.35)
+        present = {part["name"] for part in region["things"]}
+        assert {"table", "candle"} <= present
+        assert present & {"green toy duck", "toy duck"}
+        shown = await client.call_tool("show", {"text": "toy duck", "scene": name})
+        picture = Image.open(io.BytesIO(base64.b64decode(shown.content[1].data)))  # type: ignore[union-attr]
+        assert (picture.format, picture.size) == ("PNG", (640, 480))
+        colourful = np.ptp(np.asarray(picture.convert("RGB"), int), axis=-1) > 60
+        assert 0.001 < colourful.mean() < 0.2
+
+    over_stdio(room, talk)
+
+
+def test_errors_say_what_to_do_next(room: Path) -> None:
+    async def talk(client: Client) -> None:
+        tools = (await client.list_tools()).tools
+        assert {tool.name for tool in tools} == TOOLS
+        for tool in tools:
+            assert tool.description
+            assert len(tool.description) < 200
+            assert tool.output_schema
+        absent = await told(client, "where_is", text="laptop")
+        assert not absent["found"]
+        assert "synonym" in absent["advice"]
+        assert (await told(client, "count", text="laptop"))["count"] == 0
+        assert "It knows apple" in await refused(client, "find", text="zeppelin")
+        for name in ("../..", "/etc", "room/../room", "room\0"):
+            assert f"there are: {room.name!r}" in await refused(
+                client, "find", text="toy", scene=name
+            )
+        assert "nothing found for 'laptop'" in await refused(
+            client, "how_far_apart", first="laptop", second="candle"
+        )
+        assert "same thing" in await refused(
+            client, "how_far_apart", first="candle", second="candles"
+        )
+        far = await refused(client, "what_is_at", point=[50.0, 0.0, 0.0])
+        assert "the nearest Gaussian is" in far
+        assert str(room) not in far
+        assert "at most 200" in await refused(client, "find", text="x" * 300)
+        assert "no view 'photo'" in await refused(client, "show", view="photo")
+        assert "640x480" in await refused(
+            client, "what_is_at_pixel", view="frame_00001", x=1e9, y=0
+        )
+        none_on = await told(client, "count", text="toys", on="sofa")
+        assert (none_on["count"], none_on["of"]) == (0, 3)
+        assert "none on the sofa" in none_on["advice"]
+
+    over_stdio(room, talk)
+
+
+def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
+    (tmp_path / "a room").symlink_to(room)
+    (tmp_path / "another").symlink_to(room)
+
+    async def talk(url: str) -> None:
+        async with Client(url) as client:
+            scenes = (await told(client, "list_scenes"))["scenes"]
+            assert [scene["name"] for scene in scenes] == ["a room", "another"]
+            assert "say which scene" in await refused(client, "find", text="candle")
+            found = await told(client, "find", text="candle", scene="a room")
+            pixel = {"view": "frame_00008", "x": 10.0, "y": 10.0}
+            here = await told(
+                client, "what_is_at_pixel", **pixel, scene="another", names=["wall", "floor"]
+            )
+            assert {word["name"] for word in here["names"]} == {"wall", "floor"}
+            assert found["num_found"] == 1
+
+    with http_server(tmp_path) as url:
+        asyncio.run(talk(url))
+
+
+def test_what_cannot_start_says_why(tmp_path: Path, capsys: Capture) -> None:
+    assert "no such folder" in error_of(capsys, "mcp", tmp_path / "none")
+    assert "stdout speaks the protocol" in json.dumps(
+        error_json(capsys, "mcp", str(tmp_path), "--json")
+    )
+
+
+def error_json(capsys: Capture, *argv: str) -> dict[str, Any]:
+    from drsplat.cli import main
+
+    capsys.readouterr()
+    assert main([*argv]) == 1
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return answer

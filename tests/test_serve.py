@@ -1,0 +1,450 @@
+"""`drsplat serve`: answers, refusals, bounds, and what outlives a killed worker."""
+
+import asyncio
+import base64
+import http.client
+import io
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from command_line import Capture, error_of
+from drsplat import MiniEncoder
+from drsplat.asking import Question, open_scene
+from drsplat.demo import story as household
+
+pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[serve] is not installed")
+pytest.importorskip("prometheus_client", reason="the extra drsplat[serve] is not installed")
+pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not installed")
+
+import httpx
+
+from drsplat.serving.app import Settings, create_app
+from drsplat.serving.catalog import Catalog, UnknownSceneError
+from drsplat.serving.limits import Limits
+
+KEY = "0123456789abcdef-key"
+
+
+class Service:
+    """The application, asked without a network."""
+
+    def __init__(self, folder: Path, **settings: Any) -> None:
+        self.app = create_app(Settings(str(folder), **settings))
+
+    def __call__(self, method: str, path: str, **given: Any) -> Any:
+        return self.all([(method, path, given)])[0]
+
+    def all(self, calls: list[tuple[str, str, dict[str, Any]]]) -> list[Any]:
+        """Several at once."""
+
+        async def asked() -> list[Any]:
+            transport = httpx.ASGITransport(self.app)
+            async with httpx.AsyncClient(transport=transport, base_url="http://here") as client:
+                waiting = [client.request(method, path, **given) for method, path, given in calls]
+                return list(await asyncio.gather(*waiting))
+
+        return asyncio.run(asked())
+
+
+@pytest.fixture(scope="module")
+def folder(
+    household_story: household.Story,
+    household_folder: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """Two names of the demo's room, and a damaged scene."""
+    made = tmp_path_factory.mktemp("scenes")
+    for name in ("room", "same room"):
+        (made / name).symlink_to(household_folder)
+    (made / "damaged").mkdir()
+    shutil.copytree(household_folder / "room.field", made / "damaged" / "room.field")
+    (made / "damaged" / "scene.ply").write_bytes(b"ply\nnonsense")
+    (made / "no scene").mkdir()
+    return made
+
+
+@pytest.fixture(scope="module")
+def service(folder: Path) -> Service:
+    return Service(folder)
+
+
+def told(answer: Any) -> dict[str, Any]:
+    assert answer.status_code == 200, answer.text
+    body: dict[str, Any] = answer.json()
+    return body
+
+
+def reason(answer: Any, status: int) -> str:
+    assert answer.status_code == status, answer.text
+    body = answer.json()
+    assert set(body) == {"error", "kind"}
+    return str(body["error"])
+
+
+def test_scenes_are_listed_without_opening_them(service: Service) -> None:
+    listed = {one["name"]: one for one in told(service("GET", "/scenes"))["scenes"]}
+    assert set(listed) == {"damaged", "room", "same room"}
+    details = told(service("GET", "/scenes/same%20room"))
+    assert details["num_gaussians"] == listed["room"]["num_gaussians"]
+    assert (len(details["views"]), details["encoder"]) == (48, "drsplat-mini")
+    assert details["up"][2] > 0.99
+    assert told(service("GET", "/health")) == {"status": "ok", "num_scenes": 3}
+
+
+def test_answers_are_those_of_the_library(service: Service, folder: Path) -> None:
+    scene = open_scene(folder / "room")
+    vector = MiniEncoder().encode_texts(["red vase"])[0]
+    asked = scene.ask(Question(text="red vase"))
+    given = {"text": "red vase", "ids": True}
+    answer = told(service("POST", "/scenes/room/query", json=given))
+    assert answer["gaussian_ids"] == asked.gaussian_ids.tolist()
+    assert answer["measured"]["threshold"] == pytest.approx(asked.threshold)
+    by_vector = {"vector": vector.tolist(), "threshold": asked.threshold, "ids": True}
+    same = told(service("POST", "/scenes/room/query", json=by_vector))
+    assert same["gaussian_ids"] == answer["gaussian_ids"]
+    located = told(service("POST", "/scenes/room/locate", json={"text": "toys", "limit": 2}))
+    found = scene.find(Question(text="toys"))
+    assert (located["num_found"], len(located["things"])) == (len(found), 2)
+    np.testing.assert_allclose(located["things"][0]["center"], found[0].thing.center, atol=1e-4)
+    support = located["things"][0]["support"][0]
+    assert support["view"] == found[0].support[0].view_name
+    photo = service("GET", "/scenes/room/photo", params={"view": support["view"], "max_side": 200})
+    with Image.open(io.BytesIO(photo.content)) as picture:
+        assert (picture.format, max(picture.size)) == ("PNG", 200)
+
+
+def test_points_clicks_images_and_classes(service: Service, folder: Path) -> None:
+    scene = open_scene(folder / "room")
+    vase = scene.find(Question(text="red vase"))[0].thing
+    point = [float(x) for x in vase.center]
+    words = told(service("POST", "/scenes/room/what-is", json={"point": point}))
+    assert words["names"][0]["name"] == "red vase"
+    found = told(service("POST", "/scenes/room/locate", json={"point": point}))
+    assert found["measured"]["threshold_rule"] == "auto"
+    assert np.linalg.norm(np.array(found["things"][0]["center"]) - vase.center) < 0.1
+    view = scene.best_view(vase.gaussian_ids)
+    seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
+    click = {"view": view.name, "x": seen[0] / seen[2], "y": seen[1] / seen[2]}
+    clicked = told(service("POST", "/scenes/room/query", json={"click": click}))
+    assert clicked["score_range"][1] == pytest.approx(1, abs=1e-3)
+    image = {"image": encoded(Image.new("RGB", (40, 40), "red"))}
+    assert (
+        told(service("POST", "/scenes/room/query", json=image))["measured"]["measure"] == "cosine"
+    )
+    classes = {"classes": ["red vase", "laptop", "orange sofa"], "labels": True}
+    segmented = told(service("POST", "/scenes/room/segment", json=classes))
+    counts = [one["num_gaussians"] for one in segmented["classes"]]
+    labels = np.array(segmented["labels"])
+    assert counts == [int((labels == number).sum()) for number in range(3)]
+    assert counts[1] == 0
+    assert min(counts[0], counts[2]) > 500
+
+
+def encoded(image: Image.Image) -> str:
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG")
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def test_pictures(service: Service) -> None:
+    for given in (
+        {},
+        {"text": "red vase"},
+        {"text": "laptop"},
+        {"photo": True, "view": "frame_00003"},
+    ):
+        answer = service("POST", "/scenes/room/picture", json={**given, "max_side": 160})
+        assert answer.headers["content-type"] == "image/png"
+        with Image.open(io.BytesIO(answer.content)) as picture:
+            colour = np.ptp(np.asarray(picture.convert("RGB"), int), axis=-1).max()
+            assert picture.size == (160, 120)
+        assert (colour < 4) == (given == {"text": "laptop"})
+
+
+TRICKS = (
+    "..", "../room", "..%2Froom", "%2e%2e", "%2e%2e%2froom", "%2Fetc", "room%2F..%2Froom", "room%00", "room%5C..",
+    "room/", "%ED%A0%80", "no%20scene", "ROOM", "a" * 300, "C:%5C", "~", "*", "room.field",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TRICKS)
+def test_names_never_become_paths(name: str, service: Service) -> None:
+    for method, path, given in (
+        ("GET", f"/scenes/{name}", {}),
+        ("POST", f"/scenes/{name}/query", {"json": {"text": "mug"}}),
+        ("GET", f"/scenes/{name}/photo", {"params": {"view": "frame_00001"}}),
+    ):
+        answer = service(method, path, **given)
+        assert answer.status_code in (404, 422, 405, 307), (path, answer.text)
+        assert "root:" not in answer.text
+
+
+def test_the_catalog_looks_names_up(folder: Path) -> None:
+    catalog = Catalog(folder)
+    for name in ("../" + folder.name, str(folder / "room"), "room/../room", "", ".", "no scene"):
+        with pytest.raises(UnknownSceneError, match="'room'"):
+            catalog.scene(name)
+    assert catalog.scene("room") is catalog.scene("room")
+    few = Catalog(folder, most=1)
+    first = few.scene("room")
+    assert few.scene("same room") is not first
+    assert few.scene("room") is not first
+
+
+def test_photos_are_those_of_the_scene(service: Service) -> None:
+    for view in ("../../truth.json", "/etc/passwd", "frame_00001.jpg/../frame_00002.jpg", "\0"):
+        answer = service("GET", "/scenes/room/photo", params={"view": view})
+        assert "no view" in reason(answer, 422)
+
+
+WRONG: list[tuple[str, Any, str]] = [
+    ("query", {}, "one of these"),
+    ("query", {"text": "mug", "point": [0, 0, 0]}, "one of these"),
+    ("query", {"text": "zeppelin"}, "It knows apple"),
+    ("query", {"text": "   "}, "no word"),
+    ("query", {"text": "m" * 201}, "at most 200"),
+    ("query", {"text": 7}, "string"),
+    ("query", {"text": "mug", "treshold": 0.5}, "treshold"),
+    ("query", {"text": "mug", "threshold": 7}, "threshold"),
+    ("query", {"text": "mug", "threshold": "best"}, "auto"),
+    ("query", {"text": "mug", "threshold": 0.5, "top_share": 0.5}, "drop one"),
+    ("query", {"text": "mug, not "}, "mug, not red"),
+    ("query", {"vector": [1.0, 2.0]}, "2 numbers"),
+    ("query", {"vector": [0.0] * 512}, "not zero"),
+    ("query", {"vector": []}, "vector"),
+    ("query", {"point": [0, 0]}, "point"),
+    ("query", {"point": [1e9, 0, 0]}, "nearest Gaussian is"),
+    ("query", {"click": {"view": "nowhere", "x": 1, "y": 1}}, "no view"),
+    ("query", {"click": {"view": "frame_00001", "x": 1e5, "y": 1}}, "640x480"),
+    ("query", {"image": "not base64!"}, "base64"),
+    ("query", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
+    ("locate", {"text": "mug", "limit": 0}, "limit"),
+    ("locate", {"text": "mug", "limit": 10**9}, "limit"),
+    ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),
+    ("segment", {"classes": []}, "classes"),
+    ("segment", {"classes": ["mug", "mug"]}, "different classes"),
+    ("segment", {"classes": [f"mug {n}" for n in range(65)]}, "at most 64"),
+    ("what-is", {}, "one of point and click"),
+    ("picture", {"max_side": 10**6}, "max_side"),
+    ("picture", {"view": "../x"}, "no view"),
+    ("query", [1, 2], "dict"),
+    ("query", "text", "dict"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("route", "given", "said"), WRONG)
+def test_what_makes_no_sense_gets_a_reason(
+    route: str, given: Any, said: str, service: Service, folder: Path
+) -> None:
+    text = reason(service("POST", f"/scenes/room/{route}", json=given), 422)
+    assert said.lower() in text.lower()
+    assert str(folder) not in text
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"{",
+        b"\xff\xfe",
+        b'{"text": "\\ud800"}',
+        b'{"point": [NaN, 0, 0]}',
+        b"[" * 20_000,
+        b'{"text": 1e999}',
+    ],
+)
+def test_malformed_bodies(body: bytes, service: Service) -> None:
+    json_type = {"content-type": "application/json"}
+    answer = service("POST", "/scenes/room/query", content=body, headers=json_type)
+    assert 400 <= answer.status_code < 500, answer.text
+    assert reason(answer, answer.status_code)
+
+
+def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folder: Path) -> None:
+    text = reason(service("POST", "/scenes/damaged/query", json={"text": "mug"}), 503)
+    assert "cannot be opened" in text
+    assert str(folder) not in text
+    assert service("POST", "/scenes/room/query", json={"text": "vase"}).status_code == 200
+
+
+def test_unknown_routes_and_methods(service: Service) -> None:
+    reason(service("GET", "/nothing"), 404)
+    reason(service("DELETE", "/scenes"), 405)
+    reason(service("GET", "/scenes/room/query"), 405)
+
+
+def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
+    small = Service(folder, limits=Limits(body_bytes=2000, pixels=1000))
+    long = {"text": "mug", "unwanted": ["red"] * 1000}
+    assert "2,000 bytes" in reason(small("POST", "/scenes/room/query", json=long), 413)
+
+    async def chunks() -> Any:
+        for _ in range(10):
+            yield b" " * 500
+
+    told_nothing = small("POST", "/scenes/room/query", content=chunks())
+    assert "2,000 bytes" in reason(told_nothing, 413)
+    large = {"image": encoded(Image.new("1", (40, 40)))}
+    assert "at most 1,000" in reason(small("POST", "/scenes/room/query", json=large), 422)
+
+
+def test_who_has_no_key_is_told(folder: Path) -> None:
+    closed = Service(folder, key=KEY)
+    assert "Bearer" in reason(closed("GET", "/scenes"), 401)
+    for header in (
+        {"authorization": "Bearer wrong"}, {"x-api-key": KEY[:-1]}, {"x-api-key": ""}, {"authorization": KEY[1:]},
+    ):  # fmt: skip
+        reason(closed("GET", "/scenes", headers=header), 401)
+        reason(closed("GET", "/metrics", headers=header), 401)
+    told(closed("GET", "/scenes", headers={"authorization": f"Bearer {KEY}"}))
+    told(closed("GET", "/scenes", headers={"x-api-key": KEY}))
+    told(closed("GET", "/health"))
+
+
+def test_only_by_its_own_names(folder: Path) -> None:
+    local = Service(folder, hosts=("127.0.0.1", "[::1]"))
+    for host in ("evil.example", "127.0.0.1.evil.example", "", "[::1].evil"):
+        reason(local("GET", "/health", headers={"host": host}), 400)
+    for host in ("127.0.0.1", "127.0.0.1:8765", "[::1]:1"):
+        told(local("GET", "/health", headers={"host": host}))
+
+
+def test_too_slow_and_too_many(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from drsplat.serving import answers
+
+    def slow(*_: Any) -> Any:
+        time.sleep(1.0)
+        raise AssertionError("nobody waits for it")
+
+    monkeypatch.setattr(answers, "selected", slow)
+    busy = Service(folder, limits=Limits(seconds=0.3, scans=1, waiting=2))
+    calls = [("POST", "/scenes/room/query", {"json": {"text": "mug"}})] * 8
+    refused = busy.all([*calls, ("GET", "/health", {})])
+    assert [answer.status_code for answer in refused] == [503] * 8 + [200]
+    kinds = [answer.json()["kind"] for answer in refused[:8]]
+    assert sorted(set(kinds)) == ["BusyError", "timeout"]
+    assert kinds.count("timeout") == 3
+    assert all(answer.headers["retry-after"] == "1" for answer in refused[:8])
+
+
+def test_metrics_count(folder: Path) -> None:
+    counted = Service(folder)
+    told(counted("POST", "/scenes/room/query", json={"text": "vase"}))
+    reason(counted("POST", "/scenes/room/query", json={}), 422)
+    reason(counted("GET", "/unheard-of"), 404)
+    lines = counted("GET", "/metrics").text.splitlines()
+    route = 'route="/scenes/{scene}/query"'
+    assert f'drsplat_requests_total{{{route},status="200"}} 1.0' in lines
+    assert f'drsplat_requests_total{{{route},status="422"}} 1.0' in lines
+    assert 'drsplat_requests_total{route="none",status="404"} 1.0' in lines
+    assert "drsplat_computing 0.0" in lines
+    assert "drsplat_waiting 0.0" in lines
+
+
+def test_the_description_has_examples_and_refusals(service: Service) -> None:
+    described = told(service("GET", "/openapi.json"))
+    for path, methods in described["paths"].items():
+        for method in methods.values():
+            assert method["description"]
+            assert "422" in method["responses"], path
+    examples = described["components"]["schemas"]["Locate"]["examples"]
+    for given in examples:
+        assert told(service("POST", "/scenes/room/locate", json=given))["num_found"] >= 1
+
+
+@contextmanager
+def running(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [
+        sys.executable,
+        "-m",
+        "drsplat",
+        "serve",
+        str(folder),
+        "--port",
+        str(port),
+        "--threads",
+        "1",
+    ]
+    environment = {**os.environ, "PYTHONPATH": ""}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    server = subprocess.Popen([*command, *options], env=environment, **quiet)  # type: ignore[call-overload]
+    try:
+        wait_for(lambda: asked(port, "GET", "/health")[0] == 200)
+        yield server, port
+    finally:
+        server.terminate()
+        server.wait(60)
+
+
+def asked(port: int, method: str, path: str, body: Any = None) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+    try:
+        sent = None if body is None else json.dumps(body)
+        connection.request(method, path, sent, {"content-type": "application/json"})
+        answer = connection.getresponse()
+        return answer.status, answer.read()
+    except OSError:
+        return 0, b""
+    finally:
+        connection.close()
+
+
+def wait_for(true: Any) -> None:
+    for _ in range(600):
+        if true():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen within a minute")
+
+
+def children_of(pid: int) -> list[int]:
+    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    commands = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in listed}
+    return [child for child, command in commands.items() if b"spawn_main" in command]
+
+
+@pytest.mark.slow
+def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder: Path) -> None:
+    body = {"text": "red vase", "ids": True}
+    with running(folder, "--workers", "2") as (server, port):
+        before = asked(port, "POST", "/scenes/room/query", body)
+        assert before[0] == 200
+        workers = children_of(server.pid)
+        assert len(workers) == 2
+        for worker in workers:
+            os.kill(worker, signal.SIGKILL)
+        wait_for(lambda: not set(children_of(server.pid)) & set(workers))
+        wait_for(lambda: asked(port, "POST", "/scenes/room/query", body) == before)
+        status, text = asked(port, "GET", "/metrics")
+        assert status == 200
+        assert b'route="/scenes/{scene}/query",status="200"' in text
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(60) in (0, -signal.SIGTERM)
+
+
+def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, capsys: Capture) -> None:
+    assert "--api-key-file" in error_of(capsys, "serve", tmp_path, "--host", "0.0.0.0")
+    (tmp_path / "key").write_text("short\n")
+    argv = ["serve", tmp_path, "--host", "0.0.0.0", "--api-key-file"]
+    assert "16 or more" in error_of(capsys, *argv, tmp_path / "key")
+    assert "no such file" in error_of(capsys, *argv, tmp_path / "none")
+    assert "no such folder" in error_of(capsys, "serve", tmp_path / "none")
+    assert "--timeout" in error_of(capsys, "serve", tmp_path, "--timeout", "0")
