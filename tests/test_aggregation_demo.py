@@ -48,7 +48,7 @@ def test_robust_loses_little_where_all_labels_are_right(story, registration: Reg
         for name in ("mean", "robust")
     )
     assert mean > 0.85
-    assert robust > mean - 0.005
+    assert robust > mean - 0.005  # neighbours across an edge lend a few features wrongly
 
 
 @pytest.mark.parametrize(("share", "gain"), [(0.2, 0.025), (0.4, 0.08)])

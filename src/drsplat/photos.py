@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, UInt8
-from PIL import Image
+from PIL import Image, ImageOps
 
 from .errors import FormatError, InputError
 from .lens import distort_points
@@ -25,6 +26,31 @@ def photo_size(path: Path) -> tuple[int, int]:
     """
     with _opened(path) as photo:
         return photo.size
+
+
+def decoded_picture(
+    source: Path | BytesIO, most_pixels: int | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """RGB of any picture, upright, on black where it is transparent; for queries, which have no camera.
+
+    Raises: InputError: of more pixels, by its header, before it is decoded. FormatError: damaged, or not a
+    picture; the message does not name the source.
+    """
+    try:
+        with Image.open(source, formats=PHOTO_FORMATS) as file:
+            if most_pixels is not None and file.width * file.height > most_pixels:
+                raise InputError(
+                    f"a picture of {file.width}x{file.height} pixels: at most {most_pixels:,} are taken, make it smaller"
+                )
+            picture = ImageOps.exif_transpose(file).convert("RGBA")
+    except InputError:
+        raise
+    except Exception as error:  # decoders of damaged files raise anything
+        raise FormatError(
+            f"cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {type(error).__name__}"
+        ) from error
+    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
+    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
 
 
 def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:

@@ -42,23 +42,15 @@ def read_picture(path: str) -> np.ndarray:
 
     Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
     """
-    import numpy as np
-    from PIL import Image, ImageOps
-
     from ..errors import FormatError, InputError
-    from ..photos import PHOTO_FORMATS
+    from ..photos import decoded_picture
 
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such picture")
     try:
-        with Image.open(path, formats=PHOTO_FORMATS) as file:
-            picture = ImageOps.exif_transpose(file).convert("RGBA")
-    except Exception as error:  # decoders of damaged files raise anything
-        raise FormatError(
-            f"{path}: cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {error}"
-        ) from error
-    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
-    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
+        return decoded_picture(Path(path))
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
 
 
 def read_vector(path: str) -> np.ndarray:

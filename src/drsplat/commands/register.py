@@ -75,6 +75,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
         "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
     )  # fmt: skip
+    _add_code(method)
+    method.add_argument(
+        "--encoder-name", metavar="NAME",
+        help="who made the embeddings, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the built-in one. Queries "
+        "and codebooks of other encoders are then refused (default: what `drsplat embed` noted, else the codebook's, "
+        "else unknown)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--parts", metavar="DIR",
+        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
+    )  # fmt: skip
+    add_capture_options(parser)
+
+
+def _add_code(method: argparse._ArgumentGroup) -> None:
+    """What a feature is kept as."""
     method.add_argument(
         "--code", choices=("auto", "pq", "mixture"), default="auto",
         help="pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "
@@ -92,17 +108,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--subvectors", type=count, metavar="L",
         help="bytes per Gaussian of a codebook that is trained here (default: 128, or what divides the embedding size)",
     )  # fmt: skip
-    method.add_argument(
-        "--encoder-name", metavar="NAME",
-        help="who made the embeddings, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the built-in one. Queries "
-        "and codebooks of other encoders are then refused (default: what `drsplat embed` noted, else the codebook's, "
-        "else unknown)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--parts", metavar="DIR",
-        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
-    )  # fmt: skip
-    add_capture_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -4,10 +4,9 @@ import io
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image, ImageOps
 
 from ..errors import FormatError, InputError
-from ..photos import PHOTO_FORMATS
+from ..photos import decoded_picture
 
 MOST_BYTES, MOST_PIXELS = 20 << 20, 40_000_000
 
@@ -20,17 +19,6 @@ def picture_in(data: bytes) -> UInt8[np.ndarray, "_ _ 3"]:
     if len(data) > MOST_BYTES:
         raise InputError(f"a picture of {len(data):,} bytes: give one of up to {MOST_BYTES:,}")
     try:
-        with Image.open(io.BytesIO(data), formats=PHOTO_FORMATS) as file:
-            if file.width * file.height > MOST_PIXELS:
-                raise InputError(
-                    f"a picture of {file.width}x{file.height}: give one of up to {MOST_PIXELS:,} pixels"
-                )
-            picture = ImageOps.exif_transpose(file).convert("RGBA")
-    except InputError:
-        raise
-    except Exception as error:  # decoders of damaged files raise anything
-        raise FormatError(
-            f"this is no picture that can be read ({'/'.join(PHOTO_FORMATS)}): {error}"
-        ) from error
-    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
-    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
+        return decoded_picture(io.BytesIO(data), MOST_PIXELS)
+    except FormatError as error:
+        raise FormatError(f"this is no picture, it {error}") from error
