@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load_file, save_file
 from scipy.sparse import csr_array
 
+from drsplat import contents
 from drsplat.aggregation import Aggregated
 from drsplat.codes import Codebook, train_codebook
 from drsplat.codes.mixture import MixtureCode
@@ -206,7 +207,10 @@ def test_any_dimension_finds_a_number_of_parts() -> None:
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])
-def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(make, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(  # type: ignore[no-untyped-def]
+    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(contents, "SMALL", 0)
     negatives = unit_rows(np.random.default_rng(6), 2, 32)
     field = make().with_negatives(negatives, ("this", "that"))
     field.save(tmp_path / "a.field")

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from .codes import Track, encoder_from_json, untracked
+from .contents import open_file
 from .crops import crops
 from .encoders import EncoderIdentity, ImageEncoder, identity_json
 from .errors import DrSplatWarning, InputError
@@ -142,7 +143,7 @@ def _photo_identity(view: View) -> str:
     """Of a photo's bytes and the raster it is read to."""
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo")
-    with view.image_path.open("rb") as file:
+    with open_file(view.image_path) as file:
         digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16))
     return f"{digest.hexdigest()} {view.width}x{view.height}"
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, UInt8
 from PIL import Image, ImageOps
 
+from .contents import open_file
 from .errors import FormatError, InputError
 from .lens import distort_points
 from .views import View
@@ -149,9 +150,9 @@ def _inside(
 def _opened(path: Path) -> Iterator[Image.Image]:
     """A photo whose header is read; what a decoder stumbles over in the block is a FormatError."""
     try:
-        with Image.open(path, formats=PHOTO_FORMATS) as photo:
+        with open_file(path) as file, Image.open(file, formats=PHOTO_FORMATS) as photo:
             yield photo
-    except FormatError:
+    except (FormatError, InputError):
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such photo") from None

@@ -71,7 +71,7 @@ def open_scene(
 ) -> AskableScene:
     """Open a folder, or the files named.
 
-    The field is memory-mapped. encoder, vocabulary, device: who embeds words, as on the command line;
+    encoder, vocabulary, device: who embeds words, as on the command line;
     fields of the built-in encoders need none. load: see `encoder_for`. The encoder is loaded when it is
     first needed.
 

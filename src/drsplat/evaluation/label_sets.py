@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32, Integer
 
+from ..contents import file_text
 from ..errors import FormatError, InputError
 
 BUILT_IN = ("scannet19", "scannet15", "scannet10", "scannet200", "household")
@@ -85,7 +86,7 @@ def label_set(name: str) -> LabelSet:
 
 def _rows_of(path: Path) -> list[list[str]]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = file_text(path).splitlines()
     except UnicodeDecodeError as error:
         raise FormatError(f"{path}: expected UTF-8: {error}") from error
     rows = []

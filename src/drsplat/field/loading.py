@@ -1,4 +1,4 @@
-"""Fields from disk: mapped, not copied, and believed only as far as their files agree."""
+"""Fields from disk: believed only as far as their files agree."""
 
 import os
 from pathlib import Path
@@ -35,7 +35,7 @@ _CODES = {1: {"codes": ("uint8", "r L")}, 2: {"grouped_codes": ("uint8", "g L k"
 
 
 def load_field(path: str | os.PathLike[str]) -> LanguageField:
-    """Read what `LanguageField.save` wrote. Arrays are read-only memory maps.
+    """Read what `LanguageField.save` wrote. Arrays are read-only; those of large files are memory maps.
 
     Raises: InputError: there is no such field. FormatError: damaged, or written by a newer version.
     MismatchError: files of different fields are mixed.

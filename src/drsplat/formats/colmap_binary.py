@@ -4,12 +4,14 @@ Little-endian, no padding; images and points have records of variable length.
 """
 
 import mmap
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ..contents import SMALL, open_file
 from ..errors import FormatError
 from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
 
@@ -25,7 +27,7 @@ _MAX_NAME = 4096
 
 
 class _Cursor:
-    """A position in a mapped file that never leaves it."""
+    """A position in a file that never leaves it."""
 
     def __init__(self, path: Path, content: mmap.mmap | bytes) -> None:
         self.path, self._content, self._at = path, content, 0
@@ -75,9 +77,9 @@ class _Cursor:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[_Cursor]:
-    with path.open("rb") as file:
-        if path.stat().st_size == 0:  # an empty file cannot be mapped
-            yield _Cursor(path, b"")
+    with open_file(path) as file:
+        if os.fstat(file.fileno()).st_size <= SMALL:
+            yield _Cursor(path, file.read())
         else:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                 yield _Cursor(path, content)

@@ -1,9 +1,11 @@
 """COLMAP's cameras.txt, images.txt and points3D.txt, record by record."""
 
 from collections.abc import Callable, Iterator
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TypeVar
 
+from ..contents import open_file
 from ..errors import FormatError
 from .colmap_records import CameraRecord, ImageRecord, PointRecord
 
@@ -64,7 +66,7 @@ def _data_lines(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
-    with path.open(encoding="utf-8") as file:
+    with TextIOWrapper(open_file(path), encoding="utf-8") as file:
         try:
             for number, line in enumerate(file, 1):
                 yield f"{path}:{number}", line.strip()

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
+from ..contents import file_bytes
 from ..errors import FormatError, InputError
 
 _PLAIN = {b"IxPq", b"IxPQ"}
@@ -57,8 +58,8 @@ def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
     try:
         if path.stat().st_size > _MAX_FILE:
             raise FormatError(f"{path}: no product quantiser is that large")
-        source = _Bytes(path.read_bytes(), path)
-    except (FileNotFoundError, IsADirectoryError):
+        source = _Bytes(file_bytes(path).tobytes(), path)
+    except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     kind = source.take(4)
     if kind in _PLAIN:

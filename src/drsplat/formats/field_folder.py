@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..contents import open_file
 from ..errors import FormatError, InputError
 from .tensors import write_tensors
 
@@ -71,12 +72,12 @@ def refuse_to_replace_others(path: Path) -> None:
 def read_manifest(path: Path) -> dict[str, object]:
     """The JSON object of a folder.
 
-    Raises: InputError: there is no such folder. FormatError: not a JSON object.
+    Raises: InputError: there is no such folder, or its manifest is no file. FormatError: not a JSON object.
     """
     try:
-        with (path / MANIFEST).open("rb") as file:
+        with open_file(path / MANIFEST) as file:
             manifest = json.loads(file.read(_MAX_MANIFEST))
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: there is no such field (no {MANIFEST} in it)") from None
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{path / MANIFEST}: expected JSON: {error}") from None

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from ..contents import file_text
 from ..errors import FormatError, InputError
 
 
@@ -17,7 +18,7 @@ def read_json(path: Path) -> object:
     deep.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(file_text(path))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except (ValueError, RecursionError) as error:

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from ..contents import file_text
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_number, shown
 from .photo_files import safe_name
@@ -108,7 +109,7 @@ def read_annotations(path: str | Path) -> Annotations:
 def _document(path: Path) -> dict[str, list[object]]:
     """LVIS's training set is 1.1 GB of text: outlines become arrays while it is parsed."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"), object_hook=_compacted)
+        document = json.loads(file_text(path), object_hook=_compacted)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except (ValueError, RecursionError) as error:

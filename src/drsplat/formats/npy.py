@@ -12,6 +12,7 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
+from ..contents import open_file
 from ..errors import FormatError, InputError
 from .replacing import replacing
 
@@ -29,7 +30,7 @@ def map_npy(path: Path) -> np.ndarray:
     than its header says.
     """
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return _mapped(file, path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None

@@ -8,7 +8,6 @@
 Source: Dai et al. 2017 (ScanNet), its README; Rozenberszki et al. 2022 (ScanNet200).
 """
 
-import mmap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Int32
 
+from ..contents import file_bytes, file_text
 from ..errors import FormatError, InputError, MismatchError
 from .json_files import read_json, shown
 from .ply import gather, read_elements
@@ -122,7 +122,7 @@ def read_label_table(path: Path) -> dict[str, int]:
     if path.stat().st_size > MAX_TABLE_BYTES:
         raise FormatError(f"{path}: too large for a table of categories")
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = file_text(path).splitlines()
     except UnicodeDecodeError as error:
         raise FormatError(f"{path}: expected UTF-8: {error}") from error
     heading = lines[0].split("\t") if lines else []
@@ -162,13 +162,9 @@ def check_vertices(cloud: LabelledCloud, instances: Instances, where: str) -> No
 
 
 def _vertices(path: Path) -> np.ndarray:
-    try:
-        with path.open("rb") as file:
-            data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except ValueError:
-        raise FormatError(f"{path}: the file is empty") from None
+    data = file_bytes(path).data
+    if not data.nbytes:
+        raise FormatError(f"{path}: the file is empty")
     try:
         return read_elements(data, read_header(data), {"vertex"})["vertex"]
     except FormatError as error:

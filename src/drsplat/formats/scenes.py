@@ -1,6 +1,5 @@
 """`read_gaussians` and `write_gaussians`: any scene file in, PLY out."""
 
-import mmap
 import re
 from collections.abc import Mapping
 from os import PathLike
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
+from ..contents import file_bytes
 from ..errors import FormatError, InputError
 from ..gaussians import Gaussians
 from .compressed_ply import is_compressed, parse_compressed_ply
@@ -35,11 +35,10 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     """
     path = scene_file(Path(path))
     try:
-        with open(path, "rb") as file:
-            if path.stat().st_size == 0:
-                raise FormatError("the file is empty")
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return parse_gaussians(memoryview(mapped), path.suffix)
+        content = file_bytes(path)
+        if not content.size:
+            raise FormatError("the file is empty")
+        return parse_gaussians(content.data, path.suffix)
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
 

@@ -1,4 +1,4 @@
-"""Safetensors files: written whole or not at all, mapped and not loaded, headers never trusted.
+"""Safetensors files: written whole or not at all, large ones mapped, headers never trusted.
 
 Source: the safetensors format (8 bytes little-endian header length, JSON header, tensor bytes).
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..contents import file_bytes
 from ..errors import FormatError, InputError
 from .replacing import replacing
 
@@ -66,18 +67,15 @@ def _misfit(array: np.ndarray) -> tuple[bool, int]:
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The arrays of a file as read-only memory maps, and its metadata. Nothing is copied.
+    """The arrays of a file, read-only, and its metadata: read where they are small, else mapped (`file_bytes`).
 
-    Raises: InputError: there is no such file. FormatError: not safetensors, truncated, or a header
+    Raises: InputError: there is no such file, or it is a pipe. FormatError: not safetensors, truncated, or a header
     that does not describe exactly the bytes that follow it.
     """
     path = Path(path)
-    try:
-        raw = np.memmap(path, np.uint8, "r")
-    except (FileNotFoundError, IsADirectoryError):
-        raise InputError(f"{path}: there is no such file") from None
-    except ValueError:
-        raise FormatError(f"{path}: empty file") from None
+    raw = file_bytes(path)
+    if not raw.size:
+        raise FormatError(f"{path}: empty file")
     header, payload = _header(raw, path)
     metadata = header.pop("__metadata__", {})
     if not isinstance(metadata, dict) or not all(

@@ -1,0 +1,62 @@
+"""The bytes of files from strangers: only of regular files, read where they are few, mapped where they are many.
+
+A pipe would block its reader for ever. A mapped file that is cut short where it lies kills whoever reads on, so only
+what is too large to be copied is mapped.
+"""
+
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from .errors import FormatError, InputError
+
+SMALL = 64 << 20  # bytes; read in some hundredths of a second
+_LINE = 64  # bytes that a processor reads at once
+
+
+def open_file(path: str | os.PathLike[str]) -> BufferedReader:
+    """A regular file, opened for reading; never waits for a pipe's writer.
+
+    Raises: InputError: a folder, pipe, socket or device. OSError: as `open`.
+    """
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")
+    return open(number, "rb")
+
+
+def file_text(path: str | os.PathLike[str]) -> str:
+    """A file of UTF-8, with or without a mark.
+
+    Raises: UnicodeDecodeError; as `open_file`.
+    """
+    with open_file(path) as file:
+        return file.read().decode("utf-8-sig")
+
+
+def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
+    """All bytes of a file, read-only, beginning at a cache line.
+
+    Raises: InputError: there is no such file, or it is none. FormatError: it becomes shorter while it is read.
+    """
+    try:
+        with open_file(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            return _read(file, size, path) if size <= SMALL else np.memmap(file, np.uint8, "r")
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"{path}: there is no such file") from None
+
+
+def _read(file: BufferedReader, size: int, path: Path) -> UInt8[np.ndarray, " n"]:
+    room = np.empty(size + _LINE, np.uint8)
+    start = -room.ctypes.data % _LINE
+    content = room[start : start + size]
+    if file.readinto(content.data) != size:
+        raise FormatError(f"{path}: the file became shorter while it was read: try again")
+    content.setflags(write=False)
+    return content

@@ -1,0 +1,85 @@
+"""Files from strangers: only regular ones are opened, and what is small is not mapped."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drsplat import contents, load_field, read_gaussians, read_views
+from drsplat.contents import file_bytes
+from drsplat.errors import DrSplatError, FormatError, InputError
+from drsplat.formats.json_files import read_json
+from drsplat.formats.npy import map_npy
+from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.photos import photo_size
+
+
+def test_small_files_are_read_and_large_ones_mapped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.safetensors"
+    tensors = {"x": np.arange(5000, dtype=np.float32)}
+    write_tensors(path, tensors)
+    read = map_tensors(path)[0]["x"]
+    assert read.ctypes.data % 64 == 0
+    os.truncate(path, 100)
+    np.testing.assert_array_equal(read, tensors["x"])  # a mapped one would end the process here
+    write_tensors(path, tensors, overwrite=True)
+    monkeypatch.setattr(contents, "SMALL", 1000)
+    mapped = map_tensors(path)[0]["x"]
+    assert isinstance(mapped, np.memmap)
+    np.testing.assert_array_equal(mapped, read)
+    for one in (read, mapped):
+        assert not one.flags.writeable
+
+
+def test_a_file_that_shrinks_while_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"x" * 100)
+    opened = contents.open_file
+
+    def shrunk(*given: Path) -> object:
+        file = opened(*given)
+        told = os.fstat(file.fileno())
+        os.truncate(path, 10)
+        monkeypatch.setattr(contents.os, "fstat", lambda _: told)
+        return file
+
+    monkeypatch.setattr(contents, "open_file", shrunk)
+    with pytest.raises(FormatError, match="became shorter"):
+        file_bytes(path)
+
+
+def field_of(pipe: Path) -> object:
+    folder = pipe.parent / "a.field"
+    folder.mkdir()
+    pipe.rename(folder / "field.json")
+    return load_field(folder)
+
+
+READERS: list[Callable[[Path], object]] = [
+    file_bytes, map_tensors, map_npy, read_json, photo_size, field_of, read_gaussians, read_views,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".bin", ".txt"])
+def test_pipes_are_refused_and_not_waited_for(
+    read: Callable[[Path], object], suffix: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"cameras{suffix}"
+    os.mkfifo(path)
+    with pytest.raises(DrSplatError):
+        read(path)
+
+
+def test_folders_and_devices_are_no_files(tmp_path: Path) -> None:
+    for path in (tmp_path, Path("/dev/null")):
+        with pytest.raises(InputError, match="expected a file"):
+            file_bytes(path)
+    with pytest.raises(InputError, match="no such file"):
+        file_bytes(tmp_path / "none")
