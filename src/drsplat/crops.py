@@ -1,13 +1,17 @@
 """What an encoder sees of a mask: its box of the image, background black, padded to a square."""
 
+import math
 from collections.abc import Sequence
 from typing import overload
 
 import numpy as np
 from jaxtyping import Bool, Int64, Integer, UInt8
+from PIL import Image
 
 from .errors import InputError
 from .segments import Masks
+
+MOST_PADDED = 6000 * 6000  # pixels: the whole of an ordinary photo is padded as it is
 
 Crop = UInt8[np.ndarray, "_ _ 3"]
 
@@ -24,7 +28,8 @@ def crop(
 
     Raises: InputError: a box that leaves the image or does not fit its part; a mask without pixels.
     Source: LangSplat preprocess.py, `get_seg_img` and `pad_img`. SAM's own boxes name the last row
-    and column inclusively, so there each crop lacks one of both; ours has all.
+    and column inclusively, so there each crop lacks one of both; ours has all. A box so long and thin that its square
+    would have more than `MOST_PADDED` pixels, and more than four times its own, is scaled down to that many first.
     """
     x0, y0, x1, y1 = (int(edge) for edge in box)
     height, width = part.shape
@@ -36,12 +41,30 @@ def crop(
         )
     if not part.any():
         raise InputError(f"the mask in the box {x0} {y0} {x1} {y1} has no pixel: leave it out")
+    side, most = max(width, height), math.isqrt(max(MOST_PADDED, 4 * width * height))
+    if side > most:
+        return _padded(_shrunk(image[y0:y1, x0:x1], part, most / side))
+    return _padded(image[y0:y1, x0:x1], part)
+
+
+def _padded(
+    pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"] | None = None
+) -> Crop:
+    height, width = pixels.shape[:2]
     side = max(width, height)
     left, top = (side - width) // 2, (side - height) // 2
     square = np.zeros((side, side, 3), np.uint8)
     place = square[top : top + height, left : left + width]
-    np.copyto(place, image[y0:y1, x0:x1], where=part[..., None])
+    np.copyto(place, pixels, where=True if part is None else part[..., None])
     return square
+
+
+def _shrunk(
+    pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"], scale: float
+) -> UInt8[np.ndarray, "_ _ 3"]:
+    height, width = (max(1, round(length * scale)) for length in part.shape)
+    shown = Image.fromarray(np.where(part[..., None], pixels, np.uint8(0)))
+    return np.asarray(shown.resize((width, height), Image.Resampling.BOX))
 
 
 class Crops(Sequence[Crop]):

@@ -1,7 +1,7 @@
 """The pixels of a posed photo, on the raster of its pinhole."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from io import BytesIO
 from pathlib import Path
 
@@ -12,11 +12,13 @@ from PIL import Image, ImageOps
 from .contents import open_file
 from .errors import FormatError, InputError
 from .lens import distort_points
+from .picture_costs import check_cost
 from .views import View
 
 PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
 """Only these decoders are ever started on a file, whatever its name says."""
 
+_OPAQUE = ("1", "L", "RGB")
 _ROWS = 128  # rows remapped at a time: the map of a whole 24 MP photo would take 400 MB
 
 
@@ -34,16 +36,19 @@ def decoded_picture(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """RGB of any picture, upright, on black where it is transparent; for queries, which have no camera.
 
-    Raises: InputError: of more pixels, by its header, before it is decoded. FormatError: damaged, or not a
-    picture; the message does not name the source.
+    Raises: InputError: of more pixels, or too costly (`check_cost`), before it is decoded. FormatError: damaged,
+    or not a picture; the message does not name the source.
     """
     try:
-        with Image.open(source, formats=PHOTO_FORMATS) as file:
-            if most_pixels is not None and file.width * file.height > most_pixels:
-                raise InputError(
-                    f"a picture of {file.width}x{file.height} pixels: at most {most_pixels:,} are taken, make it smaller"
-                )
-            picture = ImageOps.exif_transpose(file).convert("RGBA")
+        with (
+            open_file(source) if isinstance(source, Path) else nullcontext(source) as file,
+            Image.open(file, formats=PHOTO_FORMATS) as coded,
+        ):
+            check_cost(coded, file, most_pixels)
+            picture = ImageOps.exif_transpose(coded)
+            if picture.mode in _OPAQUE and "transparency" not in picture.info:
+                return np.asarray(picture.convert("RGB"))
+            picture = picture.convert("RGBA")
     except InputError:
         raise
     except Exception as error:  # decoders of damaged files raise anything
@@ -68,6 +73,7 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: pass images=FOLDER to read_views")
     with _opened(view.image_path) as photo:
+        _check_cost(photo, view.image_path)
         rgb = _rgb(photo, view.image_path)
         if rgb.size != (view.width, view.height):
             rgb = rgb.resize((view.width, view.height), Image.Resampling.BICUBIC)
@@ -162,6 +168,14 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise FormatError(
             f"{path}: cannot be read as a photo ({'/'.join(PHOTO_FORMATS)}): {error}"
         ) from error
+
+
+def _check_cost(photo: Image.Image, path: Path) -> None:
+    try:
+        with open_file(path) as file:
+            check_cost(photo, file)
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from None
 
 
 def _rgb(photo: Image.Image, path: Path) -> Image.Image:
