@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError, InputError
+from .checksums import check_checksums, check_header, raw_bytes, with_checksums
 from .replacing import replacing
 
 _DTYPES = {
@@ -32,7 +33,7 @@ def write_tensors(
     metadata: Mapping[str, str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write named arrays and text metadata, whole or not at all.
+    """Write named arrays and text metadata, whole or not at all, with their checksums.
 
     Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite`
     is false.
@@ -53,12 +54,12 @@ def write_tensors(
             "data_offsets": [offset, end],
         }
         offset = end
-    text = json.dumps(header, separators=(",", ":")).encode()
+    text = json.dumps(with_checksums(header, arrays), separators=(",", ":")).encode()
     text += b" " * (-(8 + len(text)) % LINE)
     with replacing(path, overwrite) as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
-            file.write(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+            file.write(raw_bytes(arrays[name]))
 
 
 def _misfit(array: np.ndarray) -> tuple[bool, int]:
@@ -68,8 +69,10 @@ def _misfit(array: np.ndarray) -> tuple[bool, int]:
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """The arrays of a file as read-only memory maps, and its metadata. Nothing is copied.
 
+    The header is compared with its checksum where it has one, the arrays are not: see `read_tensors`.
+
     Raises: InputError: there is no such file. FormatError: not safetensors, truncated, or a header
-    that does not describe exactly the bytes that follow it.
+    that does not describe exactly the bytes that follow it, or is not the one that was written.
     """
     path = Path(path)
     try:
@@ -79,6 +82,7 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
     except ValueError:
         raise FormatError(f"{path}: empty file") from None
     header, payload = _header(raw, path)
+    check_header(header, str(path))
     metadata = header.pop("__metadata__", {})
     if not isinstance(metadata, dict) or not all(
         isinstance(value, str) for value in metadata.values()
@@ -93,6 +97,18 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
                 f"{path}: tensor {name!a} is not aligned to its {dtype.itemsize}-byte items"
             )
         tensors[name] = payload[begin:end].view(dtype).reshape(shape)
+    return tensors, metadata
+
+
+def read_tensors(
+    path: str | os.PathLike[str],
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """As `map_tensors`, of a file of ours, each array compared with its checksum.
+
+    Raises: as `map_tensors`; FormatError: an array is not what was written, or has no checksum.
+    """
+    tensors, metadata = map_tensors(path)
+    check_checksums(tensors, metadata, str(path))
     return tensors, metadata
 
 
