@@ -1,15 +1,19 @@
 """Small evidence, codebooks and encoders for tests."""
 
+import json
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from safetensors.numpy import save
 from scipy.sparse import csr_array, random_array
 
 from drsplat.encoders import EncoderIdentity
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import LanguageField, build_field
+from drsplat.formats.checksums import DOCUMENT, TENSORS
+from drsplat.formats.tensors import map_tensors
 
 OFFICIAL_INDEX = Path(__file__).resolve().parents[2] / "shared/data/official/pq_index.faiss"
 TOY = EncoderIdentity("toy", 32, "w0")
@@ -58,3 +62,19 @@ class ToyEncoder:
                 for t in texts
             ]
         )
+
+
+def as_version_2(folder: Path) -> None:
+    """A saved field as the second version wrote it: without checksums."""
+    manifest = json.loads((folder / "field.json").read_text()) | {"version": 2}
+    manifest.pop(DOCUMENT)
+    (folder / "field.json").write_text(json.dumps(manifest))
+    for path in folder.glob("*.safetensors"):
+        without_checksums(path)
+
+
+def without_checksums(path: Path) -> None:
+    """A safetensors file as the library safetensors writes it."""
+    tensors, metadata = map_tensors(path)
+    kept = {name: text for name, text in metadata.items() if not name.startswith(TENSORS)}
+    path.write_bytes(save({name: np.array(array) for name, array in tensors.items()}, kept))

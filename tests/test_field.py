@@ -25,6 +25,7 @@ from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evidence import Evidence, Explanation, Segments
 from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
+from drsplat.formats.checksums import sealed
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.gaussians import Gaussians
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
@@ -430,7 +431,7 @@ def as_version_1(path: Path) -> None:
     manifest = manifest_of(path)
     listed = manifest.pop("code")
     manifest["codebook"] = {"hash": listed["codebook"], "encoder": listed["encoder"]}
-    (path / "field.json").write_text(json.dumps(manifest | {"version": 1}))
+    (path / "field.json").write_text(json.dumps(sealed(manifest | {"version": 1})))
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field])
@@ -481,7 +482,7 @@ def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
     ("entry", "value", "message"),
     [
         ("format", "other", "expected a 'drsplat field'"),
-        ("version", 3, "upgrade"),
+        ("version", 4, "upgrade"),
         ("version", True, "upgrade"),
         ("version", 1, "how the features are coded"),
         ("encoder", {"name": "other", "dim": 32, "weights": ""}, "codebook is of"),
@@ -498,7 +499,7 @@ def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
 def test_a_changed_manifest_is_refused(
     entry: str, value: object, message: str, saved: Path
 ) -> None:
-    (saved / "field.json").write_text(json.dumps(manifest_of(saved) | {entry: value}))
+    (saved / "field.json").write_text(json.dumps(sealed(manifest_of(saved) | {entry: value})))
     with pytest.raises((FormatError, MismatchError), match=message):
         load_field(saved)
 

@@ -14,7 +14,7 @@ from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import build_field, load_field
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
-from fields import SCENE, random_evidence, unit_rows
+from fields import SCENE, as_version_2, random_evidence, unit_rows, without_checksums
 from mutations import bounded_allocations, mutants, quota
 
 MUTANTS = quota(5_000)  # of each family
@@ -36,7 +36,10 @@ def tiny_codebook(residual: bool = True) -> Codebook:
 
 @lru_cache
 def field_files(mixture: bool = False) -> dict[str, bytes]:
-    """The files of a small field with a coarse codebook or a mixture, evidence and negatives."""
+    """The files of a small field with a coarse codebook or a mixture, evidence and negatives.
+
+    Without checksums, as those of version 2, so that damage gets past them.
+    """
     import tempfile
 
     rng = np.random.default_rng(1)
@@ -46,6 +49,7 @@ def field_files(mixture: bool = False) -> dict[str, bytes]:
     field = field.with_negatives(unit_rows(rng, 2, 4), ("one", "two"))
     with tempfile.TemporaryDirectory() as folder:
         field.save(Path(folder) / "a")
+        as_version_2(Path(folder) / "a")
         return {file.name: file.read_bytes() for file in (Path(folder) / "a").iterdir()}
 
 
@@ -112,6 +116,7 @@ def test_damaged_fields(
 def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros((0, 3), "u1"), "c": np.ones(3, "f2")}
     write_tensors(tmp_path / "a", arrays, {"key": "value"})
+    without_checksums(tmp_path / "a")
 
     def touch(path: Path) -> None:
         with np.errstate(all="ignore"):

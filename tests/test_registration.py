@@ -124,6 +124,13 @@ def test_a_second_run_computes_nothing_and_a_damaged_part_again(
     assert same(again, registration)
     assert [part.stat().st_mtime_ns for part in parts][1:] == stamps[1:]
     assert parts[0].stat().st_size > 50
+    for at in (-1, -400, 12, 200):  # a flipped bit among the weights, the Gaussians, in the header
+        good = parts[1].read_bytes()
+        bad = bytearray(good)
+        bad[at] ^= 1
+        parts[1].write_bytes(bad)
+        assert same(register(gaussians, views, features, topk=10, parts=tmp_path), registration)
+        assert parts[1].read_bytes() == good
 
 
 @pytest.mark.parametrize("change", ["topk", "first_hits", "scene", "camera", "mask"])

@@ -257,6 +257,17 @@ def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
         ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
 
 
+def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, points, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views, points)
+    good = checkpoint.read_bytes()
+    for at in np.random.default_rng(0).integers(8, len(good), 24):
+        bad = bytearray(good)
+        bad[at] ^= 1 << int(at % 8)
+        checkpoint.write_bytes(bad)
+        with pytest.raises(ds.FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"):
+            ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
+
+
 def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
     (tmp_path / "holiday.txt").write_text("mine")
     with pytest.raises(ds.InputError, match="not empty"):

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from .aggregation import Sampling
 from .errors import FormatError
 from .features import ViewFeatures
-from .formats.tensors import map_tensors, write_tensors
+from .formats.tensors import map_tensors, read_tensors, write_tensors
 from .kernels import SplatArrays, Triples, default_isa
 from .photos import undistort_ids
 from .views import View
@@ -78,7 +78,7 @@ def _is_finished(path: Path, key: str) -> bool:
     if not path.exists():
         return False
     try:
-        return map_tensors(path)[1].get("key") == key
+        return read_tensors(path)[1].get("key") == key
     except FormatError:  # a damaged part is computed again
         return False
 

@@ -96,6 +96,12 @@ class Evidence:
     def dim(self) -> int:
         return int(self.embeddings.shape[1])
 
+    def check_weights(self) -> None:
+        """Raises: InputError: weights that are no numbers, infinite or negative."""
+        data = self.weights.data
+        if len(data) and not 0 <= data.min() <= data.max() < np.inf:  # NaN fails as well
+            raise InputError("weights: expected finite numbers of 0 or more")
+
     def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
         """Mean embedding of rows [begin, end), weighted and normalised; zero where there is none.
 

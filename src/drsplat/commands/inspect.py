@@ -18,12 +18,18 @@ EXAMPLES = """\
   drsplat inspect scene.ply
   drsplat inspect capture
   drsplat inspect capture/language_features
-  drsplat inspect room.field --json"""
+  drsplat inspect room.field --json
+  drsplat inspect room.field --verify"""
 PERCENTILES = (1, 50, 99)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", help="file or folder of any of these")
+    parser.add_argument(
+        "--verify", action="store_true",
+        help="compare all that is in a field with its checksums, which other verbs do for what they use; the other "
+        "kinds are read whole anyway",
+    )  # fmt: skip
     add_capture_options(parser)
 
 
@@ -147,6 +153,8 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import load_field
 
     field = load_field(arguments.path)
+    if arguments.verify:
+        field.verify()
     files = sorted(file for file in Path(arguments.path).iterdir() if file.is_file())
     evidence = field.evidence
     return {
@@ -164,6 +172,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "negatives": list(field.negatives.texts) if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},
         "fingerprint": field.fingerprint,
+        "verified": arguments.verify,
     }
 
 

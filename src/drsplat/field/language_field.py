@@ -18,7 +18,7 @@ from ..evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..gaussians import Gaussians
 
-FORMAT, VERSION = "drsplat field", 2
+FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
 TEMPERATURE = 10.0
 FEW = 16  # negatives scored at once, exactly
@@ -297,6 +297,14 @@ class LanguageField:
                 f"{_named(identity)}: use {self.encoder.name} with the same weights, or register "
                 f"again with {identity.name}"
             )
+
+    def verify(self) -> None:
+        """Compare all that is on disk with its checksums; files of versions 1 and 2 have none.
+
+        A field that is in memory has nothing to compare.
+
+        Raises: FormatError: a file is damaged.
+        """
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Write the field to a folder (by custom NAME.field); see `load_field`.

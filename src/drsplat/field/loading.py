@@ -1,7 +1,9 @@
 """Fields from disk: believed only as far as their files agree."""
 
 import os
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +12,8 @@ from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
 from ..codes.mixture import MixtureCode, mixture_from_tensors
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
-from ..formats.field_folder import read_manifest
+from ..formats.checksums import check_checksums, check_seal
+from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .language_field import (
@@ -22,8 +25,12 @@ from .language_field import (
     LanguageField,
     Negatives,
 )
+from .stored import StoredField
 
+SUMMED = 3  # the first version with checksums
 MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
+
+CURE = "restore the field from a copy, or register again"
 
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {
@@ -31,11 +38,13 @@ _ARRAYS = {
     "coarse_ids": ("uint16", "r"),
     "inverse_norms": ("float32", "r"),
 }
-_CODES = {1: {"codes": ("uint8", "r L")}, 2: {"grouped_codes": ("uint8", "g L k")}}
+_OLD_CODES, _GROUPED_CODES = {"codes": ("uint8", "r L")}, {"grouped_codes": ("uint8", "g L k")}
 
 
 def load_field(path: str | os.PathLike[str]) -> LanguageField:
     """Read what `LanguageField.save` wrote. Arrays are read-only; those of large files are memory maps.
+
+    What a file holds is compared with its checksums when it is first used, or by `verify`.
 
     Raises: InputError: there is no such field. FormatError: damaged, or written by a newer version.
     MismatchError: files of different fields are mixed.
@@ -53,24 +62,53 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             f"{ascii(manifest.get('drsplat'))[:20]}; this one reads 1 to {VERSION}: upgrade, or register "
             "again"
         )
-    tensors, _ = _tied(path, CODES, manifest)
+    check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED)
+    files = {name: _tied(path, name, manifest) for name in _names(manifest)}
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
+    tensors = files[CODES].tensors
     code = _code(tensors, manifest, path)
+    evidence = _evidence(files.get(EVIDENCE))
     try:
-        return LanguageField(
+        field = StoredField(
             tensors["gaussian_ids"],
             code,
             encoder_from_json(manifest.get("encoder"), str(path)),
             scene,
             count,
-            _evidence(path, manifest),
-            _negatives(path, manifest, code.dim),
+            evidence,
+            _negatives(files.get(NEGATIVES), manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
+    return field.compared_by(
+        {
+            name: partial(_compare, file, evidence if name == EVIDENCE else None)
+            for name, file in files.items()
+        }
+    )
+
+
+class _File(NamedTuple):
+    """One of a field's files. is_summed: whether it must have checksums."""
+
+    path: Path
+    tensors: _Tensors
+    metadata: dict[str, str]
+    is_summed: bool
+
+
+def _compare(file: _File, evidence: Evidence | None) -> None:
+    try:
+        check_checksums(file.tensors, file.metadata, str(file.path), file.is_summed)
+        if evidence is not None:
+            evidence.check_weights()
+    except FormatError as error:
+        raise FormatError(f"{error}: {CURE}") from error
+    except InputError as error:
+        raise FormatError(f"{file.path}: {error}: {CURE}") from error
 
 
 def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
@@ -93,7 +131,7 @@ def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
     expected_hash = about.get("hash" if old else "codebook")
     codebook = codebook_from_tensors(tensors, about.get("encoder"), expected_hash, where)
     expected = {k: v for k, v in _ARRAYS.items() if k != "coarse_ids" or k in tensors}
-    check_tensors(tensors, expected | _CODES[1 if old else 2], where)
+    check_tensors(tensors, expected | (_OLD_CODES if old else _GROUPED_CODES), where)
     grouped = group_codes(tensors["codes"]) if old else tensors["grouped_codes"]
     try:
         return PQCode(codebook, grouped, tensors.get("coarse_ids"), tensors["inverse_norms"])
@@ -101,13 +139,15 @@ def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
         raise FormatError(f"{where}: {error}") from error
 
 
-def _has(manifest: dict[str, object], name: str) -> bool:
+def _names(manifest: dict[str, object]) -> list[str]:
+    """The files that must be there."""
     files = manifest.get("files")
-    return isinstance(files, list) and name in files
+    listed = files if isinstance(files, list) else []
+    return [CODES, *(name for name in (EVIDENCE, NEGATIVES) if name in listed)]
 
 
-def _tied(path: Path, name: str, manifest: dict[str, object]) -> tuple[_Tensors, dict[str, str]]:
-    """The arrays of one file, if it was written together with the manifest."""
+def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
+    """One file, if it was written together with the manifest."""
     try:
         tensors, metadata = map_tensors(path / name)
     except InputError as error:
@@ -116,29 +156,28 @@ def _tied(path: Path, name: str, manifest: dict[str, object]) -> tuple[_Tensors,
         raise MismatchError(
             f"{path / name} was written with another field: do not mix files of two fields"
         )
-    return tensors, metadata
+    return _File(path / name, tensors, metadata, int(str(manifest["version"])) >= SUMMED)
 
 
-def _evidence(path: Path, manifest: dict[str, object]) -> Evidence | None:
-    if not _has(manifest, EVIDENCE):
+def _evidence(file: _File | None) -> Evidence | None:
+    return file and evidence_from_tensors(file.tensors, file.metadata, str(file.path))
+
+
+def _negatives(file: _File | None, manifest: dict[str, object], dim: int) -> Negatives | None:
+    if file is None:
         return None
-    tensors, metadata = _tied(path, EVIDENCE, manifest)
-    return evidence_from_tensors(tensors, metadata, str(path / EVIDENCE))
-
-
-def _negatives(path: Path, manifest: dict[str, object], dim: int) -> Negatives | None:
-    if not _has(manifest, NEGATIVES):
-        return None
-    tensors, _ = _tied(path, NEGATIVES, manifest)
+    path, tensors = file.path, file.tensors
     expected = {"embeddings": ("float32", "n D"), "maxima": ("float32", "r")}
-    check_tensors(tensors, expected, str(path / NEGATIVES))
+    check_tensors(tensors, expected, str(path))
     texts, embeddings = manifest.get("negatives"), tensors["embeddings"]
     if embeddings.shape[1] != dim:
-        raise FormatError(
-            f"{path / NEGATIVES}: expected embeddings (n, {dim}), got {embeddings.shape}"
-        )
+        raise FormatError(f"{path}: expected embeddings (n, {dim}), got {embeddings.shape}")
+    if not (np.isfinite(embeddings).all() and np.isfinite(tensors["maxima"]).all()):
+        raise FormatError(f"{path}: expected finite embeddings and maxima: {CURE}")
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
-        raise FormatError(f"{path}: negatives must be a list of texts")
+        raise FormatError(f"{path.parent}: negatives must be a list of texts")
     if texts and len(texts) != len(embeddings):
-        raise FormatError(f"{path}: {len(texts)} negative texts for {len(embeddings)} embeddings")
+        raise FormatError(
+            f"{path.parent}: {len(texts)} negative texts for {len(embeddings)} embeddings"
+        )
     return Negatives(tuple(texts), embeddings, tensors["maxima"])

@@ -6,10 +6,10 @@ Knows nothing of what is in them; `drsplat.field` does.
 import ctypes
 import json
 import os
-import secrets
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +17,16 @@ import numpy as np
 
 from ..contents import open_file
 from ..errors import FormatError, InputError
+from .checksums import sealed
+from .replacing import (
+    lock,
+    refuse_missing_parent,
+    replacing,
+    saying_what_is_full,
+    sweep,
+    sync_folder,
+    temporary_beside,
+)
 from .tensors import write_tensors
 
 MANIFEST = "field.json"
@@ -37,29 +47,39 @@ def write_folder(
 ) -> None:
     """Write all files beside `path`, then give the folder its name.
 
-    A killed process leaves the old folder or the new one, never a mixture; a hidden `.tmp` folder
-    that it may leave beside them can be deleted. Where the file system cannot exchange two folders
+    A killed process leaves the old folder or the new one, never a mixture; what else it leaves, in a
+    hidden `.tmp` folder, the next one removes. Where the file system cannot exchange two folders
     in one step, a kill between two renames leaves the old folder under such a hidden name.
 
     Raises: InputError: `path` exists and `overwrite` is false or it is not such a folder, or it has
-    no folder to be in.
+    no folder to be in; the disk is full.
     """
     if path.exists() or path.is_symlink():
         if not overwrite:
             raise InputError(f"{path} exists already: pass overwrite=True to replace it")
         refuse_to_replace_others(path)
-    if not path.parent.is_dir():
-        raise InputError(
-            f"there is no folder {path.parent} to write {path.name} into: make it first"
-        )
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
-    temporary.mkdir()
-    try:
+    refuse_missing_parent(path)
+    sweep(path.parent)
+    with saying_what_is_full(path), _new_folder(path) as temporary:
         for name, file in files.items():
             write_tensors(temporary / name, file.tensors, file.metadata)
-        (temporary / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        with replacing(temporary / MANIFEST) as out:
+            out.write((json.dumps(sealed(manifest), indent=2) + "\n").encode())
         _take_place(temporary, path)
+        sync_folder(path.parent)
+
+
+@contextmanager
+def _new_folder(path: Path) -> Iterator[Path]:
+    """A hidden folder beside `path`, locked; it is gone when the block ends, if it has the name still."""
+    temporary = temporary_beside(path, f"{path.name}.")
+    temporary.mkdir()
+    descriptor = os.open(temporary, os.O_RDONLY)
+    try:
+        lock(descriptor)
+        yield temporary
     finally:
+        os.close(descriptor)
         shutil.rmtree(temporary, ignore_errors=True)
 
 

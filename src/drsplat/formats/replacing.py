@@ -1,16 +1,45 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and stay when the power fails.
+
+Everything is written beside its place under a hidden name that ends in `.tmp`, brought to the disk, and renamed.
+Whoever writes holds a lock on it, so that what killed processes left is known and swept by the next one.
+"""
 
 import errno
+import io
 import os
+import re
 import secrets
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: nothing is swept
+    fcntl = None  # type: ignore[assignment]
+
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_OURS = re.compile(r"\.(.+\.)?[0-9a-f]{16}\.tmp", re.DOTALL)
+
+
+class NoRoom(InputError):
+    """The disk is full, or a limit on files is reached. reason: the system's words."""
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+class _Writer(io.BufferedWriter):
+    """A file that all libraries write through Python, whose errors say what happened; theirs do not."""
+
+    def fileno(self) -> int:
+        raise io.UnsupportedOperation("fileno")
 
 
 @contextmanager
@@ -25,21 +54,101 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
         raise InputError(f"{path} is a folder: give the name of a file in it")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists already: pass overwrite=True to replace it")
+    refuse_missing_parent(path)
+    sweep(path.parent)
+    with saying_what_is_full(path):
+        temporary, raw = _new_file(path)
+        try:
+            with _Writer(raw) as file:
+                yield file
+                file.flush()
+                os.fsync(raw.fileno())
+                os.replace(temporary, path)  # while it is locked
+            sync_folder(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def refuse_missing_parent(path: Path) -> None:
+    """Raises: InputError: there is no folder for `path` to be in."""
     if not path.parent.is_dir():
         raise InputError(
             f"there is no folder {path.parent} to write {path.name} into: make it first"
         )
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+
+
+@contextmanager
+def saying_what_is_full(path: Path) -> Iterator[None]:
+    """Raises: NoRoom: the block ran out of disk while it wrote `path`, or something for it."""
     try:
-        with open(temporary, "xb") as file:
-            yield file
-        os.replace(temporary, path)
+        yield
     except OSError as error:
         if error.errno not in _NO_ROOM:
             raise
-        raise InputError(
-            f"{path}: there is no room left to write it ({os.strerror(error.errno)}), so it was "
-            "left as it was: free some space and try again"
-        ) from error
+        raise NoRoom(_told(path, os.strerror(error.errno)), os.strerror(error.errno)) from error
+    except NoRoom as error:
+        raise NoRoom(_told(path, error.reason), error.reason) from error
+
+
+def _told(path: Path, reason: str) -> str:
+    return (
+        f"{path}: there is no room left to write it ({reason}), so it was left as it was: free "
+        "some space and try again"
+    )
+
+
+def temporary_beside(path: Path, name: str = "") -> Path:
+    """A hidden name that is free, and swept if what gets it is left there."""
+    return path.with_name(f".{name}{secrets.token_hex(8)}.tmp")
+
+
+def lock(descriptor: int) -> None:
+    """What is open is not swept until it is closed, where the file system has locks."""
+    if fcntl is not None:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+
+
+@cache
+def sweep(folder: Path) -> None:
+    """Remove what killed processes left in a folder; once in the life of this process."""
+    if fcntl is not None:
+        for entry in os.scandir(folder):
+            if _OURS.fullmatch(entry.name):
+                with suppress(OSError):  # in use, not ours to remove, or gone
+                    _remove_unlocked(Path(entry.path))
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, where the system can."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):  # some network drives refuse
+            os.fsync(descriptor)
     finally:
-        temporary.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _remove_unlocked(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+    finally:
+        os.close(descriptor)
+
+
+def _new_file(path: Path) -> tuple[Path, io.FileIO]:
+    """A hidden file beside `path`, locked. Between its making and its lock it may be swept: then another."""
+    while True:
+        temporary = temporary_beside(path)
+        raw = io.FileIO(temporary, "xb")
+        lock(raw.fileno())
+        if temporary.exists():
+            return temporary, raw
+        raw.close()

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..contents import file_bytes
 from ..errors import FormatError, InputError
+from .checksums import check_checksums, check_header, raw_bytes, with_checksums
 from .replacing import replacing
 
 _DTYPES = {
@@ -33,7 +34,7 @@ def write_tensors(
     metadata: Mapping[str, str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write named arrays and text metadata, whole or not at all.
+    """Write named arrays and text metadata, whole or not at all, with their checksums.
 
     Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite`
     is false.
@@ -54,12 +55,12 @@ def write_tensors(
             "data_offsets": [offset, end],
         }
         offset = end
-    text = json.dumps(header, separators=(",", ":")).encode()
+    text = json.dumps(with_checksums(header, arrays), separators=(",", ":")).encode()
     text += b" " * (-(8 + len(text)) % LINE)
     with replacing(path, overwrite) as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
-            file.write(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+            file.write(raw_bytes(arrays[name]))
 
 
 def _misfit(array: np.ndarray) -> tuple[bool, int]:
@@ -69,14 +70,17 @@ def _misfit(array: np.ndarray) -> tuple[bool, int]:
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """The arrays of a file, read-only, and its metadata: read where they are small, else mapped (`file_bytes`).
 
+    The header is compared with its checksum where it has one, the arrays are not: see `read_tensors`.
+
     Raises: InputError: there is no such file, or it is a pipe. FormatError: not safetensors, truncated, or a header
-    that does not describe exactly the bytes that follow it.
+    that does not describe exactly the bytes that follow it, or is not the one that was written.
     """
     path = Path(path)
     raw = file_bytes(path)
     if not raw.size:
         raise FormatError(f"{path}: empty file")
     header, payload = _header(raw, path)
+    check_header(header, str(path))
     metadata = header.pop("__metadata__", {})
     if not isinstance(metadata, dict) or not all(
         isinstance(value, str) for value in metadata.values()
@@ -91,6 +95,18 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
                 f"{path}: tensor {name!a} is not aligned to its {dtype.itemsize}-byte items"
             )
         tensors[name] = payload[begin:end].view(dtype).reshape(shape)
+    return tensors, metadata
+
+
+def read_tensors(
+    path: str | os.PathLike[str],
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """As `map_tensors`, of a file of ours, each array compared with its checksum.
+
+    Raises: as `map_tensors`; FormatError: an array is not what was written, or has no checksum.
+    """
+    tensors, metadata = map_tensors(path)
+    check_checksums(tensors, metadata, str(path))
     return tensors, metadata
 
 

@@ -115,6 +115,7 @@ class Catalog:
             threads=given.threads,
             load=self._load,
         )
+        scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
         with self._lock:
             self._open[name] = scene
             while len(self._open) > self.most:

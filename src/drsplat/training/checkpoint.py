@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import FormatError, MismatchError
 from ..formats.captures import SparsePoints
-from ..formats.tensors import check_tensors, map_tensors, write_tensors
+from ..formats.tensors import check_tensors, read_tensors, write_tensors
 from ..views import View
 from .run import Run
 
@@ -56,7 +56,10 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
 
     Raises: FormatError: a damaged file. MismatchError: it is of other settings or another capture.
     """
-    arrays, texts = map_tensors(path)
+    try:
+        arrays, texts = read_tensors(path)
+    except FormatError as error:
+        raise FormatError(f"{error}: remove it to start anew") from error
     if texts.get("version") != VERSION or not all(name in texts for name in TEXTS):
         raise FormatError(
             f"{path}: expected a checkpoint of version {VERSION}: remove it to start anew"

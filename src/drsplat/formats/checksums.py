@@ -1,0 +1,99 @@
+"""Checksums of what is kept on disk: CRC-32, found wrong where a bit has changed. No proof against forgers.
+
+In safetensors files they stand in the header's metadata, in JSON documents beside the other keys.
+"""
+
+import json
+import zlib
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..errors import FormatError
+
+TENSORS, HEADER, DOCUMENT = "crc32", "crc32_header", "crc32"
+
+
+def raw_bytes(array: np.ndarray) -> memoryview:
+    """The bytes of an array in C order, without a copy where they lie so already."""
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
+
+
+def with_checksums(
+    header: Mapping[str, object], tensors: Mapping[str, np.ndarray]
+) -> dict[str, object]:
+    """A safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
+    sums = {name: _hex(raw_bytes(array)) for name, array in tensors.items()}
+    metadata = {**_metadata(header), TENSORS: json.dumps(sums)}
+    metadata.pop(HEADER, None)
+    whole = _of_json({**header, "__metadata__": metadata})
+    return {**header, "__metadata__": {**metadata, HEADER: whole}}
+
+
+def check_header(header: Mapping[str, object], where: str) -> None:
+    """Raises: FormatError: a header that carries its checksum is not what was written."""
+    metadata = _metadata(header)
+    written = metadata.pop(HEADER, None)
+    if written is not None and written != _of_json({**header, "__metadata__": metadata}):
+        raise FormatError(f"{where}: damaged: its header is not what was written")
+
+
+def check_checksums(
+    tensors: Mapping[str, np.ndarray],
+    metadata: Mapping[str, str],
+    where: str,
+    required: bool = True,
+) -> None:
+    """Compare each tensor of a file with its checksum. Files of older versions have none: not `required`.
+
+    Raises: FormatError: another tensor than was written, or no checksums.
+    """
+    if TENSORS not in metadata and not required:
+        return
+    written = _written(metadata)
+    if not isinstance(written, dict) or set(written) != set(tensors) or HEADER not in metadata:
+        raise FormatError(f"{where}: damaged: expected the checksum of every tensor in its header")
+    for name, array in tensors.items():
+        if _hex(raw_bytes(array)) != written[name]:
+            raise FormatError(f"{where}: damaged: tensor {name!a} is not what was written")
+
+
+def sealed(document: Mapping[str, object]) -> dict[str, object]:
+    """A JSON document with its own checksum."""
+    return {**document, DOCUMENT: _of_json(_unsealed(document))}
+
+
+def check_seal(document: Mapping[str, object], where: str, required: bool = True) -> None:
+    """Compare a JSON document with its checksum; those of older versions have none: not `required`.
+
+    Raises: FormatError: another document than was written, or no checksum.
+    """
+    if not required and DOCUMENT not in document:
+        return
+    if document.get(DOCUMENT) != _of_json(_unsealed(document)):
+        raise FormatError(f"{where}: damaged or edited: it is not what was written")
+
+
+def _unsealed(document: Mapping[str, object]) -> dict[str, object]:
+    return {key: value for key, value in document.items() if key != DOCUMENT}
+
+
+def _metadata(header: Mapping[str, object]) -> dict[str, object]:
+    metadata = header.get("__metadata__", {})
+    return dict(metadata) if isinstance(metadata, dict) else {}
+
+
+def _written(metadata: Mapping[str, str]) -> object:
+    try:
+        return json.loads(metadata.get(TENSORS, ""))
+    except (ValueError, RecursionError):
+        return None
+
+
+def _of_json(document: object) -> str:
+    """Of what a document says, whatever its spaces and the order of its keys."""
+    return _hex(json.dumps(document, sort_keys=True, separators=(",", ":")).encode())
+
+
+def _hex(data: bytes | memoryview) -> str:
+    return f"{zlib.crc32(data):08x}"

@@ -1,0 +1,282 @@
+"""A flipped bit in what was kept is noticed, everywhere; what killed processes leave is swept."""
+
+import json
+import os
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from drsplat.cli import main
+from drsplat.codes import load_codebook, save_codebook
+from drsplat.errors import DrSplatError, FormatError
+from drsplat.field import LanguageField, build_field, load_field
+from drsplat.formats.checksums import sealed
+from drsplat.formats.replacing import replacing, sweep
+from drsplat.formats.tensors import map_tensors, read_tensors, write_tensors
+from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
+from mutations import quota
+
+FLIPS = quota(400)
+
+
+def saved_field(folder: Path, mixture: bool = False) -> Path:
+    rng = np.random.default_rng(2)
+    evidence = random_evidence(rng)
+    field = build_field(evidence, SCENE, TOY, **({"atoms_per_row": 2} if mixture else {}))
+    field.with_negatives(unit_rows(rng, 2, 32), ("one", "two")).save(folder / "a.field")
+    return folder / "a.field"
+
+
+def flipped(data: bytes, rng: np.random.Generator) -> bytes:
+    changed = bytearray(data)
+    changed[rng.integers(len(changed))] ^= 1 << rng.integers(8)
+    return bytes(changed)
+
+
+def answers(field: LanguageField) -> list[object]:
+    """Everything that a field says, as comparable values."""
+    queries = unit_rows(np.random.default_rng(5), 2, 32)
+    evidence = field.evidence
+    assert evidence is not None
+    assert field.negatives is not None
+    arrays = (
+        field.gaussian_ids, field.scores(queries), field.relevancy(queries[0]), evidence.weights.data,
+        evidence.weights.indptr, evidence.weights.indices, evidence.embeddings, evidence.segments.views,
+        evidence.segments.ids, field.negatives.embeddings,
+    )  # fmt: skip
+    said = (field.encoder, field.scene, field.num_gaussians, field.aggregator)
+    names = evidence.segments.view_names, field.negatives.texts
+    return [array.tobytes() for array in arrays] + [said, names]
+
+
+@pytest.mark.parametrize("mixture", [False, True])
+def test_a_flipped_bit_in_a_field_never_changes_an_answer(mixture: bool, tmp_path: Path) -> None:
+    path, rng = saved_field(tmp_path, mixture), np.random.default_rng(3)
+    expected = answers(load_field(path))
+    for file in sorted(path.iterdir()):
+        good, refused = file.read_bytes(), 0
+        for _ in range(FLIPS // 4):
+            file.write_bytes(flipped(good, rng))
+            try:
+                assert answers(load_field(path)) == expected, file.name
+            except DrSplatError:
+                refused += 1
+        assert refused > FLIPS // 8  # but for unused bits, such as spaces
+        file.write_bytes(good)
+
+
+def damage(path: Path, tensor: str, at: int = 0) -> None:
+    """Flip a bit of one tensor in place."""
+    array = map_tensors(path)[0][tensor]
+    data = bytearray(path.read_bytes())
+    offset = data.index(array.tobytes()) + at
+    data[offset] ^= 4
+    path.write_bytes(data)
+
+
+def test_damage_is_found_at_first_use_and_by_verify(tmp_path: Path) -> None:
+    path = saved_field(tmp_path)
+    load_field(path).verify()
+    damage(path / "evidence.safetensors", "data")
+    field = load_field(path)
+    assert len(field.top(unit_rows(np.random.default_rng(0), 1, 32)[0], 3).rows) == 3
+    for use in (field.verify, lambda: field.evidence, lambda: field.explain(0, np.ones(32, "f4"))):
+        with pytest.raises(
+            FormatError, match=r"evidence.*'data' is not what was written.*register"
+        ):
+            use()
+    with pytest.raises(FormatError, match="not what was written"):
+        field.save(tmp_path / "b.field")  # would give the damage new checksums
+    assert not (tmp_path / "b.field").exists()
+
+
+def test_inspect_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = saved_field(tmp_path)
+    assert main(["inspect", str(path), "--verify", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verified"] is True
+    damage(path / "negatives.safetensors", "maxima")
+    assert main(["inspect", str(path), "--verify"]) == 1
+    assert "'maxima' is not what was written" in capsys.readouterr().err
+
+
+def test_fields_of_version_2_have_no_checksums_and_load(tmp_path: Path) -> None:
+    path = saved_field(tmp_path)
+    expected = answers(load_field(path))
+    as_version_2(path)
+    field = load_field(path)
+    field.verify()
+    assert answers(field) == expected
+
+
+def test_a_field_of_this_version_without_checksums_is_refused(tmp_path: Path) -> None:
+    path = saved_field(tmp_path)
+    manifest = json.loads((path / "field.json").read_text())
+    as_version_2(path)
+    (path / "field.json").write_text(json.dumps(manifest))
+    with pytest.raises(FormatError, match="checksum of every tensor"):
+        load_field(path).verify()
+    manifest.pop("crc32")
+    (path / "field.json").write_text(json.dumps(manifest))
+    with pytest.raises(FormatError, match="damaged or edited"):
+        load_field(path)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_weights_that_are_no_weights_are_refused(value: float, tmp_path: Path) -> None:
+    path = saved_field(tmp_path) / "evidence.safetensors"
+    tensors, metadata = map_tensors(path)
+    arrays = {name: np.array(array) for name, array in tensors.items()}
+    arrays["data"][7] = value
+    write_tensors(path, arrays, metadata, overwrite=True)  # with the right checksums
+    with pytest.raises(FormatError, match="finite numbers of 0 or more"):
+        load_field(path.parent).verify()
+
+
+def test_negatives_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    path = saved_field(tmp_path) / "negatives.safetensors"
+    tensors, metadata = map_tensors(path)
+    arrays = {name: np.array(array) for name, array in tensors.items()}
+    arrays["maxima"][0] = np.nan
+    write_tensors(path, arrays, metadata, overwrite=True)
+    with pytest.raises(FormatError, match="finite"):
+        load_field(path.parent)
+
+
+def test_a_flipped_bit_in_a_tensor_file_is_noticed(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    arrays = {"a": rng.random((40, 3)), "b": np.zeros((0, 3), "u1"), "c": np.arange(7, dtype="u2")}
+    write_tensors(tmp_path / "a", arrays, {"key": "value \ud800"})
+    good = (tmp_path / "a").read_bytes()
+    for _ in range(FLIPS):
+        (tmp_path / "a").write_bytes(flipped(good, rng))
+        try:
+            tensors, metadata = read_tensors(tmp_path / "a")
+        except FormatError:
+            continue
+        assert metadata["key"] == "value \ud800"
+        assert all(np.array_equal(tensors[name], array) for name, array in arrays.items())
+
+
+def test_a_codebook_of_ours_is_checked_whole(tmp_path: Path) -> None:
+    save_codebook(toy_field().codebook, tmp_path / "a")
+    good, rng = (tmp_path / "a").read_bytes(), np.random.default_rng(6)
+    expected = load_codebook(tmp_path / "a")
+    for _ in range(FLIPS):
+        (tmp_path / "a").write_bytes(flipped(good, rng))
+        try:
+            book = load_codebook(tmp_path / "a")
+        except DrSplatError:
+            continue
+        assert book.encoder == expected.encoder
+        assert_array_equal(book.centroids, expected.centroids)
+
+
+def test_checksums_are_those_of_zlib(tmp_path: Path) -> None:
+    """As docs/formats.md describes them, so that others can check our files."""
+    array = np.arange(12, dtype="f4").reshape(3, 4)
+    write_tensors(tmp_path / "a", {"a": array}, {"key": "value"})
+    raw = (tmp_path / "a").read_bytes()
+    header = json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])
+    metadata = header["__metadata__"]
+    assert json.loads(metadata["crc32"]) == {"a": f"{zlib.crc32(array.tobytes()):08x}"}
+    whole = metadata.pop("crc32_header")
+    text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
+    assert whole == f"{zlib.crc32(text):08x}"
+    document = sealed({"b": 1, "a": ["ä"]})
+    canonical = rb'{"a":["\u00e4"],"b":1}'
+    assert document["crc32"] == f"{zlib.crc32(canonical):08x}"
+
+
+# --- files that stay ---
+
+
+def test_files_are_on_the_disk_before_they_get_their_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+    names = {"fsync": "fsync", "replace": "name", "rename": "name"}
+    for name, kind in names.items():
+        real = getattr(os, name)
+
+        def spy(*given: object, real: Callable[..., object] = real, kind: str = kind) -> object:
+            seen.append(kind)
+            return real(*given)
+
+        monkeypatch.setattr(os, name, spy)
+    with replacing(tmp_path / "a") as file:
+        file.write(b"a")
+    assert seen == ["fsync", "name", "fsync"]  # the file, its name, the folder
+    seen.clear()
+    toy_field().save(tmp_path / "a.field")
+    assert seen[-2:] == ["name", "fsync"]
+    assert seen.count("fsync") == 2 * 3 + 1  # two files and the manifest, each with its name
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from drsplat.formats.replacing import replacing
+with replacing(Path(sys.argv[1]) / "a") as file:
+    file.write(b"half")
+    file.flush()
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_what_a_killed_process_left_is_swept_and_what_is_in_use_is_not(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    left = next(iter(tmp_path.iterdir()))
+    (tmp_path / ".a.field.0123456789abcdef.tmp").mkdir()
+    (tmp_path / ".a.field.0123456789abcdef.tmp/codes.safetensors").write_bytes(b"half")
+    old = tmp_path / ".a.field.0123456789abcdef.old.tmp"
+    old.mkdir()  # the only copy there may be
+    (tmp_path / ".mine.tmp").write_bytes(b"")
+    with replacing(tmp_path / "b") as file:
+        hidden = set(tmp_path.iterdir()) - {old, tmp_path / ".mine.tmp"}
+        assert left not in hidden
+        assert len(hidden) == 1
+        sweep.cache_clear()
+        sweep(tmp_path)
+        file.write(b"whole")
+    assert (tmp_path / "b").read_bytes() == b"whole"
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([old.name, ".mine.tmp", "b"])
+
+
+FULL = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from PIL import Image
+from drsplat.field import load_field
+from drsplat.errors import InputError
+from drsplat.formats.npy import write_npy
+from drsplat.pictures import write_picture
+folder = Path(sys.argv[1])
+field = load_field(folder / "a.field")
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+writers = {"b.npy": lambda p: write_npy(p, noise), "b.png": lambda p: write_picture(p, noise), "b.field": field.save}
+for name, write in writers.items():
+    try:
+        write(folder / name)
+    except InputError as error:
+        print(name, error)
+"""
+
+
+def test_a_full_disk_is_told_in_our_words_by_every_writer(tmp_path: Path) -> None:
+    saved_field(tmp_path)
+    ran = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    told = ran.stdout.splitlines()
+    for name, line in zip(("b.npy", "b.png", "b.field"), told, strict=True):
+        assert line.startswith(f"{name} {tmp_path / name}: there is no room left to write it")
+        assert "free some space" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["a.field"]
