@@ -14,6 +14,7 @@ from .options import (
     finite,
     new_output,
     views_of,
+    words,
 )
 from .query_inputs import Click, split_click
 
@@ -40,11 +41,11 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     """What is looked for, who embeds it, and where its scores are cut."""
     parser.add_argument("field", help="what `drsplat register` wrote")
     parser.add_argument(
-        "text", nargs="?",
+        "text", nargs="?", type=words,
         help="what to look for, in words; 'mug, not red' leaves out what 'red mug' fits as well",
     )  # fmt: skip
     parser.add_argument(
-        "--not", dest="unwanted", action="append", default=[], metavar="WORDS",
+        "--not", dest="unwanted", type=words, action="append", default=[], metavar="WORDS",
         help="as ', not WORDS' in the text; may be given more than once",
     )  # fmt: skip
     parser.add_argument(
@@ -56,7 +57,7 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
         "transparent, as masks are",
     )  # fmt: skip
     parser.add_argument(
-        "--click", metavar="VIEW:X,Y",
+        "--click", type=words, metavar="VIEW:X,Y",
         help="look for what is at this pixel of a photo of --views, e.g. photo_003:210,140; needs --scene, and no encoder",
     )  # fmt: skip
     add_query_encoders(parser)
@@ -81,7 +82,7 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
         "(default: only for words with --encoder)",
     )  # fmt: skip
     parser.add_argument(
-        "--negatives", metavar="WORDS|FILE.npy",
+        "--negatives", type=words, metavar="WORDS|FILE.npy",
         help="compare with these, and measure relevancy (default: those stored in the field, else "
         "object,things,stuff,texture)",
     )  # fmt: skip
@@ -108,6 +109,7 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     output.add_argument("--views", metavar="CAPTURE", help="the poses, for --picture and --click")
     output.add_argument(
         "--view",
+        type=words,
         metavar="NAME",
         help="photo for --picture (default: the one that shows most of it)",
     )

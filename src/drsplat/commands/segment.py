@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .answers import Ask, AskedOf
-from .options import add_query_encoders
+from .options import add_query_encoders, words
 from .query_options import add_measure_options, add_output_options, check_outputs, chosen_view
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ own. classes.ply has a column class_id, -1 for none, and the colours of the clas
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help="what `drsplat register` wrote")
-    parser.add_argument("--classes", metavar="A,B,C", help="the classes, separated by commas")
+    parser.add_argument(
+        "--classes", type=words, metavar="A,B,C", help="the classes, separated by commas"
+    )
     parser.add_argument(
         "--classes-file", metavar="FILE.txt", help="the classes, one on each line, instead"
     )
