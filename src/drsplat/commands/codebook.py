@@ -101,6 +101,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_facts, size_said
 
     held_out = answer["num_held_out"]
@@ -117,7 +118,7 @@ def show(answer: dict[str, Any]) -> None:
         facts["photos"] = (
             f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
         )
-        facts["left out"] = f"{said(answer['num_left_out'])} things"
+        facts["left out"] = counted(answer["num_left_out"], "thing")
     show_facts(f"trained: {answer['codebook']}", facts)
 
 

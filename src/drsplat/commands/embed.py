@@ -115,6 +115,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_facts, size_said
 
     made = answer["photos"] - answer["reused"]
@@ -126,7 +127,7 @@ def show(answer: dict[str, Any]) -> None:
             "masks": f"{said(answer['masks'])} ({said(answer['masks_per_level'])})",
             "empty masks": said(answer["empty_masks"]),
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
-            "time": f"{answer['seconds']:.1f} s for {said(made)} photos",
+            "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )

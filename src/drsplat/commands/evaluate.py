@@ -132,6 +132,7 @@ def show(answer: dict[str, Any]) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     """All that can be known to be wrong before any work is done."""
     from ..errors import InputError
+    from ..terminal import counted
 
     count, report = len(arguments.scene), Path(arguments.report)
     if not arguments.score_only and bool(arguments.field) == bool(arguments.features):
@@ -139,7 +140,9 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("name", "field", "features"):
         given = getattr(arguments, option)
         if given and len(given) != count:
-            raise InputError(f"--{option} is given {len(given)} times and --scene {count} times")
+            raise InputError(
+                f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}"
+            )
     if (report / "results.json").exists() and not (arguments.overwrite or arguments.score_only):
         raise InputError(
             f"{report} holds results already: pass --overwrite, or name another folder"

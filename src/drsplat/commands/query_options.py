@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..asking.defaults import AUTO, COSINE_THRESHOLD, RELEVANCY_THRESHOLD
@@ -37,9 +38,12 @@ def share(text: str) -> float:
     return number
 
 
+FIELD_HELP = "what `drsplat register` wrote, or a folder with a field, its scene and photos"
+
+
 def add_query_options(parser: argparse.ArgumentParser) -> None:
     """What is looked for, who embeds it, and where its scores are cut."""
-    parser.add_argument("field", help="what `drsplat register` wrote")
+    parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
         "text", nargs="?", type=words,
         help="what to look for, in words; 'mug, not red' leaves out what 'red mug' fits as well",
@@ -117,6 +121,23 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     add_capture_options(parser)
 
 
+def take_folder(arguments: argparse.Namespace) -> None:
+    """Where a scene's folder was named: its field, and its scene and photos unless others are given.
+
+    Raises: InputError: a folder without a field or a scene. MismatchError: the field is of another scene.
+    """
+    from ..asking.opening import FIELD_SUFFIX, find_scene, registered_scene
+    from ..formats.field_folder import MANIFEST
+
+    folder = Path(arguments.field)
+    if not folder.is_dir() or (folder / MANIFEST).exists() or folder.suffix == FIELD_SUFFIX:
+        return
+    files = find_scene(folder)
+    arguments.field = str(files.field)
+    arguments.scene = arguments.scene or str(registered_scene(files)[0])
+    arguments.views = arguments.views or (files.capture and str(files.capture))
+
+
 def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> None:
     """All that can be known to be wrong before any work is done.
 
@@ -184,7 +205,7 @@ RULES = {
     "given": "as given",
     "top share": "for the share asked for",
     "auto": "chosen for this query",
-    "encoder": "of this encoder",
+    "encoder": "that of the encoder",
     "default": "the default",
 }
 

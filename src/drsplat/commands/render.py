@@ -104,9 +104,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+
     files = answer["files"]
     print(
-        f"{len(files)} files in {answer['seconds']:.1f} s: {files[0]}"
+        f"{counted(len(files), 'file')} in {answer['seconds']:.1f} s: {files[0]}"
         + (f" ... {files[-1]}" if len(files) > 1 else "")
     )
     if answer["num_selected"] == 0:

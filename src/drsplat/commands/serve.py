@@ -70,6 +70,7 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
     from ..serving.running import serve
+    from ..terminal import counted
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
     limits = Limits(seconds=arguments.timeout, scans=arguments.scans)
@@ -77,7 +78,10 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     settings = Settings(arguments.folder, sources, limits, key, hosts)
     names = list(Catalog(_path(arguments.folder)).folders())
     if not arguments.json:
-        print(f"{len(names)} scenes at http://{arguments.host}:{arguments.port}/scenes", flush=True)
+        print(
+            f"{counted(len(names), 'scene')} at http://{arguments.host}:{arguments.port}/scenes",
+            flush=True,
+        )
     serve(settings, arguments.host, arguments.port, arguments.workers, arguments.json)
 
 

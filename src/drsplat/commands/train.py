@@ -112,6 +112,7 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_sparse_points, train
     from ..progress import Meter, peak_memory_bytes
+    from ..terminal import counted
     from ..training.devices import chosen_device
 
     device, settings = chosen_device(arguments.device), _settings(arguments)
@@ -127,7 +128,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
             checkpoint_every=arguments.checkpoint_every, threads=arguments.threads,
             report=lambda status: meter.update(
                 status.iteration,
-                f"loss {status.loss:.4f}  PSNR {status.psnr:.2f}  {status.num_gaussians:,} Gaussians",
+                f"loss {status.loss:.4f}  PSNR {status.psnr:.2f}  {counted(status.num_gaussians, 'Gaussian')}",
             ),
         )  # fmt: skip
     _write_cfg_args(arguments, settings)
@@ -145,13 +146,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_facts, size_said
 
     seconds, count = answer["seconds"], max(answer["iterations"], 1)
     stages = answer["stage_seconds"].items()
     psnr, ssim = answer["psnr_test"], answer["ssim_test"]
     tested = "nothing was held out" if psnr is None else (
-        f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f} on {answer['num_test_views']} photos"
+        f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f} on {counted(answer['num_test_views'], 'photo')}"
     )  # fmt: skip
     show_facts(
         f"trained: {answer['model']}",

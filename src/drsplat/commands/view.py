@@ -70,9 +70,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+
     if "page" in answer:
         print(
-            f"{answer['page']}: {answer['num_shown']:,} Gaussians, {answer['bytes'] / 1e6:.1f} MB"
+            f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB"
         )
         for one in answer["queries"]:
             print(f"  {one['text']}: {one['num_instances'] or 'nothing'} found")
