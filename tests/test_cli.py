@@ -277,7 +277,7 @@ def test_register_takes_the_names_that_others_use(
     options = ["--feature-level", "3", "--topk", "all", "--subvectors", "32", "--max-side", "160"]
     report = answer_of(capsys, *registering(room, tmp_path / "b.field"), *options, "--threads", "1")
     assert (report["topk"], report["num_subvectors"]) == (None, 32)
-    assert "positive whole number" in error_of(
+    assert "a whole number from 1" in error_of(
         capsys, *registering(room, tmp_path / "c.field"), "-k", "0", code=2
     )
     assert "level" in error_of(capsys, *registering(room, tmp_path / "c.field"), "--level", "tiny")

@@ -57,7 +57,7 @@ def test_select_counts_and_saves_columns(
     assert intersection_over_union(ids, truth_of(story, "green sofa")) > 0.9
     printed = text_of(capsys, *argv, "--save", out, "--overwrite")
     assert f"{len(ids):,} of" in printed
-    assert "threshold 0.6, of this encoder" in printed
+    assert "threshold 0.6, that of the encoder" in printed
 
 
 def test_select_saves_row_numbers_without_a_scene(

@@ -7,20 +7,24 @@ Each verb is a module of `drsplat.commands` with SUMMARY, EXAMPLES, add_argument
 import argparse
 import json
 import os
+import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import NoReturn, TextIO
 
+from .commands.options import whole
 from .errors import DrSplatError, DrSplatWarning
+from .terminal import plain, plainly, quoted
 
 # in the order of the pipeline
 VERBS = (
     "train", "inspect", "embed", "codebook", "register", "select", "locate", "segment", "render", "view",
     "evaluate", "demo", "serve", "mcp", "doctor",
 )  # fmt: skip
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]+\b(?:\.\w+)?|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -49,8 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     as_json, debug = "--json" in given, "--debug" in given
     try:
-        with _warnings_as_lines():
-            return _run(given)
+        return _run(given)
     except UsageError as error:
         return _failed(error, "usage", MISUSED, as_json)
     except (DrSplatError, OSError, MemoryError) as error:
@@ -73,7 +76,7 @@ def make_parser() -> argparse.ArgumentParser:
         epilog="Each verb has its own help and examples: drsplat register --help",
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and leave")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(metavar="VERB", required=True)
     for name in VERBS:
         _add_verb(verbs, name)
@@ -98,57 +101,109 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
         "--json", action="store_true", help="print one JSON object to stdout and nothing else there"
     )
     common.add_argument(
-        "--threads", type=_thread_count, default=0, metavar="N",
+        "--threads", type=whole, default=0, metavar="N",
         help="CPU threads; results are the same for any number (default: 0, all cores)",
     )  # fmt: skip
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.set_defaults(command=command)
+    parser.set_defaults(command=command, flags=_flags(parser))
 
 
-def _thread_count(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(
-            f"expected a number of threads, or 0 for all cores; got '{text}'"
-        )
-    return int(text)
+def _flags(parser: argparse.ArgumentParser) -> dict[str, str]:
+    """The long flag of each option, by the name that the library has for it."""
+    named = ((action.dest, action.option_strings) for action in parser._actions)
+    return {dest: next(filter(_is_long, flags), "") for dest, flags in named}
+
+
+def _is_long(flag: str) -> bool:
+    return flag.startswith("--")
+
+
+def spelled(message: str, flags: Mapping[str, str]) -> str:
+    """A message of the library in the words of the command line.
+
+    "overwrite=True" is "--overwrite", "images=FOLDER" is "--images FOLDER", and "images: " at the beginning
+    is "--images: ". flags: of the verb, as `_flags` gives them; arguments without one stay as they are.
+    """
+
+    def spell(found: re.Match[str]) -> str:
+        name, value, heading = found.groups()
+        flag = flags.get(name or heading)
+        if not flag:
+            return found[0]
+        return f"{flag} {value}" if value and value != "True" else flag
+
+    return _ARGUMENT.sub(spell, message)
 
 
 def _run(argv: list[str]) -> int:
     arguments = make_parser().parse_args(argv)
+    _refuse_no_texts(arguments)
     if arguments.threads and "numpy" not in sys.modules:  # its BLAS reads them once
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
-    answer = arguments.command.run(arguments)
+    with _warnings_as_lines(arguments.flags):
+        try:
+            answer = arguments.command.run(arguments)
+        except DrSplatError as error:
+            error.args = (spelled(str(error), arguments.flags),)
+            raise
     if arguments.json:
-        print(json.dumps(answer, default=_plain))
+        print(json.dumps(answer, default=_as_json))
     else:
-        arguments.command.show(answer)
+        arguments.command.show(plainly(answer))
     sys.stdout.flush()
     return 0
 
 
-def _plain(value: object) -> object:
+def _refuse_no_texts(arguments: argparse.Namespace) -> None:
+    """An empty value is a variable that a shell found empty: as a path it would be the current folder."""
+    for name, value in vars(arguments).items():
+        flag = arguments.flags.get(name) or name.upper()
+        for text in value if isinstance(value, list) else [value]:
+            if text == "" and name != "ask":  # which asks nothing by default
+                raise UsageError(f"{flag} is empty: give a value, or leave it out")
+            if isinstance(text, str) and not _can_be_a_path(text):
+                raise UsageError(f"{flag}: expected text in UTF-8, got {quoted(text)}")
+
+
+def _can_be_a_path(text: str) -> bool:
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _as_json(value: object) -> object:
     """NumPy's numbers and arrays, paths: as JSON has them."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
     message = str(error) or kind
-    print(f"drsplat: error: {message}", file=sys.stderr)
-    if as_json:
-        with suppress(BrokenPipeError):
-            print(json.dumps({"error": message, "kind": kind}), flush=True)
+    print(f"drsplat: error: {plain(message)}", file=sys.stderr)
+    try:
+        if as_json:
+            print(json.dumps({"error": message, "kind": kind}))
+        sys.stdout.flush()
+    except OSError:  # what failed may be stdout itself
+        _drop_stdout()
     return code
 
 
 def _pipe_closed() -> int:
-    """The reader has gone: leave without a word, also from the interpreter's last flush."""
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """The reader has gone: exit without a word."""
+    _drop_stdout()
     return PIPE_CLOSED
 
 
+def _drop_stdout() -> None:
+    """What stdout still holds goes nowhere, also in the interpreter's last flush."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 @contextmanager
-def _warnings_as_lines() -> Iterator[None]:
+def _warnings_as_lines(flags: Mapping[str, str]) -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", DrSplatWarning)
         shown = warnings.showwarning
@@ -158,7 +213,8 @@ def _warnings_as_lines() -> Iterator[None]:
             file: TextIO | None = None, line: str | None = None,
         ) -> None:  # fmt: skip
             if issubclass(category, DrSplatWarning):
-                print(f"drsplat: warning: {message}", file=sys.stderr)
+                line = spelled(str(message), flags)
+                print(f"drsplat: warning: {plain(line)}", file=sys.stderr)
             else:
                 shown(message, category, filename, lineno, file, line)
 

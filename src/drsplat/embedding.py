@@ -122,9 +122,7 @@ def _by_stem(views: Sequence[View]) -> dict[str, View]:
             found[stem] = view
     without = [view.name for view in views if view.image_path is None]
     if not found:
-        raise InputError(
-            f"none of {len(views)} views has a photo: pass images=FOLDER to read_views"
-        )
+        raise InputError(f"none of {len(views)} views has a photo: read them with images=FOLDER")
     if without:
         text = f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}"
         warn(text, DrSplatWarning, stacklevel=3)

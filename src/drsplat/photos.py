@@ -71,7 +71,7 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
     another kind, or decodes to more pixels than a photo has.
     """
     if view.image_path is None:
-        raise InputError(f"view '{view.name}' has no photo: pass images=FOLDER to read_views")
+        raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     with _opened(view.image_path) as photo:
         _check_cost(photo, view.image_path)
         rgb = _rgb(photo, view.image_path)

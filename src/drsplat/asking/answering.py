@@ -247,7 +247,7 @@ def embedded_image(
     """
     if not isinstance(encoder, ImageEncoder):
         raise InputError(
-            f"{encoder.identity.name} sees no images: pass --encoder NAME, the model that embedded the masks"
+            f"{encoder.identity.name} sees no images: pass encoder=NAME, the model that embedded the masks"
         )
     height, width = picture.shape[:2]
     square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))

@@ -32,10 +32,12 @@ def encoder_for(
     """
     if encoder is not None:
         if vocabulary is not None:
-            raise InputError("--encoder and --vocabulary both say who embeds the words: drop one")
+            raise InputError(
+                "an encoder and a vocabulary were given, and both embed the words: drop one"
+            )
         return _loaded_encoder(field, encoder, device, load)
     if vocabulary is not None:
-        # JSON does not say who made it, and neither does a field registered without --encoder-name
+        # JSON does not say who made it, and neither does a field registered without a name of it
         anonymous = Path(vocabulary).suffix == ".json" or field.encoder.name == "unknown"
         words = read_vocabulary(vocabulary, name=field.encoder.name if anonymous else None)
         if anonymous and words.identity.dim != field.encoder.dim:
@@ -50,9 +52,9 @@ def encoder_for(
         return _loaded_encoder(field, MiniEncoder.name, device, load)
     raise InputError(
         f"the masks of this field were embedded by '{field.encoder.name}' ({field.encoder.dim}-d), so words must be "
-        "too: pass --encoder NAME (its folder, or its id on the Hugging Face hub), --vocabulary FILE (JSON {text: "
+        "too: pass encoder=NAME (its folder, or its id on the Hugging Face hub), vocabulary=FILE (JSON {text: "
         "[numbers]}) of texts embedded with it, or one query with "
-        f"--vector FILE.npy ({field.encoder.dim} numbers)"
+        f"vector=FILE.npy ({field.encoder.dim} numbers)"
     )
 
 

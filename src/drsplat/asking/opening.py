@@ -81,7 +81,7 @@ def open_scene(
     if not isinstance(files, SceneFiles):
         files = find_scene(files)
     field = load_field(files.field)
-    gaussians = _registered(field, files.scenes)
+    gaussians = registered_scene(files, field)[1]
     views = () if files.capture is None else _views(files.capture)
     return AskableScene(
         files.name,
@@ -93,8 +93,14 @@ def open_scene(
     )
 
 
-def _registered(field: LanguageField, scenes: tuple[Path, ...]) -> Gaussians:
-    """The scene that the field was made of; others may lie beside it, such as saved answers."""
+def registered_scene(
+    files: SceneFiles, field: LanguageField | None = None
+) -> tuple[Path, Gaussians]:
+    """The scene that the field was made of; others may lie beside it, such as saved answers.
+
+    field: that of the files, where it is loaded already. Raises: MismatchError: it is of none of them.
+    """
+    field, scenes = field or load_field(files.field), files.scenes
     for number, path in enumerate(scenes):
         gaussians = read_gaussians(path)
         try:
@@ -103,7 +109,7 @@ def _registered(field: LanguageField, scenes: tuple[Path, ...]) -> Gaussians:
             if number == len(scenes) - 1:
                 raise
             continue
-        return gaussians
+        return path, gaussians
     raise InputError("no scene was given")
 
 

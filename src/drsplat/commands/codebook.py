@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .embed import ENCODER, ENCODER_HELP, add_device, image_encoder, metered
-from .options import add_overwrite, count, new_output
+from .options import add_overwrite, count, count_or_all, new_output, whole, words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,14 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--images", metavar="DIR", help="where their photos are, e.g. the folder of train2017 and val2017"
     )  # fmt: skip
     source.add_argument(
-        "--encoder-name", metavar="NAME", help="who made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
+        "--encoder-name", type=words, metavar="NAME", help="who made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
     )  # fmt: skip
     source.add_argument(
-        "--limit", type=_count_or_all, default=LIMIT, metavar="N",
+        "--limit", type=count_or_all, default=LIMIT, metavar="N",
         help="embed at most N patches, drawn at random, or 'all'. Training takes 16,384 of them in any case, all "
         f"others only cost time (default: {LIMIT}; things under 100 pixels are left out)",
     )  # fmt: skip
-    source.add_argument("--encoder", default=ENCODER, metavar="NAME", help=ENCODER_HELP)
+    source.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(source)
     method = parser.add_argument_group("method")
     method.add_argument(
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="bytes of a code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)",
     )  # fmt: skip
     method.add_argument(
-        "--seed", type=_whole, default=0, metavar="N", help="of what is drawn (default: 0)"
+        "--seed", type=whole, default=0, metavar="N", help="of what is drawn (default: 0)"
     )
 
 
@@ -101,6 +101,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_facts, size_said
 
     held_out = answer["num_held_out"]
@@ -117,7 +118,7 @@ def show(answer: dict[str, Any]) -> None:
         facts["photos"] = (
             f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
         )
-        facts["left out"] = f"{said(answer['num_left_out'])} things"
+        facts["left out"] = counted(answer["num_left_out"], "thing")
     show_facts(f"trained: {answer['codebook']}", facts)
 
 
@@ -199,13 +200,3 @@ def _unit(rows: np.ndarray, wanted: np.ndarray, name: str) -> np.ndarray:
         raise FormatError(f"{name}: row {bad[0]} has no direction (zero or not finite)")
     unit: np.ndarray = (taken / norms[:, None]).astype(np.float32)
     return unit
-
-
-def _count_or_all(text: str) -> int | None:
-    return None if text == "all" else count(text)
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"expected a whole number, got '{text}'")
-    return int(text)

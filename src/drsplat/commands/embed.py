@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .options import add_capture_options, add_overwrite, count, views_of
+from .options import add_capture_options, add_overwrite, count, up_to, views_of, words
 
 if TYPE_CHECKING:
     from ..adapters.point_masks import PointMaskSettings
@@ -30,6 +30,7 @@ ENCODER_HELP = (
     f"no words; or drsplat-mini, built in, which knows 37 household things (default: {ENCODER}, the paper's)"
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
+MOST_POINTS = 1024  # on a side
 T = TypeVar("T")
 
 
@@ -44,12 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     models = parser.add_argument_group("models")
     models.add_argument(
-        "--segmenter", default=SEGMENTER, metavar="NAME",
+        "--segmenter", type=words, default=SEGMENTER, metavar="NAME",
         help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder; or graph, built in, no model to "
         f"download, under a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on a CPU take "
         "graph, or facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
     )  # fmt: skip
-    models.add_argument("--encoder", default=ENCODER, metavar="NAME", help=ENCODER_HELP)
+    models.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
     method = parser.add_argument_group("method")
     method.add_argument(
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four; graph has only these)",
     )  # fmt: skip
     method.add_argument(
-        "--points", type=count, metavar="N",
+        "--points", type=up_to(MOST_POINTS), metavar="N",
         help="SAM: ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, LangSplat's)",
     )  # fmt: skip
     method.add_argument(
@@ -114,6 +115,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_facts, size_said
 
     made = answer["photos"] - answer["reused"]
@@ -125,7 +127,7 @@ def show(answer: dict[str, Any]) -> None:
             "masks": f"{said(answer['masks'])} ({said(answer['masks_per_level'])})",
             "empty masks": said(answer["empty_masks"]),
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
-            "time": f"{answer['seconds']:.1f} s for {said(made)} photos",
+            "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )

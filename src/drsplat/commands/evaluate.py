@@ -7,7 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, add_query_encoders, finite, tracker
+from .options import (
+    add_overwrite,
+    add_query_encoders,
+    finite,
+    length,
+    tracker,
+    whole,
+    words,
+)
 
 if TYPE_CHECKING:
     from ..encoders import Encoder
@@ -38,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     each = parser.add_argument_group("for each scene, in the same order")
     each.add_argument(
-        "--name", action="append", help="folder in DATA (default: the only one there)"
+        "--name", type=words, action="append", help="folder in DATA (default: the only one there)"
     )
     each.add_argument("--scene", action="append", required=True, help="the Gaussians")
     each.add_argument("--field", action="append", help="what `drsplat register` wrote")
@@ -51,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report", required=True, metavar="DIR", help="folder for all that is written"
     )
     parser.add_argument(
-        "--method", metavar="NAME", help="name in the tables (default: the measure)"
+        "--method", type=words, metavar="NAME", help="name in the tables (default: the measure)"
     )
     parser.add_argument(
         "--relevancy", action="store_true",
@@ -65,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--automatic", action="store_true", help="also thresholds per query, found in its scores"
     )
     parser.add_argument(
-        "--label-set", default="scannet19", metavar="SET",
+        "--label-set", type=words, default="scannet19", metavar="SET",
         help="scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt with tabs "
         "between (default: scannet19)",
     )  # fmt: skip
@@ -76,18 +84,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--prompt",
+        type=words,
         metavar="TEXT",
         help='how classes are asked for, e.g. "a photo of a {}" (default: the name)',
     )
     parser.add_argument(
         "--voxel-side",
-        type=finite,
+        type=length,
         default=0.05,
         metavar="LENGTH",
         help="in scene units (default: 0.05)",
     )
     parser.add_argument(
-        "--figures", type=int, default=6, metavar="N", help="pictures a scene (default: 6)"
+        "--figures", type=whole, default=6, metavar="N", help="pictures a scene (default: 6)"
     )
     parser.add_argument(
         "--score-only", action="store_true", help="score the predictions that are in REPORT already"
@@ -123,6 +132,7 @@ def show(answer: dict[str, Any]) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     """All that can be known to be wrong before any work is done."""
     from ..errors import InputError
+    from ..terminal import counted
 
     count, report = len(arguments.scene), Path(arguments.report)
     if not arguments.score_only and bool(arguments.field) == bool(arguments.features):
@@ -130,7 +140,9 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("name", "field", "features"):
         given = getattr(arguments, option)
         if given and len(given) != count:
-            raise InputError(f"--{option} is given {len(given)} times and --scene {count} times")
+            raise InputError(
+                f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}"
+            )
     if (report / "results.json").exists() and not (arguments.overwrite or arguments.score_only):
         raise InputError(
             f"{report} holds results already: pass --overwrite, or name another folder"

@@ -17,6 +17,7 @@ from .query_options import (
     measured_said,
     numbers_of,
     query_said,
+    take_folder,
 )
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import load_field, locate, read_gaussians, select
 
+    take_folder(arguments)
     check_outputs(arguments)
     field = load_field(arguments.field)
     scene = None if arguments.scene is None else read_gaussians(arguments.scene)
@@ -85,33 +87,37 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_table
 
     measured = measured_said(answer)
     if not answer["found"]:
         print(f"Nothing found for '{answer['query']}'.\n{measured}")
         if answer["num_selected"]:
-            print(
-                f"{said(answer['num_selected'])} Gaussians are above the threshold, too few or too scattered for a thing."
-            )
+            above = counted(answer["num_selected"], "Gaussian is", "Gaussians are")
+            print(f"{above} above the threshold, too few or too scattered for a thing.")
         return
-    print(
-        f"{said(answer['num_selected'])} of {said(answer['num_registered'])} Gaussians selected\n{measured}"
-    )
+    of = counted(answer["num_registered"], "Gaussian")
+    print(f"{said(answer['num_selected'])} of {of} selected\n{measured}")
     if answer["instances"] is None:
         print("For places, pass --scene SCENE.")
         return
-    columns = ("thing", "score", "Gaussians", "centre", "extent", "seen in")
+    columns = ("thing", "score", "Gaussians", "centre", "extent")
     rows = [_row(number, thing) for number, thing in enumerate(answer["instances"])]
     show_table(
         f"{answer['num_instances']} found for '{answer['query']}', in scene units", columns, rows
     )
+    for number, thing in enumerate(
+        answer["instances"]
+    ):  # names of photos are long, and people copy them
+        if thing["support"]:
+            photos = dict.fromkeys(mask["view"] for mask in thing["support"])
+            print(f"thing {number} is seen in {', '.join(photos)}")
 
 
 def _row(number: int, thing: dict[str, Any]) -> tuple[str, ...]:
-    photos = ", ".join(dict.fromkeys(mask["view"] for mask in thing["support"]))
     places = (" ".join(f"{x:.2f}" for x in thing[key]) for key in ("center", "extent"))
-    return str(number), f"{thing['score']:.3f}", f"{thing['num_gaussians']:,}", *places, photos
+    return str(number), f"{thing['score']:.3f}", f"{thing['num_gaussians']:,}", *places
 
 
 def _instance(answer: Asked, thing: Instance) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .options import add_query_encoders, count
+from .options import PORT, add_query_encoders
 
 SUMMARY = "let language models ask the scenes of a folder (Model Context Protocol)"
 EXAMPLES = """\
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="address of --http; anyone who reaches it may ask (default: 127.0.0.1, this machine only)",
     )  # fmt: skip
     parser.add_argument(
-        "--port", type=count, default=8766, metavar="N", help="port of --http (default: 8766)"
+        "--port", type=PORT, default=8766, metavar="N", help="port of --http (default: 8766)"
     )
     add_query_encoders(parser)
 

@@ -8,9 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..terminal import quoted
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ..codes import Track
     from ..views import View
+
+MOST = 2**31 - 1  # the kernels count with 32 bits
+LARGEST, SMALLEST = 3.4e38, 1e-30  # and measure with floats of 32 bits
 
 LEVEL_HELP = (
     "level of the masks: default, small, medium, large or 0-3 (default: large). A trap: level 1 is *small* in "
@@ -19,11 +26,32 @@ LEVEL_HELP = (
 )
 
 
+def whole(text: str, least: int = 0, most: int = MOST) -> int:
+    """An option's whole number."""
+    digits = text.lstrip("0") or text[:1]
+    readable = digits.isascii() and digits.isdecimal() and len(digits) <= len(str(most))
+    if not readable or not least <= int(digits) <= most:
+        raise argparse.ArgumentTypeError(
+            f"expected a whole number from {least} to {most}, got {quoted(text)}"
+        )
+    return int(digits)
+
+
 def count(text: str) -> int:
     """An option's positive whole number."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a positive whole number, got '{text}'")
-    return int(text)
+    return whole(text, least=1)
+
+
+def count_or_all(text: str) -> int | None:
+    return None if text == "all" else count(text)
+
+
+def up_to(most: int) -> Callable[[str], int]:
+    """Of an option's positive whole number that is no larger."""
+    return partial(whole, least=1, most=most)
+
+
+PORT = up_to(65535)
 
 
 def finite(text: str) -> float:
@@ -32,9 +60,26 @@ def finite(text: str) -> float:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"expected a finite number, got '{text}'")
+    if not abs(number) <= LARGEST:
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {quoted(text)}")
     return number
+
+
+def length(text: str) -> float:
+    """An option's positive number, as scenes are measured."""
+    number = finite(text)
+    if not number >= SMALLEST:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {quoted(text)}")
+    return number
+
+
+def words(text: str) -> str:
+    """An option's text, or a name; a path may be any bytes, but these are compared and kept."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise argparse.ArgumentTypeError(f"expected text in UTF-8, got {quoted(text)}") from None
+    return text
 
 
 def add_overwrite(parser: argparse._ActionsContainer) -> None:
@@ -55,7 +100,7 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
         help="nerfstudio's dataparser_transforms.json, for scenes that it trained (default: the one in CAPTURE)",
     )  # fmt: skip
     group.add_argument(
-        "--max-side", type=int, metavar="PIXELS",
+        "--max-side", type=count, metavar="PIXELS",
         help="scale photos with a longer side down to this (default: as they are)",
     )  # fmt: skip
 
@@ -74,7 +119,7 @@ def views_of(arguments: argparse.Namespace, capture: str) -> list[View]:
 def add_query_encoders(parser: argparse.ArgumentParser) -> None:
     """--encoder, --device, --vocabulary: what turns words into vectors."""
     parser.add_argument(
-        "--encoder", metavar="NAME",
+        "--encoder", type=words, metavar="NAME",
         help="the model that embedded the masks, for queries in words or by image: a folder or an id such as "
         "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (default: none; fields of the built-in words encoder need none)",
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..asking.defaults import AUTO, COSINE_THRESHOLD, RELEVANCY_THRESHOLD
@@ -14,6 +15,7 @@ from .options import (
     finite,
     new_output,
     views_of,
+    words,
 )
 from .query_inputs import Click, split_click
 
@@ -36,15 +38,18 @@ def share(text: str) -> float:
     return number
 
 
+FIELD_HELP = "what `drsplat register` wrote, or a folder with a field, its scene and photos"
+
+
 def add_query_options(parser: argparse.ArgumentParser) -> None:
     """What is looked for, who embeds it, and where its scores are cut."""
-    parser.add_argument("field", help="what `drsplat register` wrote")
+    parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
-        "text", nargs="?",
+        "text", nargs="?", type=words,
         help="what to look for, in words; 'mug, not red' leaves out what 'red mug' fits as well",
     )  # fmt: skip
     parser.add_argument(
-        "--not", dest="unwanted", action="append", default=[], metavar="WORDS",
+        "--not", dest="unwanted", type=words, action="append", default=[], metavar="WORDS",
         help="as ', not WORDS' in the text; may be given more than once",
     )  # fmt: skip
     parser.add_argument(
@@ -56,7 +61,7 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
         "transparent, as masks are",
     )  # fmt: skip
     parser.add_argument(
-        "--click", metavar="VIEW:X,Y",
+        "--click", type=words, metavar="VIEW:X,Y",
         help="look for what is at this pixel of a photo of --views, e.g. photo_003:210,140; needs --scene, and no encoder",
     )  # fmt: skip
     add_query_encoders(parser)
@@ -81,7 +86,7 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
         "(default: only for words with --encoder)",
     )  # fmt: skip
     parser.add_argument(
-        "--negatives", metavar="WORDS|FILE.npy",
+        "--negatives", type=words, metavar="WORDS|FILE.npy",
         help="compare with these, and measure relevancy (default: those stored in the field, else "
         "object,things,stuff,texture)",
     )  # fmt: skip
@@ -108,11 +113,29 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     output.add_argument("--views", metavar="CAPTURE", help="the poses, for --picture and --click")
     output.add_argument(
         "--view",
+        type=words,
         metavar="NAME",
         help="photo for --picture (default: the one that shows most of it)",
     )
     add_overwrite(output)
     add_capture_options(parser)
+
+
+def take_folder(arguments: argparse.Namespace) -> None:
+    """Where a scene's folder was named: its field, and its scene and photos unless others are given.
+
+    Raises: InputError: a folder without a field or a scene. MismatchError: the field is of another scene.
+    """
+    from ..asking.opening import FIELD_SUFFIX, find_scene, registered_scene
+    from ..formats.field_folder import MANIFEST
+
+    folder = Path(arguments.field)
+    if not folder.is_dir() or (folder / MANIFEST).exists() or folder.suffix == FIELD_SUFFIX:
+        return
+    files = find_scene(folder)
+    arguments.field = str(files.field)
+    arguments.scene = arguments.scene or str(registered_scene(files)[0])
+    arguments.views = arguments.views or (files.capture and str(files.capture))
 
 
 def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> None:
@@ -182,7 +205,7 @@ RULES = {
     "given": "as given",
     "top share": "for the share asked for",
     "auto": "chosen for this query",
-    "encoder": "of this encoder",
+    "encoder": "that of the encoder",
     "default": "the default",
 }
 

@@ -11,9 +11,12 @@ from .options import (
     add_capture_options,
     add_overwrite,
     count,
+    count_or_all,
     new_output,
     tracker,
     views_of,
+    whole,
+    words,
 )
 
 if TYPE_CHECKING:
@@ -58,12 +61,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--level",
         "--feature-level",
         "--feature_level",
+        type=_level,
         default="large",
         metavar="LEVEL",
         help=LEVEL_HELP,
     )
     method.add_argument(
-        "--topk", "--top-k", "-k", type=_count_or_all, default=argparse.SUPPRESS, metavar="K",
+        "--topk", "--top-k", "-k", type=count_or_all, default=argparse.SUPPRESS, metavar="K",
         help="Gaussians per pixel that are kept, by weight: a number or 'all' (default: 40, or the aggregator's)",
     )  # fmt: skip
     method.add_argument(
@@ -71,13 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="take the top K only among the first N of each ray; the published code has 100 (default: no limit)",
     )  # fmt: skip
     method.add_argument(
-        "--aggregator", default="mean", metavar="NAME",
+        "--aggregator", type=words, default="mean", metavar="NAME",
         help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
         "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
     )  # fmt: skip
     _add_code(method)
     method.add_argument(
-        "--encoder-name", metavar="NAME",
+        "--encoder-name", type=words, metavar="NAME",
         help="who made the embeddings, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the built-in one. Queries "
         "and codebooks of other encoders are then refused (default: what `drsplat embed` noted, else the codebook's, "
         "else unknown)",
@@ -124,7 +128,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     views = views_of(arguments, arguments.capture)
     codebook = _codebook(arguments)
     encoder = _encoder(arguments, codebook)
-    features = read_features(arguments.features, level=_level(arguments.level), encoder=encoder)
+    features = read_features(arguments.features, level=arguments.level, encoder=encoder)
     watch.lap("read")
     parts = Path(arguments.parts or f"{output}.parts")
     before = _finished(parts)
@@ -227,12 +231,9 @@ def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
     return own
 
 
-def _count_or_all(text: str) -> int | None:
-    return None if text == "all" else count(text)
-
-
 def _level(text: str) -> str | int:
-    return int(text) if text.isdecimal() else text
+    """A name, or a number from 0 to 3; which names there are, the reader of features says."""
+    return whole(text, most=3) if text.isdecimal() else words(text)
 
 
 def _codebook(arguments: argparse.Namespace) -> "Codebook | None":

@@ -14,6 +14,7 @@ from .options import (
     new_output,
     tracker,
     views_of,
+    words,
 )
 
 if TYPE_CHECKING:
@@ -37,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--views", required=True, metavar="CAPTURE", help="the poses to look from")
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--view", metavar="NAME", help="name of one photo, with or without suffix")
+    which.add_argument(
+        "--view", type=words, metavar="NAME", help="name of one photo, with or without suffix"
+    )
     which.add_argument("--all", action="store_true", help="all photos")
     parser.add_argument(
         "--output-dir",
@@ -62,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--query",
+        type=words,
         nargs=2,
         metavar=("FIELD", "TEXT"),
         help="keep in colour what this finds, the rest grey",
@@ -100,9 +104,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+
     files = answer["files"]
     print(
-        f"{len(files)} files in {answer['seconds']:.1f} s: {files[0]}"
+        f"{counted(len(files), 'file')} in {answer['seconds']:.1f} s: {files[0]}"
         + (f" ... {files[-1]}" if len(files) > 1 else "")
     )
     if answer["num_selected"] == 0:

@@ -7,8 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .answers import Ask, AskedOf
-from .options import add_query_encoders
-from .query_options import add_measure_options, add_output_options, check_outputs, chosen_view
+from .options import add_query_encoders, words
+from .query_options import (
+    FIELD_HELP,
+    add_measure_options,
+    add_output_options,
+    check_outputs,
+    chosen_view,
+    take_folder,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,8 +36,10 @@ own. classes.ply has a column class_id, -1 for none, and the colours of the clas
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", help="what `drsplat register` wrote")
-    parser.add_argument("--classes", metavar="A,B,C", help="the classes, separated by commas")
+    parser.add_argument("field", help=FIELD_HELP)
+    parser.add_argument(
+        "--classes", type=words, metavar="A,B,C", help="the classes, separated by commas"
+    )
     parser.add_argument(
         "--classes-file", metavar="FILE.txt", help="the classes, one on each line, instead"
     )
@@ -44,6 +53,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import load_field, read_gaussians
     from ..tasks import segment
 
+    take_folder(arguments)
     check_outputs(arguments)
     classes = _classes(arguments)
     asking = AskedOf(load_field(arguments.field), _ask(arguments), arguments.threads)
@@ -69,6 +79,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_table
 
     total = max(answer["num_registered"], 1)
@@ -79,7 +90,7 @@ def show(answer: dict[str, Any]) -> None:
     ]
     rows.append(("none of these", said(none), f"{none / total:.1%}", ""))
     columns = ("class", "Gaussians", "share", f"{answer['measure']} above")
-    show_table(f"{said(answer['num_registered'])} Gaussians with a feature", columns, rows)
+    show_table(f"{counted(answer['num_registered'], 'Gaussian')} with a feature", columns, rows)
 
 
 def _classes(arguments: argparse.Namespace) -> list[str]:

@@ -16,6 +16,7 @@ from .query_options import (
     measured_said,
     numbers_of,
     query_said,
+    take_folder,
 )
 
 if TYPE_CHECKING:
@@ -43,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import load_field, read_gaussians, select
+    from ..terminal import counted
 
+    take_folder(arguments)
     check_outputs(arguments, (".ply", ".npy"))
     field = load_field(arguments.field)
     scene = None if arguments.scene is None else read_gaussians(arguments.scene)
@@ -62,17 +65,19 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "saved": arguments.save,
     }
     if arguments.picture and scene is not None:
-        report["view"] = draw(arguments, scene, ids, f"{len(ids):,} Gaussians")
+        report["view"] = draw(arguments, scene, ids, counted(len(ids), "Gaussian"))
     return report
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said
 
-    selected, registered = said(answer["num_selected"]), said(answer["num_registered"])
-    print(
-        f"{selected} of {registered} Gaussians selected for '{answer['query']}', {answer['share']:.2%}"
+    selected, registered = (
+        said(answer["num_selected"]),
+        counted(answer["num_registered"], "Gaussian"),
     )
+    print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
     print(measured_said(answer))
     if answer["saved"]:
         print(f"written to {answer['saved']}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .options import add_query_encoders, count, finite
+from .options import PORT, add_query_encoders, length, up_to
 
 SUMMARY = "answer questions about the scenes of a folder over HTTP"
 EXAMPLES = """\
@@ -16,6 +16,7 @@ EXAMPLES = """\
 
 scenes is a folder with a field and its scene, or with one of these in each subfolder. /openapi.json describes all routes;
 docs/serve.md has examples."""
+MOST_WORKERS = 256  # processes, and threads of each
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -25,9 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: 127.0.0.1, this machine only); others need --api-key-file",
     )  # fmt: skip
-    parser.add_argument("--port", type=count, default=8765, metavar="N", help="(default: 8765)")
+    parser.add_argument("--port", type=PORT, default=8765, metavar="N", help="(default: 8765)")
     parser.add_argument(
-        "--workers", type=count, default=1, metavar="N", help="processes (default: 1)"
+        "--workers", type=up_to(MOST_WORKERS), default=1, metavar="N", help="processes (default: 1)"
     )
     parser.add_argument(
         "--api-key-file", metavar="FILE",
@@ -37,10 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--open", action="store_true", help="allow another --host without a key: anyone may ask"
     )
     parser.add_argument(
-        "--timeout", type=finite, default=30.0, metavar="SECONDS", help="of a request (default: 30)"
+        "--timeout", type=length, default=30.0, metavar="SECONDS", help="of a request (default: 30)"
     )
     parser.add_argument(
-        "--scans", type=count, default=2, metavar="N",
+        "--scans", type=up_to(MOST_WORKERS), default=2, metavar="N",
         help="requests that compute at once in each worker; others wait (default: 2)",
     )  # fmt: skip
     add_query_encoders(parser)
@@ -56,8 +57,6 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             f"--host {arguments.host} lets other machines ask: pass --api-key-file FILE, or --open to let anyone"
         )
-    if arguments.timeout <= 0 or arguments.port > 65535:
-        raise InputError("expected a --timeout above 0 and a --port up to 65535")
     _started(arguments, key)
     return {"stopped": True}
 
@@ -71,6 +70,7 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
     from ..serving.running import serve
+    from ..terminal import counted
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
     limits = Limits(seconds=arguments.timeout, scans=arguments.scans)
@@ -78,7 +78,10 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     settings = Settings(arguments.folder, sources, limits, key, hosts)
     names = list(Catalog(_path(arguments.folder)).folders())
     if not arguments.json:
-        print(f"{len(names)} scenes at http://{arguments.host}:{arguments.port}/scenes", flush=True)
+        print(
+            f"{counted(len(names), 'scene')} at http://{arguments.host}:{arguments.port}/scenes",
+            flush=True,
+        )
     serve(settings, arguments.host, arguments.port, arguments.workers, arguments.json)
 
 

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+BOUNDLESS = 100_000  # columns
+
 
 def show_facts(title: str, facts: Mapping[str, object]) -> None:
     """Names and values, one to a line."""
@@ -16,23 +18,28 @@ def show_facts(title: str, facts: Mapping[str, object]) -> None:
 def show_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True
 ) -> None:
-    """The first column to the left, in headed tables the others to the right."""
+    """The first column to the left, in headed tables the others to the right.
+
+    Nothing is cut: a headed table is as wide as it needs to be, facts are folded where a terminal ends.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
     table = Table(
-        title=title,
-        title_justify="left",
         box=SIMPLE_HEAD if headed else None,
         show_header=headed,
         pad_edge=False,
     )
     for index, column in enumerate(columns):
-        table.add_column(column, justify="right" if headed and index else "left")
+        table.add_column(column, justify="right" if headed and index else "left", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False, markup=False, emoji=False).print(table)
+    print(title)
+    console, boundless = Console(), Console(width=BOUNDLESS)
+    folded = console.is_terminal and not headed
+    width = console.width if folded else boundless.measure(table).maximum
+    Console(width=width, highlight=False, markup=False, emoji=False).print(table)
 
 
 def said(value: object) -> str:

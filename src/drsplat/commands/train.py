@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, views_of
+from .options import add_overwrite, count, views_of, whole
 
 if TYPE_CHECKING:
     from ..formats.captures import SparsePoints
@@ -41,12 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(parser)
     parser.add_argument(
-        "--iterations", type=_count, default=30_000, metavar="N",
+        "--iterations", type=count, default=30_000, metavar="N",
         help="of the schedule of 3DGS, which is not shortened with it; 7000 is the everyday setting "
         "(default: 30000)",
     )  # fmt: skip
     parser.add_argument(
-        "--resolution", "-r", type=_count, metavar="R",
+        "--resolution", "-r", type=count, metavar="R",
         help=f"1, 2, 4 or 8 divide the photos' sides; another number is their longer side in pixels "
         f"(default: as they are, but at most {MAX_SIDE})",
     )  # fmt: skip
@@ -76,7 +76,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         "budget (default: default)",
     )  # fmt: skip
     method.add_argument(
-        "--max-gaussians", type=_count, metavar="N",
+        "--max-gaussians", type=count, metavar="N",
         help="never more than this; needed for mcmc (default: no limit)",
     )  # fmt: skip
     method.add_argument(
@@ -86,9 +86,9 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--sh-degree", type=int, choices=range(4), default=3, help="of the colours (default: 3)"
     )
-    method.add_argument("--seed", type=_whole, default=0, metavar="N", help="(default: 0)")
+    method.add_argument("--seed", type=whole, default=0, metavar="N", help="(default: 0)")
     method.add_argument(
-        "--test-every", type=_whole, default=8, metavar="N",
+        "--test-every", type=whole, default=8, metavar="N",
         help="hold every Nth photo out for testing; 0: none (default: 8)",
     )  # fmt: skip
 
@@ -96,15 +96,15 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
 def _add_course(parser: argparse.ArgumentParser) -> None:
     course = parser.add_argument_group("course of the run")
     course.add_argument(
-        "--eval-every", type=_whole, default=0, metavar="N",
+        "--eval-every", type=whole, default=0, metavar="N",
         help="also measure the held-out photos every N iterations (default: at the end only)",
     )  # fmt: skip
     course.add_argument(
-        "--save-at", type=_count, nargs="*", default=[7000], metavar="N",
+        "--save-at", type=count, nargs="*", default=[7000], metavar="N",
         help="also write the scene after these iterations (default: 7000)",
     )  # fmt: skip
     course.add_argument(
-        "--checkpoint-every", type=_count, default=1000, metavar="N",
+        "--checkpoint-every", type=count, default=1000, metavar="N",
         help="iterations between checkpoints, at most two minutes (default: 1000)",
     )  # fmt: skip
 
@@ -112,6 +112,7 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_sparse_points, train
     from ..progress import Meter, peak_memory_bytes
+    from ..terminal import counted
     from ..training.devices import chosen_device
 
     device, settings = chosen_device(arguments.device), _settings(arguments)
@@ -127,7 +128,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
             checkpoint_every=arguments.checkpoint_every, threads=arguments.threads,
             report=lambda status: meter.update(
                 status.iteration,
-                f"loss {status.loss:.4f}  PSNR {status.psnr:.2f}  {status.num_gaussians:,} Gaussians",
+                f"loss {status.loss:.4f}  PSNR {status.psnr:.2f}  {counted(status.num_gaussians, 'Gaussian')}",
             ),
         )  # fmt: skip
     _write_cfg_args(arguments, settings)
@@ -145,13 +146,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import said, show_facts, size_said
 
     seconds, count = answer["seconds"], max(answer["iterations"], 1)
     stages = answer["stage_seconds"].items()
     psnr, ssim = answer["psnr_test"], answer["ssim_test"]
     tested = "nothing was held out" if psnr is None else (
-        f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f} on {answer['num_test_views']} photos"
+        f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f} on {counted(answer['num_test_views'], 'photo')}"
     )  # fmt: skip
     show_facts(
         f"trained: {answer['model']}",
@@ -216,15 +218,3 @@ def _write_cfg_args(arguments: argparse.Namespace, settings: TrainingSettings) -
     folder = capture if capture.is_dir() else capture.parent
     images = arguments.images or "images"
     ModelFolder(arguments.output_dir).write_cfg_args(folder, images, settings)
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"expected a whole number, got '{text}'")
-    return int(text)
-
-
-def _count(text: str) -> int:
-    if _whole(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a positive whole number, got '{text}'")
-    return int(text)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, add_query_encoders, count, new_output
+from .options import PORT, add_overwrite, add_query_encoders, count, new_output, words
 
 if TYPE_CHECKING:
     from ..asking import AskableScene
@@ -35,10 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the photos: their cameras, and what speaks for an answer",
     )
     parser.add_argument(
-        "--ask", metavar="TEXT", default="", help='ask this first; several: "mug; lamp"'
+        "--ask", type=words, metavar="TEXT", default="", help='ask this first; several: "mug; lamp"'
     )
     parser.add_argument(
-        "--words", metavar="A,B,C",
+        "--words", type=words, metavar="A,B,C",
         help="what a click chooses its name from (default: the encoder's own words, or things of a household)",
     )  # fmt: skip
     parser.add_argument(
@@ -46,10 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"show the N most significant ones (default: {BUDGET:,}; {200_000:,} in a page)",
     )  # fmt: skip
     parser.add_argument(
-        "--up", metavar="AXIS", help="+x -x +y -y +z or -z (default: as the photos were held)"
+        "--up",
+        type=words,
+        metavar="AXIS",
+        help="+x -x +y -y +z or -z (default: as the photos were held)",
     )
     parser.add_argument("--host", default="127.0.0.1", help="(default: 127.0.0.1)")
-    parser.add_argument("--port", type=count, default=8080, help="(default: 8080)")
+    parser.add_argument("--port", type=PORT, default=8080, help="(default: 8080)")
     parser.add_argument(
         "--save-dir", default=".", metavar="DIR", help="where files are saved (default: here)"
     )
@@ -67,9 +70,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+
     if "page" in answer:
         print(
-            f"{answer['page']}: {answer['num_shown']:,} Gaussians, {answer['bytes'] / 1e6:.1f} MB"
+            f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB"
         )
         for one in answer["queries"]:
             print(f"  {one['text']}: {one['num_instances'] or 'nothing'} found")

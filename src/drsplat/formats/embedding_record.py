@@ -101,7 +101,7 @@ def open_record(
     if foreign and not overwrite:
         raise InputError(
             f"{folder} has features that were not made here ({FILE_NAME} is missing): name another "
-            f"folder, or pass overwrite to replace them: {listed(sorted(set(foreign)))}"
+            f"folder, or pass overwrite=True to replace them: {listed(sorted(set(foreign)))}"
         )
     folder.mkdir(parents=True, exist_ok=True)
     record = EmbeddingRecord(folder, settings, {})
@@ -137,7 +137,7 @@ def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
         return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
     raise FormatError(
         f"{path}: expected '{FORMAT}' with settings and photos, got {shown(parts.get('format'))}: "
-        "damaged, or of another version. Name another folder, or pass overwrite to make all anew"
+        "damaged, or of another version. Name another folder, or pass overwrite=True to make all anew"
     )
 
 

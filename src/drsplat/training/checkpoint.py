@@ -68,7 +68,7 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
         if texts[name] != given:
             raise MismatchError(
                 f"{path} is of an unfinished run with other {name}: go on with the same ones, name "
-                "another output folder, or start anew with overwrite=True (--overwrite)"
+                "another output folder, or start anew with overwrite=True"
             )
     is_default = run.settings.strategy == "default"
     check_tensors(arrays, EXPECTED | (OF_DENSITY if is_default else {}), str(path))

@@ -98,6 +98,6 @@ def _memory_explained(run: DeviceRun) -> Iterator[None]:
     except torch.cuda.OutOfMemoryError as error:
         raise DrSplatError(
             f"the GPU's memory is full at {len(run.scene):,} Gaussians, in iteration {run.iteration}: "
-            "limit them with max_gaussians (--max-gaussians), or train on smaller photos "
-            f"(--resolution). {error}"
+            "limit them with max_gaussians=N, or train on smaller photos. "
+            f"{error}"
         ) from error

@@ -60,7 +60,7 @@ class ModelFolder:
         if self.path.is_dir() and not (overwrite or unfinished or self._is_fresh()):
             raise InputError(
                 f"{self.path} is not empty and holds no unfinished run: pass overwrite=True "
-                "(--overwrite) to replace the model in it, or name another output folder"
+                "to replace the model in it, or name another output folder"
             )
         self.path.mkdir(parents=True, exist_ok=True)
         for name in filter(_LEFT_BEHIND.fullmatch, [file.name for file in self.path.iterdir()]):

@@ -110,6 +110,7 @@ class TrainingSettings:
     def _check_counts(self) -> None:
         least = {"seed": 0, "sh_degree": 0, "test_every": 0, "evaluate_every": 0, "refine_from": 0}
         least |= {"refine_until": 0, "photo_memory_bytes": 0, "reset_recovery": 0}
+        least |= {"max_gaussians": 4}  # the size of the first ones comes from 3 neighbours
         for field in fields(self):
             value, low = getattr(self, field.name), least.get(field.name, 1)
             if isinstance(value, int) and value < low:

@@ -59,8 +59,7 @@ def _require_photos(views: Sequence[View]) -> None:
     if without:
         raise InputError(
             f"{len(without)} of {len(views)} views have no photo, the first is '{without[0]}': "
-            "pass the folder of the photos to read_views (images=FOLDER, --images FOLDER), or "
-            "leave these views out"
+            "read them with images=FOLDER, or leave these views out"
         )
     names = [view.name for view in views]
     if len(set(names)) < len(names):
@@ -116,12 +115,12 @@ def _check_points(points: SparsePoints) -> None:
     if not finite.all():
         raise InputError(
             f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
-            f"{int(np.argmin(finite))}: remove them, or pass points=None to start from random ones"
+            f"{int(np.argmin(finite))}: remove them, or pass no points to start from random ones"
         )
     if count <= NEIGHBOURS:
         raise InputError(
             f"{count} points are too few: sizes come from the {NEIGHBOURS} nearest neighbours. Pass "
-            "points=None to start from random ones, or pose the photos again"
+            "no points to start from random ones, or pose the photos again"
         )
 
 

@@ -1,0 +1,44 @@
+"""Text on its way to a terminal, which obeys some characters instead of showing them."""
+
+import re
+from collections.abc import Mapping
+from pathlib import PurePath
+
+# controls but tab and newline, what turns the direction of writing, and halves of surrogate pairs
+_UNSHOWN = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+LONGEST = 60
+
+
+def plain(text: str) -> str:
+    """The text with such characters written out: an escape sequence is \\x1b[2J, and does nothing."""
+    return _UNSHOWN.sub(lambda found: _written(ord(found[0])), text)
+
+
+def _written(code: int) -> str:
+    return f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
+
+
+def plainly(value: object) -> object:
+    """A JSON object with all its texts, also names and paths, made `plain`."""
+    if isinstance(value, str):
+        return plain(value)
+    if isinstance(value, PurePath):
+        return plain(str(value))
+    if isinstance(value, Mapping):
+        return {plainly(name): plainly(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plainly(part) for part in value]
+    return value
+
+
+def quoted(text: str) -> str:
+    """What was given, for a message: plain, in quotes, and not longer than a line."""
+    shown = plain(text[: LONGEST + 1])
+    return f"'{shown[:LONGEST]}...'" if len(text) > LONGEST else f"'{shown}'"
+
+
+def counted(number: int, thing: str, things: str | None = None) -> str:
+    """1 photo; 2 photos; 1,000 entries. things: the plural where it is not `thing` and s."""
+    return f"{number:,} {thing if number == 1 else things or thing + 's'}"

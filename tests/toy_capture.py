@@ -1,0 +1,66 @@
+"""A small capture, made with the library's own writers: a red ball and a blue one, seen in four photos.
+
+Masks and the embeddings of their words are in LangSplat's files.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import drsplat as ds
+from scenes import look_at_view
+
+EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
+THINGS = {"red mug": (-0.7, 0.0, 0.0), "blue plate": (0.7, 0.0, 0.0)}
+NEGATIVES = ["object", "things", "stuff", "texture"]
+WIDTH, HEIGHT, PER_THING = 96, 72, 150
+
+
+def balls() -> ds.Gaussians:
+    """PER_THING Gaussians on a sphere of radius 0.3 about each place, in the order of THINGS."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(len(THINGS) * PER_THING, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
+    colors = np.repeat([(1.2, -1.2, -1.2), (-1.2, -1.2, 1.2)], PER_THING, axis=0)
+    count = len(means)
+    columns = (
+        means,
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        np.full((count, 3), 0.05),
+        np.full(count, 0.9),
+        colors[:, None],
+    )
+    return ds.Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+def masks(gaussians: ds.Gaussians, view: ds.View) -> np.ndarray:
+    """Per pixel the thing that covers more than half of it, or -1."""
+    members = np.repeat(np.eye(len(THINGS), dtype=np.float32), PER_THING, axis=0)
+    share = ds.render(gaussians, view, values=members).channels
+    return np.where(share.max(2) > 0.5, share.argmax(2), -1).astype(np.int32)
+
+
+def write_toy_capture(folder: Path) -> Path:
+    """scene.ply, capture/ and clip_texts.json in a folder, as the documents name them."""
+    for name in ("capture/images", "capture/language_features"):
+        (folder / name).mkdir(parents=True)
+    gaussians, encoder = balls(), ds.WordEncoder()
+    views = []
+    for index, eye in enumerate(EYES):
+        at = look_at_view(eye, width=WIDTH, height=HEIGHT)
+        views.append(ds.View(f"photo_{index}.png", at.K, at.cam_from_world, WIDTH, HEIGHT))
+    for view in views:
+        pixels = np.clip(ds.render(gaussians, view).rgb * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(pixels).save(folder / "capture/images" / view.name)
+        ids = np.repeat(masks(gaussians, view)[None], 4, axis=0)
+        rows = encoder.encode_texts(list(THINGS))
+        ds.write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
+    ds.write_gaussians(folder / "scene.ply", gaussians)
+    ds.write_cameras_json(folder / "capture/cameras.json", views)
+    texts = [*THINGS, *NEGATIVES]
+    vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
+    (folder / "clip_texts.json").write_text(json.dumps(vectors))
+    return folder
