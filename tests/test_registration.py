@@ -15,7 +15,7 @@ from drsplat.formats.langsplat import read_features, write_features
 from drsplat.kernels import reference, splat_arrays, view_weights
 from drsplat.lens import distort_points
 from drsplat.registration import Registration, register
-from drsplat.views import View
+from drsplat.views import View, same_aspect
 from scenes import look_at_view, random_gaussians, random_segment_map
 
 DIM = 32
@@ -304,3 +304,30 @@ def test_first_hits_can_lose_weight_that_topk_keeps(gaussians):
     exact = view_weights(arrays, view, segments, 5).weights.sum(dtype=float)
     capped = view_weights(arrays, view, segments, 5, first_hits=5).weights.sum(dtype=float)
     assert capped < exact
+
+
+def test_masks_of_another_shape_are_refused(gaussians):
+    views, features = capture()
+    name = views[0].name
+    turned, stem = dict(features), name.removesuffix(".png")
+    kept = features[stem]
+    turned[stem] = ViewFeatures(np.ascontiguousarray(np.rot90(kept.segment_ids)), kept.embeddings)
+    with pytest.raises(MismatchError, match=rf"masks of '{name}' are .* another aspect ratio"):
+        register(gaussians, views, turned)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ((1080, 1920), (607, 1080), True),  # LangSplat scales so, and rounds down
+        ((3024, 4032), (809, 1080), True),
+        ((1920, 1080), (1440, 1080), False),
+        ((1920, 1080), (1080, 1920), False),
+        ((64, 48), (48, 64), False),
+        ((4032, 3024), (1440, 1080), True),
+        ((1000, 999), (1000, 1000), True),
+    ],
+)
+def test_rasters_of_the_same_shape(one, other, same):
+    assert same_aspect(one, other) is same
+    assert same_aspect(other, one) is same

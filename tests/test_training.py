@@ -264,7 +264,9 @@ def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, points, tmp_path):
         bad = bytearray(good)
         bad[at] ^= 1 << int(at % 8)
         checkpoint.write_bytes(bad)
-        with pytest.raises(ds.FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"):
+        with pytest.raises(
+            ds.FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"
+        ):
             ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
 
 

@@ -11,12 +11,12 @@ from jaxtyping import Float32
 from scipy.sparse import csr_array
 
 from .aggregation import Sampling
-from .errors import FormatError
+from .errors import FormatError, MismatchError
 from .features import ViewFeatures
 from .formats.tensors import map_tensors, read_tensors, write_tensors
 from .kernels import SplatArrays, Triples, default_isa
 from .photos import undistort_ids
-from .views import View
+from .views import View, same_aspect
 
 COLUMNS_VERSION = "1"
 
@@ -44,7 +44,11 @@ class ColumnMaker:
     threads: int
 
     def columns(self, view: View, features: ViewFeatures) -> Columns:
-        """Compute the view's columns, unless the very same ones are in the folder."""
+        """Compute the view's columns, unless the very same ones are in the folder.
+
+        Raises: MismatchError: the map has another shape than the photo.
+        """
+        _refuse_another_shape(view, features)
         stored = features.resized(view.width, view.height).segment_ids
         segment_ids = undistort_ids(view, stored)
         key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
@@ -64,6 +68,15 @@ class ColumnMaker:
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"
         return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
+
+
+def _refuse_another_shape(view: View, features: ViewFeatures) -> None:
+    height, width = features.segment_ids.shape
+    if not same_aspect((width, height), (view.width, view.height)):
+        raise MismatchError(
+            f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
+            "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
+        )
 
 
 def _digest(*arrays: np.ndarray, salt: str = "") -> str:

@@ -58,3 +58,9 @@ class View:
         """The same camera on another raster: K and size scale together."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
+
+
+def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether rasters (width, height) show the same: one is the other scaled, to a whole pixel either way."""
+    (width, height), (wide, high) = sorted((one, other))  # rounding took place on the smaller one
+    return abs(height - high * width / wide) <= 1 or abs(width - wide * height / high) <= 1

@@ -25,7 +25,7 @@ from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
 from ..formats.replacing import replacing
 from ..gaussians import Gaussians
 from ..kernels import SplatArrays, render_channels, splat_arrays
-from ..views import View
+from ..views import View, same_aspect
 from . import metrics
 from .predictions import (
     FIXED,
@@ -190,7 +190,7 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
             f"'{view.name}': the photo has a lens distortion and the labels lie on it: undistort the "
             "capture first, with `colmap image_undistorter`"
         )
-    if abs(view.height * frame.width / view.width - frame.height) > 1:
+    if not same_aspect((view.width, view.height), (frame.width, frame.height)):
         raise MismatchError(
             f"'{view.name}' is {view.width}x{view.height}, its labels are {frame.width}x{frame.height}"
         )

@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from ..errors import FormatError, InputError, MismatchError
 from ..photos import photo_size
-from ..views import View
+from ..views import View, same_aspect
 
 PHOTO_SUFFIXES = (
     ".jpg",
@@ -88,9 +88,7 @@ def on_photo(view: View, path: Path) -> View:
     Raises: FormatError: not a photo. MismatchError: the photo has another shape than the camera.
     """
     width, height = photo_size(path)
-    # measured on the smaller of the two, where rounding to whole pixels took place
-    shrink = min(1.0, view.width / width)
-    if abs(height - view.height * width / view.width) * shrink > 1:
+    if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
             f"{path}: the photo is {width}x{height}, its camera {view.width}x{view.height}: "
             "another aspect ratio. "
