@@ -26,6 +26,14 @@ inline void require(bool ok, const char *what) {
   if (!ok) throw std::invalid_argument(what);
 }
 
+// A member of a tuple as what it has to be. Not converted: the tuple keeps an array alive, and nothing would a copy.
+template <class T>
+T member(const nb::tuple &whole, size_t place, const char *what) {
+  T value;
+  require(nb::try_cast(whole[place], value, false), what);
+  return value;
+}
+
 inline const Kernels &kernels_named(const std::string &isa) {
   const Kernels *kernels = find_kernels(isa.c_str());
   if (!kernels) throw std::invalid_argument("instruction set '" + isa + "' is not available on this machine or in this build");

@@ -31,7 +31,7 @@ nb::object weighted_rows_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns,
 nb::object pq_encode_of(Array<float, 2> features, Array<float, 3> centroids, int threads, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
   const size_t rows = features.shape(0), subvectors = centroids.shape(0), dim = centroids.shape(2);
-  require(centroids.shape(1) == 256 && subvectors * dim == features.shape(1) && subvectors < (1u << 24) && dim < (1u << 24), "centroids (L, 256, D / L)");
+  require(centroids.shape(1) == 256 && subvectors > 0 && dim > 0 && subvectors * dim == features.shape(1) && subvectors < (1u << 24) && dim < (1u << 24), "centroids (L, 256, D / L), L and D above 0");
   Fresh<uint8_t> codes(rows * subvectors);
   {
     nb::gil_scoped_release release;

@@ -95,7 +95,9 @@ struct HeldCode {
 
 HeldCode held(nb::tuple parts) {
   require(parts.size() == 5, "ids, weights, scales, atom values, atom scales");
-  return {nb::cast<Array<uint16_t, 3>>(parts[0]), nb::cast<Array<uint8_t, 3>>(parts[1]), nb::cast<Array<uint16_t, 1>>(parts[2]), nb::cast<Bytes>(parts[3]), nb::cast<Vector>(parts[4])};
+  const char *const halves = "scales of half floats, as uint16";
+  return {member<Array<uint16_t, 3>>(parts, 0, "ids of uint16"), member<Array<uint8_t, 3>>(parts, 1, "weights of bytes"), member<Array<uint16_t, 1>>(parts, 2, halves),
+          member<Bytes>(parts, 3, "atoms of signed bytes"), member<Vector>(parts, 4, "scales of atoms of float32")};
 }
 
 MixtureQueries queries_of(const Rows &queries, const MixtureCode &code) {

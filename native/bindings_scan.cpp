@@ -28,25 +28,24 @@ struct Asked {
 // how: error, wide, threads, isa.
 Asked asked_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &how) {
   require(rows.size() == 3 && tables.size() == 2 && how.size() == 4, "(codes, norms, ids), (luts, coarse), (error, wide, threads, isa)");
-  // Not converted: the tuples keep the arrays alive, and nothing would a copy.
-  const auto codes = nb::cast<Codes>(rows[0], false);
-  const auto norms = nb::cast<Floats>(rows[1], false);
-  const auto ids = nb::cast<std::optional<Ids>>(rows[2], false);
-  const auto luts = nb::cast<Luts>(tables[0], false);
-  const auto coarse = nb::cast<std::optional<Coarse>>(tables[1], false);
+  const auto codes = member<Codes>(rows, 0, "codes (groups, L, 256) of bytes");
+  const auto norms = member<Floats>(rows, 1, "inverse norms (n) of float32");
+  const auto ids = member<std::optional<Ids>>(rows, 2, "coarse ids (n) of uint16, or None");
+  const auto luts = member<Luts>(tables, 0, "tables (Q, L, 256) of float32");
+  const auto coarse = member<std::optional<Coarse>>(tables, 1, "coarse tables (Q, C) of float32, or None");
   const size_t n = norms.shape(0), subvectors = codes.shape(1), queries = luts.shape(0);
   require(codes.shape(2) == kGroupRows && codes.shape(0) == (n + kGroupRows - 1) / kGroupRows, "codes (ceil(n / 256), L, 256) for n inverse norms");
   require(subvectors > 0 && subvectors < (1u << 16) && luts.shape(1) == subvectors && luts.shape(2) == 256, "tables (Q, L, 256), 0 < L < 65536");
   require(queries > 0 && queries <= (1u << 16), "1 to 65536 queries");
   require(bool(ids) == bool(coarse), "coarse ids and coarse tables together");
   require(!ids || (ids->shape(0) == n && coarse->shape(0) == queries && coarse->shape(1) < (1u << 17)), "a coarse id per row and a coarse table per query");
-  const float error = nb::cast<float>(how[0]);
+  const float error = member<float>(how, 0, "an error above 0");
   require(error > 0, "an error above 0");
-  return {*kernels_named(nb::cast<std::string>(how[3])).scan,
+  return {*kernels_named(member<std::string>(how, 3, "the name of an instruction set")).scan,
           {codes.data(), norms.data(), ids ? ids->data() : nullptr, n, (uint32_t)subvectors},
           {luts.data(), coarse ? coarse->data() : nullptr, (uint32_t)queries, coarse ? (uint32_t)coarse->shape(1) : 0},
-          {error, nb::cast<uint32_t>(how[1])},
-          thread_count(nb::cast<int>(how[2]))};
+          {error, member<uint32_t>(how, 1, "how many tables are wide")},
+          thread_count(member<int>(how, 2, "a number of threads"))};
 }
 
 nb::tuple found_of(const std::vector<CandidateRow> &found) {

@@ -5,6 +5,7 @@
 #include <nanobind/stl/unique_ptr.h>
 
 #include <cmath>
+#include <mutex>
 
 using namespace drsplat;
 
@@ -44,20 +45,25 @@ class Pass {
     Fresh<float> image(h * w * 3), alpha(h * w);
     {
       nb::gil_scoped_release release;
+      const std::lock_guard<std::mutex> lock(one_at_a_time_);
+      require(state_ != kDone, "a new pass: this one's gradients are taken");
+      state_ = kFresh;
       pass_->forward(image.get(), alpha.get());
+      state_ = kForward;
     }
     return nb::make_tuple(image.numpy({h, w, 3}), alpha.numpy({h, w}));
   }
 
-  // Once: the gradients lie in memory of this pass, which they keep alive.
+  // After forward, and once: the gradients lie in memory of this pass, which they keep alive.
   nb::tuple backward(nb::handle self, const Pixels &image, const Pixels &gradient) {
     const size_t h = camera_.height, w = camera_.width, n = parameters_.count, k = parameters_.coefficients;
     for (const Pixels *p : {&image, &gradient}) require(p->shape(0) == h && p->shape(1) == w && p->shape(2) == 3, "image and gradient (H, W, 3)");
-    require(!done_, "one backward pass for each forward pass");
-    done_ = true;
     GradientArrays out;
     {
       nb::gil_scoped_release release;
+      const std::lock_guard<std::mutex> lock(one_at_a_time_);
+      require(state_ == kForward, state_ == kFresh ? "a forward pass before the backward pass" : "one backward pass for each forward pass");
+      state_ = kDone;
       out = pass_->backward(image.data(), gradient.data());
     }
     const auto view = [&](float *data, std::initializer_list<size_t> shape) { return nb::cast(nb::ndarray<nb::numpy, float>(data, shape, self)); };
@@ -78,7 +84,8 @@ class Pass {
   Parameters parameters_;
   Camera camera_;
   std::unique_ptr<TrainingPass> pass_;
-  bool done_ = false;
+  enum { kFresh, kForward, kDone } state_ = kFresh;
+  std::mutex one_at_a_time_;  // Python threads may share a pass; the work is done without the GIL
 };
 
 std::unique_ptr<Pass> start_pass(Rows means, Rows log_scales, Rows quats, Vector logits, Pixels sh, Vector camera, int width, int height, int active, Vector background,

@@ -96,7 +96,7 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
       Floats kept = keep(live, weight);
       if (first_hits) {
         hits = increment(hits, splat(0.f) < kept);
-        live = live & (hits < splat_int(first_hits + 1));
+        live = live & !(splat_int(first_hits) < hits);
         kept = keep(live, kept);
       }
       visit(chunk[j], kept);
@@ -113,7 +113,7 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
 struct Record {
   float *weights;   // 16 per hit, front to back
   uint32_t *index;  // list index of each hit
-  uint32_t size;
+  size_t size;
   Ints lane_sizes;  // hits of each lane
 };
 
@@ -138,7 +138,7 @@ static Record record_block(Walk &w, int block, Mask wanted, const Selection &sel
 
 INLINE Ints count_from(const Record &r, Floats threshold) {
   Ints a = splat_int(0), b = splat_int(0);
-  uint32_t i = 0;
+  size_t i = 0;
   for (; i + 1 < r.size; i += 2) {
     a = increment(a, load(r.weights + 16 * i) >= threshold);
     b = increment(b, load(r.weights + 16 * i + 16) >= threshold);
@@ -150,7 +150,7 @@ INLINE Ints count_from(const Record &r, Floats threshold) {
 // Lanes whose k-th and (k+1)-th weight are equal: the earlier ones stay, the later become zero.
 static void drop_late_ties(const Record &r, Floats threshold, Mask tied, int32_t k) {
   Ints room = splat_int(k) - count_from(r, float_of_bits(bits_of(threshold) + splat_int(1)));
-  for (uint32_t i = 0; i < r.size; i++) {
+  for (size_t i = 0; i < r.size; i++) {
     Floats w = load(r.weights + 16 * i);
     Mask equal = tied & (bits_of(w) == bits_of(threshold)), full = room < splat_int(1);
     store(r.weights + 16 * i, keep(!(equal & full), w));
@@ -194,7 +194,7 @@ static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
 
 // Thresholds change little from block to block: `guess` carries the last one over.
 static Floats selection_threshold(const Record &r, const Selection &s, Ints &guess) {
-  if (!s.topk || r.size <= (uint32_t)s.topk) return float_of_bits(splat_int(kTinyWeightBits));
+  if (!s.topk || r.size <= (size_t)s.topk) return float_of_bits(splat_int(kTinyWeightBits));
   const Ints threshold = topk_threshold(r, s.topk, guess);
   guess = select(splat_int(kTinyWeightBits) < threshold, threshold, guess);
   return float_of_bits(threshold);
@@ -272,7 +272,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
     each_slot(segments, b, [&](int slot) {
       const Mask mine = segments.slot_of_lane[b] == splat_int(slot);
       if (!tabled) reserve_triples(out, r.size);
-      for (uint32_t i = 0; i < r.size; i++) {
+      for (size_t i = 0; i < r.size; i++) {
         const Floats w = load(r.weights + 16 * i), part = keep(mine & (w >= threshold), w);
         if (tabled) table[r.index[i] * slots + slot] = table[r.index[i] * slots + slot] + part;
         else emit(out, tile.splats[tile.list[r.index[i]]].id, segments.ids[slot], sum(part));
@@ -287,7 +287,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
 
 // --- per-pixel contributors ---------------------------------------------------------------------
 
-static inline void insert_descending(int32_t *ids, float *weights, int n, int32_t id, float weight) {
+static inline void insert_descending(int32_t *ids, float *weights, size_t n, int32_t id, float weight) {
   for (; n > 0 && weights[n - 1] < weight; n--) ids[n] = ids[n - 1], weights[n] = weights[n - 1];
   ids[n] = id, weights[n] = weight;
 }
@@ -304,12 +304,13 @@ static void tile_contributions(const Tile &tile, const Selection &selection, Til
     if (!any(inside)) continue;
     const Record r = record_block(walk, b, inside, selection, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
-    int filled[16] = {};
-    for (uint32_t i = 0; i < r.size; i++) {
+    size_t filled[16] = {};
+    for (size_t i = 0; i < r.size; i++) {
       const Floats w = load(r.weights + 16 * i);
       const int32_t id = (int32_t)tile.splats[tile.list[r.index[i]]].id;
       for (uint32_t m = lanes_of(w >= threshold); m; m &= m - 1) {
         const int l = __builtin_ctz(m);
+        if (filled[l] == k) continue;  // room for k, whatever rounding made of a covariance that is none
         const size_t pixel = ((size_t)(top + l / kBlockWidth) * tile.width + left + l % kBlockWidth) * k;
         insert_descending(ids + pixel, weights + pixel, filled[l]++, id, lane(w, l));
       }

@@ -194,7 +194,7 @@ static inline uint32_t start_blocks(const Walk &walk, const float *image, const 
 // dL/d(alpha_i) = T_i (c_i . g) - (what is behind i) / (1 - alpha_i), and what is behind i is the pixel's
 // value less what was composited up to i: so one walk front to back, without a record, is enough.
 static void tile_backward(const Tile &tile, const float *colors, const float *image, const float *gradient, TileScratch &scratch, float *sums) {
-  memset(sums, 0, tile.count * kSplatSums * sizeof(float));
+  memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
   if (!tile.count) return;
   const Walk walk(tile, scratch);
   BlockState blocks[kBlocks];

@@ -37,12 +37,12 @@ float whole_query(const float *query, uint32_t dim, int16_t *whole) {
     largest = std::max(largest, std::fabs((double)query[d]));
     squared += (double)query[d] * query[d];
   }
-  if (!(largest > 0)) {
+  if (!(largest > 0) || !std::isfinite(squared)) {
     std::fill_n(whole, dim, (int16_t)0);
     return 0;
   }
   // |<atom, query>| <= 127 sqrt(dim) |query| by Cauchy-Schwarz, of any part of the sum too.
-  const double most = 0.99 * INT_MAX / (127 * std::sqrt((double)dim) * std::sqrt(squared)) - 1;
+  const double most = (0.99 * INT_MAX / (127 * std::sqrt((double)dim)) - 1) / std::sqrt(squared);
   const double factor = std::min(32767 / largest, most);
   for (uint32_t d = 0; d < dim; d++) whole[d] = (int16_t)std::nearbyint(query[d] * factor);
   return (float)(32767 / factor);

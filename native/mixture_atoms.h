@@ -50,9 +50,11 @@ static float whole_vector(const float *x, uint32_t dim, int16_t *whole) {
     largest = size > largest ? size : largest;
     squared += x[d] * x[d];
   }
-  const float room = 0.98f * 2147483648.f / (127 * __builtin_sqrtf((float)dim) * __builtin_sqrtf(squared)) - 1;
-  const float factor = !(largest > 0) ? 0.f : room < 32767 / largest ? room : 32767 / largest;
-  for (uint32_t d = 0; d < dim; d++) whole[d] = (int16_t)(int32_t)(x[d] * factor + (x[d] < 0 ? -0.5f : 0.5f));
+  // Beyond these the square, or what is divided by it, leaves float32; nothing that long or short has a direction here.
+  const bool known = squared > 1e-24f && squared < 1e24f;
+  const float room = (0.98f * 2147483648.f / (127 * __builtin_sqrtf((float)dim)) - 1) / __builtin_sqrtf(squared);
+  const float factor = !known ? 0.f : room < 32767 / largest ? room : 32767 / largest;
+  for (uint32_t d = 0; d < dim; d++) whole[d] = known ? (int16_t)(int32_t)(x[d] * factor + (x[d] < 0 ? -0.5f : 0.5f)) : 0;
   return factor > 0 ? 1 / factor : 0.f;
 }
 

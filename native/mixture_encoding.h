@@ -93,25 +93,36 @@ static void solve(const Pursuit &p, float *weights) {
   }
 }
 
+// What is not finite counts as least.
+static float finite_or_least(float weight) { return weight < __builtin_inff() ? weight : -__builtin_inff(); }
+
 static int least_weight(const Pursuit &p, const float *weights) {
   int least = 0;
   for (int t = 1; t < p.chosen; t++)
-    if (weights[t] < weights[least]) least = t;
+    if (finite_or_least(weights[t]) < finite_or_least(weights[least])) least = t;
   return least;
 }
 
-// Greedily; an atom whose weight falls below zero leaves, and is not asked again.
+static bool all_positive(const Pursuit &p, const float *weights) { return finite_or_least(weights[least_weight(p, weights)]) > 0; }
+
+// Solves for the weights, dropping the least until all are above zero. Ends: every round that does not return leaves
+// one atom fewer, so there are at most as many as atoms, whatever the numbers say.
+static void solve_positive(Pursuit &p, float *weights) {
+  while (p.chosen > 0) {
+    solve(p, weights);
+    if (all_positive(p, weights)) return;
+    drop(p, least_weight(p, weights));
+  }
+}
+
+// Greedily; an atom whose weight falls below zero leaves, and is not asked again. Ends: each round bars a candidate
+// that was not barred, and there are at most 2 * wanted rounds.
 static void choose_atoms(Pursuit &p, const Atoms &atoms, int wanted, float *weights) {
   for (int tries = 2 * wanted; p.chosen < wanted && tries > 0; tries--) {
     const int64_t place = best_candidate(p);
     if (place < 0) return;
     choose(p, atoms, (size_t)place);
-    for (;;) {
-      solve(p, weights);
-      const int least = least_weight(p, weights);
-      if (weights[least] > 0) break;
-      drop(p, least);
-    }
+    solve_positive(p, weights);
   }
 }
 
@@ -126,7 +137,8 @@ static void put_back(Pursuit &p, size_t place) {
   append(p, place);
 }
 
-// Each chosen atom once gives way to the candidate that fits best without it, where that explains more.
+// Each chosen atom once gives way to the candidate that fits best without it, where that explains more. Rounding may
+// make a weight of the last order negative that was not in the order before: such atoms leave at the end.
 static void exchange_atoms(Pursuit &p, const Atoms &atoms, float *weights) {
   for (int left = p.chosen; left > 0; left--) {
     const float before = explained(p);
@@ -140,16 +152,16 @@ static void exchange_atoms(Pursuit &p, const Atoms &atoms, float *weights) {
     }
     choose(p, atoms, (size_t)best);
     solve(p, weights);
-    if (explained(p) > before && weights[least_weight(p, weights)] > 0) continue;
+    if (explained(p) > before && all_positive(p, weights)) continue;
     p.chosen--;
     p.barred[best] = 0;
     rebuild_basis(p);
     put_back(p, old);
   }
-  solve(p, weights);
+  solve_positive(p, weights);
 }
 
-// Weights as bytes, heaviest first; the scale makes what they decode to a unit vector.
+// Weights (above zero, finite) as bytes, heaviest first; the scale makes what they decode to a unit vector.
 static float quantise(const Pursuit &p, const float *weights, int wanted, int32_t *ids, uint8_t *bytes) {
   int order[kMostAtoms];
   for (int t = 0; t < p.chosen; t++) {
@@ -175,9 +187,13 @@ static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint
   for (uint64_t row = begin; row < end; row++) {
     Pursuit p;
     const size_t own = (size_t)(source.starts[row + 1] - source.starts[row]), further = source.num_further;
-    memcpy(candidates, source.columns + source.starts[row], own * sizeof(int32_t));
-    memcpy(candidates + own, source.further + row * further, further * sizeof(int32_t));
+    if (own) memcpy(candidates, source.columns + source.starts[row], own * sizeof(int32_t));
+    if (further) memcpy(candidates + own, source.further + row * further, further * sizeof(int32_t));
     p.candidates = candidates, p.count = own + further, p.stride = (p.count + 15) / 16 * 16, p.chosen = 0;
+    if (!p.count) {  // what is empty may lie nowhere
+      out.scales[row] = quantise(p, nullptr, wanted, out.ids + row * wanted, out.weights + row * wanted);
+      continue;
+    }
     float *next = scratch;
     float **const arrays[] = {&p.targets, &p.left, &p.norms, &p.barred, &p.spare};
     for (float **array : arrays) *array = next, next += p.stride;

@@ -4,7 +4,7 @@
 
 INLINE int16_t table_entry(int32_t product, float factor) {
   const float value = __builtin_rintf((float)product * factor);
-  return (int16_t)(value > 32767.f ? 32767.f : value < -32767.f ? -32767.f : value);
+  return (int16_t)(value > 32767.f ? 32767.f : value > -32767.f ? value : -32767.f);  // also what is no number
 }
 
 constexpr uint32_t kAtomsAhead = 16;  // atoms that are fetched before they are asked for

@@ -133,8 +133,9 @@ static inline void copy_heads(const float *rows, size_t row, size_t count, float
 static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &s) {
   if (!s.row) return adam_at_one_rate(parameter + begin, gradient + begin, first + begin, second + begin, end - begin, s);
   float heads[16 * kAdamHead], firsts[16 * kAdamHead], seconds[16 * kAdamHead];
-  for (size_t at = begin; at < end; at += 16 * s.row) {
-    const size_t size = end - at < 16 * s.row ? end - at : 16 * s.row, rows = size / s.row;
+  const size_t sixteen = (size_t)16 * s.row;
+  for (size_t at = begin; at < end; at += sixteen) {
+    const size_t size = end - at < sixteen ? end - at : sixteen, rows = size / s.row;
     copy_heads(parameter + at, s.row, rows, heads);
     adam_at_one_rate(parameter + at, gradient + at, first + at, second + at, size, s);
     copy_heads(first + at, s.row, rows, firsts), copy_heads(second + at, s.row, rows, seconds);

@@ -2,12 +2,14 @@
 #pragma once
 #include <cstdint>
 #include <exception>
+#include <system_error>
 #include <thread>
 #include <vector>
 
 namespace drsplat {
 
-// Runs work(0) ... work(threads - 1) at the same time; rethrows the first exception.
+// Runs work(0) ... work(threads - 1) at the same time, as far as the system gives threads: the rest runs here. No
+// work waits for another's. Rethrows the first exception.
 template <class Work>
 void parallel(int threads, Work work) {
   std::vector<std::exception_ptr> errors(threads);
@@ -15,8 +17,14 @@ void parallel(int threads, Work work) {
     try { work(t); } catch (...) { errors[t] = std::current_exception(); }
   };
   std::vector<std::thread> pool;
-  for (int t = 1; t < threads; t++) pool.emplace_back(guarded, t);
+  pool.reserve((size_t)threads);
+  try {
+    while ((int)pool.size() + 1 < threads) pool.emplace_back(guarded, (int)pool.size() + 1);
+  } catch (const std::system_error &) {
+  } catch (const std::bad_alloc &) {
+  }
   guarded(0);
+  for (int t = (int)pool.size() + 1; t < threads; t++) guarded(t);
   for (auto &thread : pool) thread.join();
   for (auto &error : errors)
     if (error) std::rethrow_exception(error);

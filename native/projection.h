@@ -108,6 +108,9 @@ static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin
 
 struct TileSpan { int first, last; };
 
+// Whole tiles at or below x; far outside any image where x is, or is no number.
+static inline int tile_at(float x) { return x > -1e6f && x < 1e6f ? (int)__builtin_floorf(x) : x < 0 ? -1000000 : 1000000; }
+
 // Tile columns that the ellipse d^T cov^-1 d <= reach touches within one tile row: its extreme x there
 // is at the dy of its overall extreme where the row holds that, else at the row's nearer edge.
 static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
@@ -123,8 +126,8 @@ static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
   const float right = right_y * slope + (right_2 > 0 ? __builtin_sqrtf(right_2) : 0.f);
   const float left = left_y * slope - (left_2 > 0 ? __builtin_sqrtf(left_2) : 0.f);
   const float origin = g.x - 0.5f;
-  const int first = (int)__builtin_floorf((origin + left) * (1 / 16.f) - 1e-3f);
-  const int last = (int)__builtin_floorf((origin + right) * (1 / 16.f) + 1e-3f) + 1;
+  const int first = tile_at((origin + left) * (1 / 16.f) - 1e-3f);
+  const int last = tile_at((origin + right) * (1 / 16.f) + 1e-3f) + 1;
   const TileSpan span = {first > e.x0 ? first : e.x0, last < e.x1 ? last : e.x1};
   return span.last > span.first ? span : TileSpan{0, 0};
 }

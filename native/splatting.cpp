@@ -80,6 +80,9 @@ ViewTriples view_weights(const Kernels &kernels, const Scene &scene, const Camer
     runs[i] = {t, begin, worker.triples.size};
   });
   const double t1 = now();
+  size_t triples = 0;
+  for (const auto &worker : w->workers) triples += worker->triples.size;
+  if (triples > UINT32_MAX) out_of_memory();  // 48 GiB of them; rows are counted in 32 bits
   ViewTriples out = merge(*w, runs, scene.count, threads);
   seconds.composite = t1 - t0, seconds.merge = now() - t1;
   return out;

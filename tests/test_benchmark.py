@@ -31,7 +31,13 @@ def test_the_page_is_what_the_results_make() -> None:
 def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[str, Any]:
     """All numbers of one scene at one level."""
     columns = {
-        name: {"miou": level, "acc@0.25": level, "acc@0.5": level, "localization": level}
+        name: {
+            "miou": level,
+            "seen": level + 0.05,
+            "acc@0.25": level,
+            "acc@0.5": level,
+            "localization": level,
+        }
         for name in ("fixed", "automatic")
     }
     whole = {"miou": level, "macc": level}
@@ -67,13 +73,25 @@ def results() -> dict[str, Any]:
 def test_a_page_by_hand() -> None:
     text = page.page(results())
     low, high = mean_interval([30.0, 35.0, 40.0, 45.0, 50.0])
-    assert f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] |" in text
+    assert (
+        f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] | 45.0 [{low + 5:.1f}, {high + 5:.1f}] |" in text
+    )
     assert "| `robust` | +10.0 [+10.0, +10.0] |" in text
     assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
     assert "`robust` minus `mean`.** *more:* selection, fixed +10.0 [+10.0, +10.0];" in text
     assert "Tuning on the test (at 0.40) adds +20.0 [+20.0, +20.0]" in text
     assert "| Spearman with voxels |  | 1.000 | -1.000 |" in text
     assert "| e | `ab12` | `cd` | `ef` |" in text
+
+
+def test_a_page_of_a_run_that_did_not_measure_what_is_seen_says_so() -> None:
+    made = results()
+    assert "did not measure" not in page.page(made)
+    for column in (c for r in made["records"] for c in r["lerf-ovs"]["columns"].values()):
+        column.pop("seen", None)
+    text = page.page(made)
+    assert "did not measure" in text
+    assert "| method | mIoU, fixed | Acc@0.25, fixed |" in text
 
 
 def test_the_tuned_threshold_is_the_best_over_all_scenes() -> None:

@@ -125,6 +125,20 @@ def test_first_hits_cuts_before_the_top_k(first_hits, k, isa):
     assert_same_triples(native, expected)
 
 
+@pytest.mark.parametrize("most", [2**31 - 2, 2**31 - 1, 2**31, 10**30])
+@every_isa
+def test_as_many_first_hits_as_there_can_be_are_all(most, isa):
+    given = arrays_of("off-centre"), view_of("off-centre"), segments_of("off-centre")
+    expected = view_weights(*given, 5, isa=isa)
+    assert len(expected.weights) > 100
+    for found, column in zip(
+        view_weights(*given, 5, first_hits=most, isa=isa), expected, strict=True
+    ):
+        assert_array_equal(found, column)
+    everything = view_weights(*given, None, isa=isa)
+    assert_array_equal(view_weights(*given, most, isa=isa).weights, everything.weights)
+
+
 @every_isa
 def test_threads_change_no_bit(isa):
     scene, values = "inside", np.random.default_rng(0).normal(size=(3000, 5)).astype(np.float32)

@@ -1,6 +1,7 @@
 """lerf-ovs@1 on a small written scene: perfect, empty, missing, damaged; by hand where it can be."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from PIL import Image
 
 import drsplat as ds
 from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
-from drsplat.evaluation import lerf_ovs
+from drsplat.evaluation import lerf_ovs, metrics
 from drsplat.evaluation.lerf_ovs import LerfScene, predict, read_lerf_scene, score
 from drsplat.evaluation.predictions import mask_path, write_mask
+from drsplat.evaluation.report import shown
 from drsplat.evaluation.scorers import Scorer
+from drsplat.evaluation.tables import tables_of
 from mutations import mutants, quota
 from scenes import look_at_view
 
@@ -67,12 +70,16 @@ def record(view: ds.View, gaussians: ds.Gaussians) -> dict[str, object]:
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     """One scene "room" of three photos, the first and last of them labelled."""
-    root = tmp_path / "lerf_ovs"
+    return write_room(tmp_path / "lerf_ovs", EYES)
+
+
+def write_room(root: Path, eyes: tuple[tuple[float, float, float], ...]) -> Path:
+    """Every other photo is labelled."""
     images, labels = root / "room" / "images", root / "label" / "room"
     images.mkdir(parents=True)
     labels.mkdir(parents=True)
     gaussians, views = balls(), []
-    for k, eye in enumerate(EYES, 1):
+    for k, eye in enumerate(eyes, 1):
         at = look_at_view(eye, width=WIDTH, height=HEIGHT)
         views.append(ds.View(f"frame_{k:05d}.png", at.K, at.cam_from_world, WIDTH, HEIGHT))
         Image.new("RGB", (WIDTH, HEIGHT)).save(images / views[-1].name)
@@ -93,7 +100,7 @@ def write_truth(room: LerfScene, folder: Path) -> None:
     predict(room, balls(), PERFECT, folder)
     for frame, category in room.pairs:
         mask = frame.mask(category)
-        for column in ("fixed", "sweep 0.400"):
+        for column in ("fixed", "sweep 0.400", "seen fixed", "seen sweep 0.400"):
             write_mask(mask_path(folder, "room", column, frame.name, category), mask)
 
 
@@ -103,7 +110,7 @@ def test_truth_scores_one(room: LerfScene, tmp_path: Path) -> None:
     for column in ("fixed", "tuned on test"):
         for mean in ("scene_macro", "query_micro"):
             assert result["columns"][column][mean] == {
-                "miou": 1, "acc@0.25": 1, "acc@0.5": 1, "localization": 1,
+                "miou": 1, "seen": 1, "acc@0.25": 1, "acc@0.5": 1, "localization": 1,
             }  # fmt: skip
     assert result["thresholds"]["tuned on test"] == "0.4 for all queries"
 
@@ -120,6 +127,41 @@ def test_predictions_are_silhouettes_of_what_is_selected(room: LerfScene, tmp_pa
         Image.open(mask_path(tmp_path, "room", "sweep 0.200", frame.name, "red mug"))
     )
     assert (everything > 10).sum() > 1.5 * expected.sum()
+
+
+def read(folder: Path, column: str, frame: str, category: str) -> np.ndarray:
+    return np.asarray(Image.open(mask_path(folder, "room", column, frame, category))) > 10
+
+
+def test_what_stands_behind_something_else_is_not_seen(tmp_path: Path) -> None:
+    """The mug hides the whole plate, and is larger from here."""
+    room = read_lerf_scene(write_room(tmp_path / "lerf_ovs", ((-4.5, 0.0, 0.0),)), "room")
+    predict(room, balls(), PERFECT, tmp_path)
+    (frame,) = room.frames
+    view = room.views[frame.name]
+    mug, plate = (read(tmp_path, "seen fixed", frame.name, name) for name in THINGS)
+    assert read(tmp_path, "fixed", frame.name, "blue plate").sum() > 50
+    assert not plate.any()
+    selected = np.flatnonzero(scores_of("red mug") > 0.5)
+    weight = ds.render(balls(), view, values=(scores_of("red mug") > 0.5)[:, None].astype("f"))
+    assert_array_equal(mug, weight.channels[..., 0] > 0.5)
+    alone = ds.render(balls(), view, select=selected).alpha
+    assert (mug != (alone > 0.5)).mean() < 0.001  # before it are a few Gaussians without feature
+    columns = score([room], tmp_path)["columns"]["fixed"]["by_scene"]["room"]
+    assert 2 * columns["seen"] == pytest.approx(metrics.mask_iou(mug, frame.mask("red mug")))
+
+
+def test_predictions_without_what_is_seen_have_no_such_number(
+    room: LerfScene, tmp_path: Path
+) -> None:
+    predict(room, balls(), PERFECT, tmp_path)
+    shutil.rmtree(tmp_path / "room" / "seen fixed")
+    result = score([room], tmp_path)
+    assert np.isnan(result["columns"]["fixed"]["scene_macro"]["seen"])
+    assert result["columns"]["tuned on test"]["scene_macro"]["seen"] > 0.5
+    selection = tables_of([result])[0]
+    place = selection.columns.index("seen")
+    assert [shown(row[place]) == "" for row in selection.rows[:4]] == [True, True, False, False]
 
 
 def test_a_good_scorer_scores_well(room: LerfScene, tmp_path: Path) -> None:
@@ -201,7 +243,7 @@ def test_scoring_the_same_again_is_the_same_to_the_byte(room: LerfScene, tmp_pat
     one, other = (
         sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("a", "b")
     )
-    assert len(one) == 2 + 4 * 4
+    assert len(one) == 2 + 2 * 4 * 4  # alone and seen, four columns, four pairs
     assert [p.read_bytes() for p in one] == [p.read_bytes() for p in other]
     assert score([room], tmp_path / "a") == score([room], tmp_path / "b")
 

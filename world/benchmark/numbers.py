@@ -35,6 +35,8 @@ def _segmentation(protocol: str, number: str) -> Pick:
 
 _ALL = (
     Measure("selection", "mIoU, fixed", _column("lerf-ovs", FIXED, "miou")),
+    Measure("seen", "mIoU seen, fixed", _column("lerf-ovs", FIXED, "seen")),
+    Measure("seen_automatic", "mIoU seen, automatic", _column("lerf-ovs", "automatic", "seen")),
     Measure("acc25", "Acc@0.25, fixed", _column("lerf-ovs", FIXED, "acc@0.25")),
     Measure("acc50", "Acc@0.5, fixed", _column("lerf-ovs", FIXED, "acc@0.5")),
     Measure("automatic", "mIoU, automatic", _column("lerf-ovs", "automatic", "miou")),
@@ -60,6 +62,14 @@ def values(results: Results, masks: str, method: str, key: str) -> list[float]:
     if key in PROTOCOL_OF:
         return tuned(results, masks, method, PROTOCOL_OF[key])[1]
     return [100 * MEASURES[key].pick(record) for record in records_of(results, masks, method)]
+
+
+def measured(results: Results, key: str) -> bool:
+    """Whether the run made the number: a run of an older version did not make all."""
+    try:
+        return all(MEASURES[key].pick(r) is not None for r in results["records"])
+    except KeyError:
+        return key in PROTOCOL_OF
 
 
 def tuned(results: Results, masks: str, method: str, protocol: str) -> tuple[float, list[float]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from drsplat.formats.replacing import replacing
 from drsplat.thresholds import CUT
 
-from .numbers import Results, masks_of, methods_of
+from .numbers import Results, masks_of, measured, methods_of
 from .reading import reading
 from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
 from .tables import (
@@ -39,7 +39,8 @@ idea ({directions} directions, {steps} steps of conjugate gradients, photos {wid
 `mean` minus `{one_step}` is what the coarseness costs, and `{one_step}` minus `{name}` what the fitting does."""
 _PROTOCOLS = """\
 - **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means over pairs of photo and
-  category, then over scenes.
+  category, then over scenes. *Seen* is the same of where the selection is more than half of the picture of the whole scene: alone, what
+  stands behind something else shows through it and counts as wrong.{missing}
 - **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU; fixed, automatic and tuned are localization,
   one class at a time by threshold. **Voxel**, `voxel@1`: the same classes compared in voxels of {side:g} m.
 - **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity 0.9, nothing trained; OpenGaussian
@@ -47,6 +48,7 @@ _PROTOCOLS = """\
 - Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is that of `drsplat select`: the
   fixed one, or {cut:g} of the query's 40th highest cosine where that is more ([tasks.md](tasks.md)). *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers report it: never compare it
   with the other two."""
+_MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
 pip install -e .
@@ -78,6 +80,7 @@ def _sections(results: Results) -> Iterator[str]:
         )  # fmt: skip
     yield _PROTOCOLS.format(
         side=results["voxel_side"],
+        missing="" if measured(results, "seen") else _MISSING,
         threshold=results["encoder"]["threshold"],
         cut=CUT,
         sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),

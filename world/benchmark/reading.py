@@ -16,7 +16,7 @@ from .numbers import (
     values,
 )
 from .rendered import ONE_STEP, RENDERED
-from .tables import COMPARED, COMPARED_WORDS, gain
+from .tables import COMPARED_WORDS, compared, gain
 
 PAIRS = (
     ("mean", RENDERED), (ONE_STEP, RENDERED), ("robust", "mean"), ("trusted", "mean"), ("voting", "mean"),
@@ -57,7 +57,7 @@ def verdict(numbers: Sequence[float]) -> str:
 
 def _compared(results: Results, masks: str, method: str, base: str) -> str:
     groups: dict[str, list[str]] = {}
-    for key in COMPARED:
+    for key in compared(results):
         numbers = gain(results, masks, method, base, key)
         part = f"{COMPARED_WORDS[key]} {said(numbers, signed=True)}"
         groups.setdefault(verdict(numbers), []).append(part)
@@ -67,7 +67,7 @@ def _compared(results: Results, masks: str, method: str, base: str) -> str:
 
 def _best(results: Results, masks: str) -> str:
     parts = []
-    for key in COMPARED:
+    for key in compared(results):
         means = {
             m: metrics.mean(values(results, masks, m, key)) for m in methods_of(results, masks)
         }
@@ -107,7 +107,7 @@ def _study(results: Results, masks: str, method: str) -> str:
 
 def _masks(results: Results, method: str) -> str:
     parts = []
-    for key in COMPARED:
+    for key in compared(results):
         lost = difference(*(values(results, masks, method, key) for masks in ("graph", "true")))
         parts.append(f"{COMPARED_WORDS[key]} {said(lost, signed=True)}")
     return f"**Found masks minus true ones (`{method}`).** {'; '.join(parts)}."

@@ -22,7 +22,7 @@ from .rendered import STEPS
 from .scenes import LABEL_SET, BenchScene, about, read_scene
 from .scoring import SWEEP, scored
 
-FORMAT, VERSION = "drsplat benchmark", 1
+FORMAT, VERSION = "drsplat benchmark", 2
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 METHODS = (*AGGREGATORS, *STEPS)
 

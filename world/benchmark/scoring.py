@@ -67,7 +67,8 @@ def _selection(
     result = lerf_ovs.score([scene.lerf], folder)
     columns = {name: result["columns"][name]["scene_macro"] for name in (FIXED, AUTOMATIC)}
     leaked = result["scenes"][0]["leaked"]
-    return {"columns": columns, "sweep": _sweep(result), "leaked": leaked}
+    seen = [result["sweep_seen"][sweep_column(threshold)] for threshold in SWEEP]
+    return {"columns": columns, "sweep": _sweep(result), "sweep_seen": seen, "leaked": leaked}
 
 
 def _volume(

@@ -7,6 +7,7 @@ from .numbers import (
     Results,
     correlations,
     difference,
+    measured,
     methods_of,
     records_of,
     said,
@@ -14,14 +15,14 @@ from .numbers import (
     values,
 )
 
-SELECTION = ("selection", "acc25", "acc50", "automatic", "selection_tuned", "localization")
+SELECTION = ("selection", "seen", "acc25", "acc50", "automatic", "seen_automatic", "selection_tuned", "localization")  # fmt: skip
 SEGMENTATION = ("volume", "points", "voxel", "volume_fixed", "volume_automatic", "volume_tuned")
-COMPARED = ("selection", "automatic", "selection_tuned", "volume", "points", "voxel")
+COMPARED = ("selection", "seen", "automatic", "selection_tuned", "volume", "points", "voxel")
 WORDS = {key: measure.words for key, measure in MEASURES.items()} | {
     "selection_tuned": "mIoU, tuned on test", "volume_tuned": "tuned on test",
 }  # fmt: skip
 COMPARED_WORDS = {
-    "selection": "selection, fixed", "automatic": "selection, automatic",
+    "selection": "selection, fixed", "seen": "seen, fixed", "automatic": "selection, automatic",
     "selection_tuned": "selection, tuned on test", "volume": "volume", "points": "points", "voxel": "voxel",
 }  # fmt: skip
 
@@ -50,6 +51,7 @@ def scenes_table(results: Results) -> str:
 
 
 def measures_table(results: Results, masks: str, keys: Sequence[str]) -> str:
+    keys = [key for key in keys if measured(results, key)]
     rows = [
         (f"`{method}`", *(said(values(results, masks, method, key)) for key in keys))
         for method in methods_of(results, masks)
@@ -59,12 +61,17 @@ def measures_table(results: Results, masks: str, keys: Sequence[str]) -> str:
 
 def against_table(results: Results, masks: str, base: str) -> str:
     """Each method minus one of them, scene by scene."""
-    rows = []
+    rows, keys = [], compared(results)
     for method in methods_of(results, masks):
         if method != base:
-            cells = [said(gain(results, masks, method, base, key), signed=True) for key in COMPARED]
+            cells = [said(gain(results, masks, method, base, key), signed=True) for key in keys]
             rows.append((f"`{method}`", *cells))
-    return markdown(("method", *(COMPARED_WORDS[key] for key in COMPARED)), rows)
+    return markdown(("method", *(COMPARED_WORDS[key] for key in keys)), rows)
+
+
+def compared(results: Results) -> list[str]:
+    """What methods are compared in, as far as the run measured it."""
+    return [key for key in COMPARED if measured(results, key)]
 
 
 def gain(results: Results, masks: str, method: str, base: str, key: str) -> list[float]:

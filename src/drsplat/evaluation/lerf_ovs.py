@@ -4,6 +4,10 @@ A text selects Gaussians; only these are rendered from each labelled photo's pla
 exceeds 0.7 is the predicted mask. mIoU is the mean over all pairs of a photo and a category labelled
 on it. A pair without prediction counts 0; categories that a photo does not show are not asked.
 
+Rendered alone, what stands behind something else shows through it, and counts as wrong. So beside it,
+ours: `seen`, the mIoU of where the selection is more than half of the picture of the whole scene. Of
+selections that share no Gaussian, at most one is seen at a pixel, and what nothing covers is seen by none.
+
 Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
 """
 
@@ -36,6 +40,7 @@ from .predictions import (
     mask_path,
     read_manifest,
     read_mask,
+    seen_column,
     sweep_column,
     write_mask,
 )
@@ -43,7 +48,8 @@ from .scorers import Scorer
 from .thresholds import best_sweep
 
 PROTOCOL = "lerf-ovs@1"
-SILHOUETTE = 0.7  # alpha of the selected Gaussians
+SILHOUETTE = 0.7  # alpha of the selected Gaussians, alone
+MAJORITY = 0.5  # their blending weights in the whole picture
 PEAK_WINDOW = 1 / 33  # of the width; LangSplat smooths over 30 pixels of photos about 990 wide
 PEAKS = "peaks.json"
 ACCURACIES = (0.25, 0.5)
@@ -122,11 +128,16 @@ def predict(
             view = scene.views[frame.name]
             for column, mask in _masks(splats, view, scores, at, threads):
                 write_mask(mask_path(folder, scene.name, column, frame.name, category), mask)
-            peaks.setdefault(frame.name, {})[category] = _peak(splats, view, scores, threads)
+            whole = _whole_picture(splats, view, scores, at, threads)
+            for column, share in zip(at, whole[1:], strict=True):
+                path = mask_path(folder, scene.name, seen_column(column), frame.name, category)
+                write_mask(path, share > MAJORITY)
+            peaks.setdefault(frame.name, {})[category] = _peak(whole[0])
     inputs = {
         "gaussians": gaussians.fingerprint,
         "scorer": dict(scorer.about),
         "silhouette": SILHOUETTE,
+        "majority": MAJORITY,
         "peak_window": PEAK_WINDOW,
         "chosen": picked,
     }
@@ -165,6 +176,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
     columns = _common_columns(manifests)
     by_scene = [_ious(scene, folder, list(columns)) for scene in scenes]
     ious = {column: [found[column] for found in by_scene] for column in columns}
+    seen = {column: [_seen_ious(scene, folder, column) for scene in scenes] for column in columns}
     peaks = [_peak_hits(scene, folder) for scene in scenes]
     means = {column: metrics.scene_macro(values) for column, values in ious.items()}
     tuned = best_sweep(means)
@@ -177,10 +189,17 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
         "scenes": [_scene_record(*pair) for pair in zip(scenes, manifests, strict=True)],
         "thresholds": {name: columns[source] for name, source in shown_columns.items()},
         "columns": {
-            name: _summary(scenes, ious[source], peaks) for name, source in shown_columns.items()
+            name: _summary(scenes, ious[source], seen[source], peaks)
+            for name, source in shown_columns.items()
         },
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
-        "queries": _queries(scenes, {name: ious[c] for name, c in shown_columns.items()}, peaks),
+        "sweep_seen": {c: metrics.scene_macro(seen[c]) for c in columns if is_sweep(c)},
+        "queries": _queries(
+            scenes,
+            {name: ious[c] for name, c in shown_columns.items()},
+            {name: seen[c] for name, c in shown_columns.items()},
+            peaks,
+        ),
     }
 
 
@@ -230,16 +249,26 @@ def silhouette(
     return mask
 
 
-def _peak(
-    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int
-) -> list[float] | None:
+def _whole_picture(
+    splats: SplatArrays,
+    view: View,
+    scores: Float32[np.ndarray, " N"],
+    thresholds: Mapping[str, float],
+    threads: int,
+) -> Float32[np.ndarray, "c h w"]:
+    """sum_i w_i v_i of the whole scene: first of v = max(s, 0), then of each threshold's selection (v = 1)."""
+    positive = np.nan_to_num(np.maximum(scores, 0), nan=0.0)
+    bars = np.array([*thresholds.values()], np.float32)
+    values = np.column_stack([positive, scores[:, None] > bars]).astype(np.float32)
+    return np.moveaxis(render_channels(splats, view, values, threads=threads).channels, 2, 0)
+
+
+def _peak(drawn: Float32[np.ndarray, "h w"]) -> list[float] | None:
     """(x, y) of the highest smoothed score map; None where nothing scores above 0.
 
-    The map is sum_i w_i max(s_i, 0) of the whole scene: what no Gaussian covers is 0.
+    The map is of the whole scene: what no Gaussian covers is 0.
     """
-    values = np.nan_to_num(np.maximum(scores, 0), nan=0.0)[:, None]
-    drawn = render_channels(splats, view, values, threads=threads).channels[..., 0]
-    window = round(view.width * PEAK_WINDOW) | 1  # odd: centred on a pixel
+    window = round(drawn.shape[1] * PEAK_WINDOW) | 1  # odd: centred on a pixel
     smooth = uniform_filter(drawn.astype(np.float64), window, mode="constant")
     if not smooth.max() > 0:
         return None
@@ -270,6 +299,13 @@ def _ious(scene: LerfScene, folder: Path, columns: Sequence[str]) -> dict[str, l
     return found
 
 
+def _seen_ious(scene: LerfScene, folder: Path, column: str) -> list[float]:
+    """Of each pair; NaN where predictions were made without such masks."""
+    if not (folder / scene.name / seen_column(column)).is_dir():
+        return [float("nan")] * len(scene.pairs)
+    return _ious(scene, folder, [seen_column(column)])[seen_column(column)]
+
+
 def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
     """1 where the peak lies in a box of the category, else 0; without a peak 0."""
     path = folder / scene.name / PEAKS
@@ -289,22 +325,26 @@ def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
 
 
 def _summary(
-    scenes: Sequence[LerfScene], ious: Sequence[list[float]], hits: Sequence[list[float]]
+    scenes: Sequence[LerfScene],
+    ious: Sequence[list[float]],
+    seen: Sequence[list[float]],
+    hits: Sequence[list[float]],
 ) -> dict[str, Any]:
-    by_scene = [_numbers(values, found) for values, found in zip(ious, hits, strict=True)]
-    every = [value for values in ious for value in values]
+    by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
+    every = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
     return {
         "scene_macro": {
             key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]
         },
-        "query_micro": _numbers(every, [hit for found in hits for hit in found]),
+        "query_micro": _numbers(*every),
         "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
     }
 
 
-def _numbers(ious: list[float], hits: list[float]) -> dict[str, float]:
+def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[str, float]:
     accuracies = {f"acc@{t:g}": metrics.share_above(ious, t) for t in ACCURACIES}
-    return {"miou": metrics.mean(ious), **accuracies, "localization": metrics.mean(hits)}
+    means = {"miou": metrics.mean(ious), "seen": metrics.mean(seen)}
+    return {**means, **accuracies, "localization": metrics.mean(hits)}
 
 
 def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:
@@ -321,14 +361,18 @@ def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:
 def _queries(
     scenes: Sequence[LerfScene],
     ious: Mapping[str, Sequence[list[float]]],
+    seen: Mapping[str, Sequence[list[float]]],
     hits: Sequence[list[float]],
 ) -> list[dict[str, Any]]:
     rows = []
     for s, scene in enumerate(scenes):
         for p, (frame, category) in enumerate(scene.pairs):
-            values = {column: by_scene[s][p] for column, by_scene in ious.items()}
+            alone, whole = (
+                {column: by_scene[s][p] for column, by_scene in kind.items()}
+                for kind in (ious, seen)
+            )
             rows.append(
                 {"scene": scene.name, "frame": frame.name, "category": category}
-                | {"iou": values, "localized": bool(hits[s][p])}
+                | {"iou": alone, "seen": whole, "localized": bool(hits[s][p])}
             )
     return rows

@@ -2,6 +2,7 @@
 
 FOLDER/SCENE/predictions.json    protocol, method, thresholds and how they were chosen, inputs
 FOLDER/SCENE/COLUMN/...          masks of one choice of thresholds
+FOLDER/SCENE/seen COLUMN/...     the same, of what is seen of the selection within the whole scene
 FOLDER/SCENE/*.npy               labels and scores
 """
 
@@ -87,6 +88,11 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
 
 def sweep_column(threshold: float) -> str:
     return f"{SWEEP} {threshold:.3f}"
+
+
+def seen_column(column: str) -> str:
+    """Where masks of a selection are that was drawn within the whole scene."""
+    return f"seen {column}"
 
 
 def is_sweep(column: str) -> bool:

@@ -8,6 +8,7 @@ from .metrics import mean_interval
 from .published import DR_SPLAT, Published, published_for, same_data
 
 Cell = str | float | None
+SEEN = "seen is the mIoU of where it is more than half of the whole picture"
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,10 @@ def _by_column(task: str, blocks: Sequence[tuple[Mapping[str, Any], Mapping[str,
                 rows.append((result["method"], column, mean.replace("_", "-"), *numbers))
     ours = [100 * first["scene_macro"][key] for key in keys]
     rows += _papers(blocks[0][0], task, keys, ours, 3)
-    note = "; ".join(f"{name}: {how}" for name, how in blocks[0][0]["thresholds"].items())
+    notes = [f"{name}: {how}" for name, how in blocks[0][0]["thresholds"].items()]
+    if "seen" in keys:
+        notes.append(f"miou and accuracies are of the selection drawn alone, {SEEN}")
+    note = "; ".join(notes)
     title = f"{blocks[0][0]['protocol']}: {task}"
     return Table(title, ("method", "threshold", "mean", *keys), tuple(rows), note)
 

@@ -54,6 +54,7 @@ def encode_row(
             if better and (_solve(candidates, feature, tried) > 0).all():
                 new, barred = tried, (barred - {old}) | {best}
         chosen = new
+    _leave_positive(candidates, feature, chosen)
     return np.array(chosen, np.int64), _solve(candidates, feature, chosen)
 
 
@@ -66,9 +67,14 @@ def _greedy(candidates: np.ndarray, feature: np.ndarray, wanted: int) -> tuple[l
             break
         chosen.append(best)
         barred.add(best)
-        while len(chosen) and (weights := _solve(candidates, feature, chosen)).min() <= 0:
-            del chosen[int(weights.argmin())]
+        _leave_positive(candidates, feature, chosen)
     return chosen, barred
+
+
+def _leave_positive(candidates: np.ndarray, feature: np.ndarray, chosen: list[int]) -> None:
+    """Drop the least until all weights are above zero; ends, if not before, with none left."""
+    while chosen and (weights := _solve(candidates, feature, chosen)).min() <= 0:
+        del chosen[int(weights.argmin())]
 
 
 def _best(

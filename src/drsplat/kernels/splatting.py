@@ -17,6 +17,7 @@ from ..gaussians import Gaussians
 from ..views import View
 
 MAX_SIDE = 65536
+MOST_COUNTED = 2**31 - 1  # no ray meets so many: as good as all
 
 
 class SplatArrays(NamedTuple):
@@ -107,7 +108,7 @@ def _checked_isa(isa: str) -> str:
 def _positive(name: str, value: int | None) -> int:
     if value is not None and value < 1:
         raise InputError(f"{name}: expected a positive integer, or None for all; got {value}")
-    return value or 0
+    return min(value or 0, MOST_COUNTED)
 
 
 def view_weights(

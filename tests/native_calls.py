@@ -1,0 +1,308 @@
+"""Calls of the extension as nobody should make them: arrays of wrong shapes and types, numbers that are none,
+counts beyond all bounds, one past every vector's width.
+
+The extension checks what memory safety needs, and nothing else: a call either answers or raises one of REFUSALS.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from drsplat import _native
+
+Call = Callable[[], object]
+REFUSALS = (ValueError, TypeError, MemoryError)
+COUNTS = (0, 1, 15, 16, 17, 63, 65, 257, 700)
+SIDES = (1, 7, 16, 17, 33, 100)
+NUMBERS = (np.nan, np.inf, -np.inf, -0.0, 3.4e38, -3.4e38, 1e-45, 1e30, -1e10, 65504.0, 2.0**31)
+LIMITS = (0, 1, 2, 40, 2**31 - 2, 2**31 - 1, 2**31, -1, -(2**31))
+THREADS = (0, 1, 2, 3, 7, 300, -1, -(2**31))
+
+
+class Rogue:
+    """A source of arguments, the same for the same seed; every fourth array is spoiled."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def one(self, choices: tuple) -> object:
+        return choices[self.rng.integers(len(choices))]
+
+    def isa(self) -> str:
+        names = (*_native.available_isas(), "")
+        return str(self.one(names) if self.rng.random() < 0.98 else "no such")
+
+    def how(self) -> tuple[object, str]:
+        return self.one(THREADS), self.isa()
+
+    def floats(self, *shape: int) -> np.ndarray:
+        return self.spoiled(self.rng.standard_normal(shape).astype(np.float32))
+
+    def whole(self, low: int, high: int, shape: tuple[int, ...], dtype: str) -> np.ndarray:
+        return self.spoiled(self.rng.integers(low, max(high, low + 1), shape).astype(dtype))
+
+    def spoiled(self, array: np.ndarray) -> np.ndarray:
+        if self.rng.random() < 0.75:
+            return array
+        spoil = self.one((self._numbers, self._numbers, self._numbers, self._shape, self._kind))
+        return spoil(array)
+
+    def _numbers(self, array: np.ndarray) -> np.ndarray:
+        if array.size and array.dtype.kind == "f":
+            places = self.rng.integers(0, array.size, 1 + self.rng.integers(min(array.size, 9)))
+            array.reshape(-1)[places] = self.one(NUMBERS)
+        elif array.size:
+            limits = np.iinfo(array.dtype)
+            place = self.rng.integers(array.size)
+            array.reshape(-1)[place] = self.one((limits.min, limits.max, limits.max // 2))
+        return array
+
+    def _shape(self, array: np.ndarray) -> np.ndarray:
+        endless = (
+            2**58 if array.ndim > 1 else 0
+        )  # which takes no memory where the other sides are 0
+        empty = np.empty((endless,) + (0,) * (array.ndim - 1), array.dtype)
+        transposed = np.asfortranarray(array)
+        return self.one(
+            (array[1:], array[..., :-1], array[None], array[..., :0], empty, transposed)
+        )
+
+    def _kind(self, array: np.ndarray) -> object:
+        return self.one((array.astype(np.float64), array.astype(np.int64), array.tobytes(), None))
+
+
+def camera(rogue: Rogue, width: int, height: int) -> np.ndarray:
+    numbers = np.zeros(16, np.float32)
+    numbers[[0, 4, 8]] = 1
+    numbers[9:12] = rogue.rng.standard_normal(3)
+    numbers[12:14] = rogue.one((width, 50.0, 1e-3, 1e30, -5.0))
+    numbers[14:16] = rogue.one(((width / 2, height / 2), (1e30, -1e9), (-5e4, 5e4)))
+    return rogue.spoiled(numbers)
+
+
+def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    n = int(rogue.one(COUNTS))
+    means = rogue.rng.standard_normal((3, n)).astype(np.float32) * rogue.one((1.0, 1e6))
+    means[2] += rogue.one((0, 3, 100))
+    axes = rogue.rng.standard_normal((n, 3, 3)) * rogue.one((1e-2, 0.1, 10.0, 1e6, 1e10))
+    axes[:, :, 0] *= rogue.one((1.0, 1e4))  # needles, whose determinants are rounding
+    full = np.einsum("nij,nkj->ikn", axes, axes)
+    covariances = full[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float32)
+    opacities = rogue.rng.uniform(-0.2, 1.3, n).astype(np.float32)
+    return rogue.spoiled(means), rogue.spoiled(covariances), rogue.spoiled(opacities)
+
+
+def weights(rogue: Rogue) -> Call:
+    width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
+    segments = rogue.whole(-2, int(rogue.one((1, 5, 300))), (height, width), "i4")
+    seen = *scene(rogue), camera(rogue, width, height), segments
+    return partial(_native.view_weights, *seen, rogue.one(LIMITS), rogue.one(LIMITS), *rogue.how())
+
+
+def contributions(rogue: Rogue) -> Call:
+    width, height = int(rogue.one((*SIDES, 0, -1, 65536, 65537))), int(rogue.one((1, 16, 0, -5)))
+    topk = rogue.one((0, 1, 2, 40, -1, 2**31))
+    seen = *scene(rogue), camera(rogue, width, height), width, height
+    return partial(_native.topk_contributions, *seen, topk, rogue.one(LIMITS), *rogue.how())
+
+
+def rendering(rogue: Rogue) -> Call:
+    width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
+    splats, channels = scene(rogue), int(rogue.one((0, 1, 3, 4, 16, 17, 33)))
+    count = len(splats[2]) if isinstance(splats[2], np.ndarray) and splats[2].ndim else 1
+    values = rogue.floats(count, channels), rogue.floats(channels)
+    seen = *splats, camera(rogue, width, height), width, height
+    return partial(_native.render, *seen, *values, *rogue.how())
+
+
+def colors(rogue: Rogue) -> Call:
+    n, k = int(rogue.one(COUNTS)), int(rogue.one((0, 1, 4, 9, 16, 25)))
+    arrays = rogue.floats(n, k, 3), rogue.floats(n, 3), rogue.floats(3)
+    return partial(_native.sh_colors, *arrays, *rogue.how())
+
+
+def scan(rogue: Rogue) -> Call:
+    n, length = int(rogue.one((0, 1, 255, 256, 257, 1000))), int(rogue.one((1, 2, 7, 16, 128)))
+    queries, coarse = int(rogue.one((0, 1, 1, 5, 17))), int(rogue.one((0, 1, 3, 1024)))
+    codes = rogue.whole(0, 256, (-(-n // 256), length, 256), "u1")
+    ids = rogue.whole(0, 65536, (n,), "u2") if coarse else None
+    rows = codes, rogue.floats(n), ids
+    tables = rogue.floats(queries, length, 256), rogue.floats(queries, coarse) if coarse else None
+    error, wide = (
+        rogue.one((1e-4, 1e-30, np.inf, np.nan, 0.0)),
+        rogue.one((0, 1, length, 2**32 - 1)),
+    )
+    floor = rogue.one((None, rogue.floats(n)))
+    return partial(
+        rogue.one((_native.scan_scores, _native.scan_best, _scan_top, partial(_scan_above, floor))),
+        rows, tables, (error, wide, *rogue.how()),
+    )  # fmt: skip
+
+
+def _scan_top(*given: tuple) -> object:
+    return _native.scan_top(*given, 2**32 - 1), _native.scan_top(*given, 3)
+
+
+def _scan_above(floor: np.ndarray | None, *given: tuple) -> object:
+    return [_native.scan_above(*given, bar, floor) for bar in (0.1, np.nan, -np.inf)]
+
+
+def look_up_tables(rogue: Rogue) -> Call:
+    length, dim = int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64)))
+    arrays = rogue.floats(length, dim, 256), rogue.floats(int(rogue.one((0, 1, 5))), length * dim)
+    return partial(_native.lookup_tables, *arrays, *rogue.how())
+
+
+def mixture(rogue: Rogue) -> Call:
+    n, k = int(rogue.one((0, 1, 63, 64, 65, 1000))), int(rogue.one((0, 1, 2, 4, 16, 17)))
+    atoms, dim = int(rogue.one((0, 1, 5, 300, 5000))), int(rogue.one((1, 3, 16, 33, 512)))
+    blocks = -(-n // 64), k, 64
+    rows = rogue.whole(0, 65536, blocks, "u2"), rogue.whole(0, 256, blocks, "u1")
+    parts = *rows, rogue.whole(0, 65536, (n,), "u2"), *dictionary(rogue, atoms, dim)
+    one, many = rogue.floats(dim), rogue.floats(int(rogue.one((0, 1, 5, 130, 300))), dim)
+    call = rogue.one(
+        (
+            partial(_native.mixture_scores, parts, many),
+            partial(_native.mixture_best, parts, many),
+            partial(_native.mixture_top, parts, one, rogue.one((0, 1, 5, 2**63))),
+            partial(_native.mixture_select, parts, one, 0.1, rogue.one((None, rogue.floats(n)))),
+        )
+    )
+    return partial(call, *rogue.how())
+
+
+def dictionary(rogue: Rogue, atoms: int, dim: int) -> tuple[np.ndarray, np.ndarray]:
+    return rogue.whole(-128, 128, (atoms, dim), "i1"), rogue.spoiled(
+        rogue.rng.uniform(0, 0.01, atoms).astype("f")
+    )
+
+
+def encoding(rogue: Rogue) -> Call:
+    n, atoms = int(rogue.one((0, 1, 17, 200))), int(rogue.one((0, 1, 5, 300)))
+    dim, further = int(rogue.one((1, 3, 6, 16, 512))), int(rogue.one((0, 1, 5, 64, 65)))
+    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, rogue.one((1, 5, 80)), n))])
+    arrays = (
+        *dictionary(rogue, atoms, dim),
+        rogue.floats(n, dim),
+        rogue.spoiled(starts.astype(np.int64)),
+        rogue.whole(0, atoms, (starts[-1],), "i4"),
+        rogue.whole(0, atoms, (n, further), "i4"),
+    )
+    return partial(_native.mixture_encode, *arrays, rogue.one((0, 1, 4, 6, 16, 17)), *rogue.how())
+
+
+def neighbours(rogue: Rogue) -> Call:
+    n, dim = int(rogue.one((0, 1, 17, 500))), int(rogue.one((1, 3, 16, 512)))
+    points = rogue.floats(n, dim)
+    if rogue.rng.random() < 0.5:
+        centres = rogue.floats(int(rogue.one((0, 1, 7, 100))), dim)
+        return partial(_native.nearest_centres, points, centres, *rogue.how())
+    groups, size = int(rogue.one((0, 1, 4))), int(rogue.one((0, 1, 5, 64, 70)))
+    members = rogue.whole(0, groups, (n,), "i4"), rogue.whole(0, 50, (groups, size), "i4")
+    given = *dictionary(rogue, 50, dim), points, *members, rogue.one((0, 1, 5, 64, 65))
+    return partial(_native.nearest_members, *given, *rogue.how())
+
+
+def rows(rogue: Rogue) -> Call:
+    n, m, dim = (
+        int(rogue.one((0, 1, 17, 300))),
+        int(rogue.one((0, 1, 50))),
+        int(rogue.one((0, 1, 33, 512))),
+    )
+    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
+    entries = rogue.whole(0, m, (starts[-1],), "i4"), rogue.floats(starts[-1])
+    given = rogue.spoiled(starts.astype(np.int64)), *entries, rogue.floats(m, dim)
+    return partial(_native.weighted_rows, *given, *rogue.how())
+
+
+def codes(rogue: Rogue) -> Call:
+    n, length, dim = (
+        int(rogue.one((0, 1, 17, 300))),
+        int(rogue.one((0, 1, 4, 128))),
+        int(rogue.one((0, 1, 3, 64))),
+    )
+    if rogue.rng.random() < 0.5:
+        given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
+        return partial(_native.pq_encode, *given, *rogue.how())
+    given = rogue.whole(0, 256, (n, length), "u1"), rogue.floats(length, 256), rogue.floats(n)
+    return partial(_native.pq_scores, *given, rogue.one((None, rogue.floats(n))), *rogue.how())
+
+
+def training(rogue: Rogue) -> Call:
+    n, k = int(rogue.one((0, 1, 15, 16, 17, 300))), int(rogue.one((1, 4, 9, 16)))
+    width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
+    means = rogue.rng.standard_normal((n, 3)).astype(np.float32) + np.float32([0, 0, 3])
+    scales = rogue.rng.uniform(-5, 1, (n, 3)).astype(np.float32)
+    scene = rogue.spoiled(means), rogue.spoiled(scales), rogue.floats(n, 4), rogue.floats(n)
+    given = *scene, rogue.floats(n, k, 3), camera(rogue, width, height), width, height
+    gradient = rogue.floats(height, width, 3)
+    order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f"))
+
+    def call() -> None:
+        view = _native.training_pass(
+            *given, rogue.one((0, 1, k, k + 1)), np.ones(3, "f"), *rogue.how()
+        )
+        image = gradients = None
+        for step in order:
+            try:
+                if step == "f":
+                    image, _ = view.forward()
+                else:
+                    gradients = view.backward(gradient if image is None else image, gradient)
+            except REFUSALS:
+                pass
+        del view, image
+        for column in gradients or ():
+            column.sum()
+
+    return call
+
+
+def loss(rogue: Rogue) -> Call:
+    width, height = int(rogue.one((0, 1, 5, 16, 17, 100))), int(rogue.one((0, 1, 5, 11, 33)))
+    images = rogue.floats(height, width, 3), rogue.floats(height, width, 3)
+    return partial(_native.photometric_loss, *images, rogue.one((0.2, 1.0, np.nan)), *rogue.how())
+
+
+def optimizer(rogue: Rogue) -> Call:
+    n = int(rogue.one((0, 1, 15, 48, 480, 1000)))
+    arrays = [rogue.floats(n) for _ in range(4)]
+    step, row = rogue.one((1, 100, 0, -1, 2**62)), rogue.one((0, 3, 12, 48, 1, 2**28, 2**32 - 1))
+    rates = 1e-3, step, 0.9, 0.999, 1e-15, 1e-3, row
+    return partial(_native.adam_step, *arrays, *rates, *rogue.how())
+
+
+FAMILIES = (
+    weights,
+    weights,
+    contributions,
+    rendering,
+    colors,
+    scan,
+    scan,
+    look_up_tables,
+    mixture,
+    mixture,
+    encoding,
+    encoding,
+    neighbours,
+    rows,
+    codes,
+    training,
+    training,
+    loss,
+    optimizer,
+)
+
+
+def refused_or_answered(seed: int) -> bool:
+    """Make one call; whether it was refused. Any other end is a defect."""
+    rogue = Rogue(seed)
+    with np.errstate(all="ignore"):
+        call = FAMILIES[rogue.rng.integers(len(FAMILIES))](rogue)
+        try:
+            call()
+        except REFUSALS:
+            return True
+    return False

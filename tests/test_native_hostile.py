@@ -1,0 +1,136 @@
+"""The extension itself: whatever it is given, it answers or refuses; it never hangs and never leaves its arrays.
+
+Run under the sanitizers by scripts/sanitize. Calls that once did not come back are made in a process of their own.
+"""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from drsplat import _native
+from drsplat.kernels import reference_mixture
+from drsplat.kernels.mixture import Candidates, Dictionary, mixture_encode
+from mutations import quota
+from native_calls import refused_or_answered
+
+CALLS = quota(600)
+
+
+def in_own_process(code: str, seconds: float = 60) -> str:
+    """What it prints; fails if it does not end by itself."""
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=seconds, check=False
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    return ended.stdout
+
+
+def test_rogue_calls_are_answered_or_refused() -> None:
+    refused = [refused_or_answered(seed) for seed in range(CALLS)]
+    assert 0.1 < np.mean(refused) < 0.9  # else the calls are all bad, or none is
+
+
+# Every weight falls below zero when the last atom joins: found among random unit vectors.
+ATOMS = [
+    [10, -27, -21, -127], [127, 81, -23, 55], [37, -72, 127, -40], [-53, -127, 73, -16],
+    [78, -86, 18, -127], [127, 28, 50, 62], [-62, 48, 127, -101], [-127, -111, 62, 9],
+]  # fmt: skip
+FEATURE = [0.5470661520957947, -0.2868238687515259, 0.14010317623615265, 0.7738357782363892]
+ENCODE = f"""
+import numpy as np
+from drsplat.kernels.mixture import Candidates, Dictionary, mixture_encode
+atoms = np.array({ATOMS}, np.int8)
+scales = (1 / np.linalg.norm(atoms.astype(float), axis=1)).astype("f")
+given = Candidates(np.array([0, 8]), np.arange(8, dtype=np.int32), np.empty((1, 0), np.int32))
+found = mixture_encode(np.array([{FEATURE}], "f"), Dictionary(atoms, scales), given, 4, threads=1)
+for part in found:
+    print(part.tolist())
+"""
+
+
+def test_encoding_ends_where_every_atom_is_dropped() -> None:
+    """The twin, of atoms of exactly unit length, comes to the same single atom."""
+    ids, weights, scales = (json.loads(line) for line in in_own_process(ENCODE).splitlines())
+    atoms = np.array(ATOMS, float)
+    atoms /= np.linalg.norm(atoms, axis=1, keepdims=True)
+    places, found = reference_mixture.encode_row(atoms, np.array(FEATURE), 4)
+    assert (len(places), ids, weights) == (1, [[places[0]] * 4], [[255, 0, 0, 0]])
+    assert found[0] > 0
+    assert scales[0] == pytest.approx(1 / 255, rel=1e-3)
+
+
+def test_features_of_any_length_are_encoded() -> None:
+    """Squares of these leave float32; nothing is promised but an end."""
+    rng = np.random.default_rng(0)
+    atoms = rng.integers(-127, 128, (8, 4)).astype(np.int8)
+    given = Candidates(np.array([0, 8]), np.arange(8, dtype=np.int32), np.empty((1, 0), np.int32))
+    for length in (1e-45, 1e-20, 1e20, 3e38):
+        feature = np.full((1, 4), length, np.float32)
+        found = mixture_encode(feature, Dictionary(atoms, np.full(8, 0.005, "f")), given, 4)
+        assert np.isfinite(found.scales).all()
+
+
+def training_pass(count: int) -> _native.TrainingPass:
+    rng = np.random.default_rng(0)
+    camera = np.zeros(16, np.float32)
+    camera[[0, 4, 8]], camera[12:14], camera[14:16] = 1, 60, (40, 30)
+    shapes = (count, 3), (count, 3), (count, 4), (count,), (count, 4, 3)
+    arrays = [rng.uniform(-4, -1, shape).astype(np.float32) for shape in shapes]
+    arrays[0][:, 2] += 8
+    return _native.training_pass(*arrays, camera, 80, 60, 4, np.zeros(3, "f"), 1, "")
+
+
+def test_no_backward_pass_before_a_forward_pass() -> None:
+    """Its memory would be that of another pass, which was larger or smaller."""
+    image = np.ones((60, 80, 3), np.float32)
+    training_pass(700).forward()
+    small = training_pass(2)
+    with pytest.raises(ValueError, match="forward pass before"):
+        small.backward(image, image)
+    small.forward()
+    with pytest.raises(ValueError, match=r"\(H, W, 3\)"):
+        small.backward(image[:30], image[:30])
+    assert small.backward(image, image)[0].shape == (2, 3)
+    with pytest.raises(ValueError, match="one backward pass"):
+        small.backward(image, image)
+
+
+def test_rows_of_no_numbers_are_refused_however_many() -> None:
+    """2^60 rows take no memory; their codes would, and their number leaves 64 bits."""
+    features, centroids = np.empty((2**60, 0), np.float32), np.empty((16, 256, 0), np.float32)
+    with pytest.raises(ValueError, match="above 0"):
+        _native.pq_encode(features, centroids, 1, "")
+
+
+HUGE_ROWS = """
+import numpy as np
+from drsplat import _native
+arrays = [np.zeros(0, np.float32) for _ in range(4)]
+for row in (2**28, 2**31, 2**32 - 16):
+    _native.adam_step(*arrays, 1e-3, 1, 0.9, 0.999, 1e-15, 1e-3, row, 1, "")
+"""
+FEW_THREADS = """
+import resource, sys
+import numpy as np
+from drsplat import _native
+rng = np.random.default_rng(0)
+arrays = rng.standard_normal((4000, 64)).astype("f"), rng.standard_normal((300, 64)).astype("f")
+expected = _native.nearest_centres(*arrays, 1, "")
+kilobytes = next(int(line.split()[1]) for line in open("/proc/self/status") if "VmSize" in line)
+room = (kilobytes << 10) + (40 << 20)  # for a stack or two
+resource.setrlimit(resource.RLIMIT_AS, (room, room))
+assert (_native.nearest_centres(*arrays, 200, "") == expected).all()
+"""
+
+
+def test_the_head_of_a_row_may_be_beyond_32_bits() -> None:
+    """Sixteen such rows are no 32-bit number; of none there are none to step."""
+    in_own_process(HUGE_ROWS)
+
+
+def test_a_system_without_more_threads_takes_longer() -> None:
+    """The process was ended, by threads that were not joined."""
+    in_own_process(FEW_THREADS)
