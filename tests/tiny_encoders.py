@@ -22,8 +22,8 @@ _TEXT = {
 _VISION = {"patch_size": PATCH, "image_size": SIDE, **_SIZES}
 
 
-def write_model(folder: Path, kind: str, seed: int = 0) -> Path:
-    """A model and its tokenizer; the preprocessing is left to the published one."""
+def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None) -> Path:
+    """A model and its tokenizer; the preprocessing is left to the published one. dim: of a clip's vectors."""
     import torch
     import transformers
 
@@ -31,7 +31,10 @@ def write_model(folder: Path, kind: str, seed: int = 0) -> Path:
     config = {"clip": clip_config, "dinov2": dinov2_config}.get(kind) or siglip_config
     name = {"clip": "CLIP", "siglip": "Siglip", "siglip2": "Siglip2", "dinov2": "Dinov2"}[kind]
     transformers.utils.logging.disable_progress_bar()
-    model = getattr(transformers, f"{name}Model")(config(kind))
+    settings = config(kind)
+    if dim is not None:
+        settings.projection_dim = dim
+    model = getattr(transformers, f"{name}Model")(settings)
     with torch.no_grad():  # as in training: fresh ones are so small that all texts look alike
         for weight in model.parameters():
             weight.add_(0.2 * torch.randn(weight.shape))

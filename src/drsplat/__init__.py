@@ -160,7 +160,10 @@ def __getattr__(name: str) -> object:
         return globals().setdefault(name, version("drsplat"))
     if name not in _HOME_OF:
         raise AttributeError(f"module 'drsplat' has no attribute '{name}'")
-    return globals().setdefault(name, getattr(import_module(f".{_HOME_OF[name]}", __name__), name))
+    from .kinds import checked
+
+    thing = getattr(import_module(f".{_HOME_OF[name]}", __name__), name)
+    return globals().setdefault(name, checked(thing))
 
 
 def __dir__() -> list[str]:

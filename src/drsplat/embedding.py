@@ -125,7 +125,7 @@ def _by_stem(views: Sequence[View]) -> dict[str, View]:
         raise InputError(f"none of {len(views)} views has a photo: read them with images=FOLDER")
     if without:
         text = f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}"
-        warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, DrSplatWarning, stacklevel=4)
     return found
 
 
@@ -192,7 +192,7 @@ def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, in
     masks = {level: count for level, count in counts.items() if count}
     if not masks:
         text = f"no mask was found in any of {len(stems)} photos: there is nothing to register"
-        warn(text, DrSplatWarning, stacklevel=4)
+        warn(text, DrSplatWarning, stacklevel=5)
     return masks, sum(photo.empty_masks for photo in finished)
 
 
@@ -202,7 +202,7 @@ def _tell_changes(record: EmbeddingRecord) -> None:
             f"{record.folder} was made with other settings, so all photos are embedded again: "
             + "; ".join(record.changes)
         )
-        warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, DrSplatWarning, stacklevel=4)
 
 
 def _tell_leftovers(record: EmbeddingRecord) -> None:
@@ -212,4 +212,4 @@ def _tell_leftovers(record: EmbeddingRecord) -> None:
             f"{record.folder} still has files of {len(leftovers)} photos that are not among these "
             f"views and were made otherwise: remove them, or registering mixes them in: {listed(leftovers)}"
         )
-        warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, DrSplatWarning, stacklevel=4)

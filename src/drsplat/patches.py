@@ -165,7 +165,7 @@ def _find_photos(annotations: Annotations, folder: Path) -> dict[int, Path]:
         )
     if missing:
         text = f"{folder}: {len(missing)} of {len(missing) + len(paths)} annotated photos are missing: "
-        warn(text + listed(list(missing)), DrSplatWarning, stacklevel=3)
+        warn(text + listed(list(missing)), DrSplatWarning, stacklevel=4)
     return paths
 
 

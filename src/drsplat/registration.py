@@ -227,7 +227,7 @@ def _views_with_features(
         warn(
             f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}",
             DrSplatWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return chosen
 

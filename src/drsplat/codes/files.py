@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..encoders import EncoderIdentity, identity_json
+from ..encoders import identity_json
 from ..errors import FormatError, InputError, MismatchError
+from ..formats.embedding_record import encoder_from_json
 from ..formats.tensors import check_tensors, map_tensors, write_tensors
 from .codebook import Codebook
 
@@ -64,18 +65,3 @@ def codebook_from_tensors(
             f"{where}: the codebook is not the one that was written (hash {codebook.hash})"
         )
     return codebook
-
-
-def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
-    """An identity as `identity_json` gives it; files of older versions have no preprocessing.
-
-    Raises: FormatError: not an object of name, dim and weights.
-    """
-    if not isinstance(identity, dict):
-        raise FormatError(f"{where}: expected the encoder's name, dim and weights")
-    name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
-    preprocessing = identity.get("preprocessing", "")
-    texts = (name, weights, preprocessing)
-    if all(isinstance(text, str) for text in texts) and type(dim) is int and dim > 0:
-        return EncoderIdentity(str(name), dim, str(weights), preprocessing)
-    raise FormatError(f"{where}: expected the encoder's name, dim and weights")

@@ -82,9 +82,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
-        help="who made the embeddings, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the built-in one. Queries "
-        "and codebooks of other encoders are then refused (default: what `drsplat embed` noted, else the codebook's, "
-        "else unknown)",
+        help="who made embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the "
+        "built-in one. Queries and codebooks of other encoders are then refused (default: what `drsplat embed` noted, "
+        "which nothing overrules, else the codebook's, else unknown)",
     )  # fmt: skip
     parser.add_argument(
         "--parts", metavar="DIR",
@@ -263,10 +263,11 @@ def _encoder(
     from ..embedding import recorded_encoder
     from ..formats.langsplat import FeatureFolder
 
+    noted = recorded_encoder(arguments.features)
+    if arguments.encoder_name is None:
+        return noted or (codebook.encoder if codebook else None)
     if arguments.encoder_name == WordEncoder.identity.name:
         return WordEncoder.identity
-    if arguments.encoder_name is None:
-        return recorded_encoder(arguments.features) or (codebook.encoder if codebook else None)
     if codebook is not None and codebook.encoder.name == arguments.encoder_name:
         return codebook.encoder
     dim = FeatureFolder(Path(arguments.features), 0).dim

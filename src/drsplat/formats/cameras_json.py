@@ -45,7 +45,7 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
             f"{path}: cameras.json holds neither principal point nor distortion; lost for "
             f"{len(inexact)} views: "
         )
-        warnings.warn(text + listed(inexact), DrSplatWarning, stacklevel=2)
+        warnings.warn(text + listed(inexact), DrSplatWarning, stacklevel=3)
     entries = [_entry(index, view) for index, view in enumerate(views)]
     with replacing(path, overwrite) as file:
         file.write(json.dumps(entries, indent=1).encode())

@@ -111,7 +111,7 @@ def _find_source(capture: Path) -> _Source:
             f"{capture}: cameras were read from {found[0].path}, not from {others}: name a file "
             "to choose it"
         )
-        warnings.warn(text, DrSplatWarning, stacklevel=3)
+        warnings.warn(text, DrSplatWarning, stacklevel=4)
     return found[0]
 
 
@@ -148,7 +148,7 @@ def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
             f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: "
             f"{listed(missing)}"
         )
-        warnings.warn(text, DrSplatWarning, stacklevel=4)
+        warnings.warn(text, DrSplatWarning, stacklevel=5)
     return [
         view if photo is None else _attach(view, photo)
         for view, photo in zip(views, found, strict=True)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from .json_files import read_json, shown
 from .photo_files import listed
@@ -126,6 +127,43 @@ def read_settings(folder: Path) -> dict[str, object] | None:
             f"{FILE_NAME}: let drsplat embed finish, or remove them: {listed(others)}"
         )
     return settings
+
+
+def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity | None:
+    """Who made the embeddings of a folder: what its record says, else the encoder named.
+
+    Raises: MismatchError: they contradict each other. FormatError: a damaged record.
+    """
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return named
+    recorded = encoder_from_json(_read(path)[0].get("encoder"), str(path))
+    if named is None or recorded.matches(named):
+        return recorded
+    raise MismatchError(
+        f"{folder} was embedded by '{_told(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
+        f"'{_told(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
+    )
+
+
+def _told(identity: EncoderIdentity) -> str:
+    weights = f", weights {identity.weights}" if identity.weights else ""
+    return f"{identity.name} ({identity.dim}-d{weights})"
+
+
+def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
+    """An identity as `identity_json` gives it; files of older versions have no preprocessing.
+
+    Raises: FormatError: not an object of name, dim and weights.
+    """
+    if not isinstance(identity, dict):
+        raise FormatError(f"{where}: expected the encoder's name, dim and weights")
+    name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
+    preprocessing = identity.get("preprocessing", "")
+    texts = (name, weights, preprocessing)
+    if all(isinstance(text, str) for text in texts) and type(dim) is int and dim > 0:
+        return EncoderIdentity(str(name), dim, str(weights), preprocessing)
+    raise FormatError(f"{where}: expected the encoder's name, dim and weights")
 
 
 def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:

@@ -11,6 +11,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from ..features import ViewFeatures
 from ..segments import LEVELS
+from .embedding_record import embedded_by
 from .npy import map_npy, write_npy
 from .photo_files import listed, safe_name
 
@@ -35,12 +36,13 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     one folder, where photos of one name in several folders cannot be told apart; `key` says what is
     found).
 
-    level: index into LEVELS. encoder: who made the embeddings, where the caller knows. dim: their
-    D.
+    level: index into LEVELS. encoder: who made the embeddings, where the folder or the caller knows.
+    dim: their D.
     """
 
     def __init__(self, directory: Path, level: int, encoder: EncoderIdentity | None = None) -> None:
-        self.directory, self.level, self.encoder = directory, level, encoder
+        self.directory, self.level = directory, level
+        self.encoder = encoder = embedded_by(directory, encoder)
         self._keys = dict.fromkeys(_listed_keys(directory))
         self.dim = int(_map_embeddings(self._path(next(iter(self._keys)), _EMBEDDINGS)).shape[1])
         if encoder is not None and encoder.dim != self.dim:
@@ -95,13 +97,13 @@ def read_features(
     `--feature_level 1`; in features that LangSplat made, level 1 is *small*, and the same command
     gives a much worse field. Naming "large" is right for both. A map without levels, (H, W), serves
     any.
-    encoder: who made the embeddings; the files do not say.
+    encoder: who made the embeddings, where the folder has no note of it, as `drsplat embed` leaves.
 
     `_s.npy` is (4, H, W), integers or whole floats, -1 for no segment; ids are rows of `_f.npy`,
     which is (N, D) in half or single precision. Rows are brought to unit length on reading.
 
     Raises: InputError: no such folder or level, no features in it. FormatError: maps without
-    embeddings. MismatchError: the encoder has another D.
+    embeddings. MismatchError: the encoder has another D, or the folder is noted to be of another.
     Source: LangSplat preprocess.py.
     """
     directory = Path(directory)

@@ -65,7 +65,7 @@ def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> 
         warnings.warn(
             f"{left_out} bytes after the last PLY element were left out",
             DrSplatWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     return found
 

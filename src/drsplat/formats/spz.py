@@ -72,7 +72,7 @@ def parse_spz(buffer: memoryview) -> Gaussians:
         warnings.warn(
             "SH coefficients of degree 4 (9 per channel) were left out",
             DrSplatWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     log_scales = scales.reshape(n, 3).astype(np.float32) / 16 - 10
     turn = np.array(

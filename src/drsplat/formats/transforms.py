@@ -175,4 +175,4 @@ def _report(path: Path, missing: list[str], num_found: int) -> None:
             f"{path}: {len(missing)} of {len(missing) + num_found} frames left out, their photos "
             "are missing: "
         )
-        warnings.warn(text + listed(missing), DrSplatWarning, stacklevel=5)
+        warnings.warn(text + listed(missing), DrSplatWarning, stacklevel=6)

@@ -1,0 +1,169 @@
+"""What was given where something else was expected, said in words, at the front door of the package.
+
+The names that `drsplat` exports pass `checked`: a text where a View is meant is an InputError there, not an
+AttributeError ten calls further on. Only kinds are looked at, not values, and not the shapes of arrays.
+"""
+
+import inspect
+import os
+import types
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from functools import cache, wraps
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from .errors import InputError
+
+C = TypeVar("C", bound=Callable[..., Any])
+
+MAKERS = {
+    "Gaussians": "read_gaussians(...)",
+    "View": "one of read_views(...)",
+    "LanguageField": "load_field(...)",
+    "Codebook": "load_codebook(...)",
+    "Encoder": "load_encoder(...), read_vocabulary(...)",
+    "ImageEncoder": "load_encoder(...)",
+    "Segmenter": "load_segmenter(...)",
+    "EncoderIdentity": "encoder.identity",
+    "Code": "field.code",
+    "Evidence": "field.evidence",
+    "SplatArrays": "splat_arrays(gaussians)",
+    "SparsePoints": "read_sparse_points(...)",
+}
+"""Where people get what is expected."""
+
+WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    os.PathLike: "a path",
+    types.NoneType: "None",
+}
+
+
+def checked(thing: C) -> C:
+    """A function that refuses arguments of another kind than it is annotated with; or a class that does.
+
+    Raises: InputError: names the argument, what was given and what was expected. TypeError: arguments that
+    are missing or unknown, as always.
+    """
+    if not isinstance(thing, type):
+        return _door(thing, thing.__name__)
+    if "__init__" in vars(thing) and not (
+        issubclass(thing, BaseException) or getattr(thing, "_is_protocol", False)
+    ):
+        thing.__init__ = _door(thing.__init__, thing.__name__)  # type: ignore[method-assign]
+    return thing
+
+
+def _door(function: C, said: str) -> C:
+    @wraps(function)
+    def door(*given: Any, **named: Any) -> Any:
+        signature, hints = _annotations(function)
+        for name, value in signature.bind_partial(*given, **named).arguments.items():
+            if name in hints and not _is_a(value, hints[name]):
+                raise InputError(
+                    f"{said}: {name}: expected {_named(hints[name])}, got {_told(value)}"
+                )
+        return function(*given, **named)
+
+    return door  # type: ignore[return-value]
+
+
+@cache
+def _annotations(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
+    """Without those of names that only type checkers import."""
+    hints: dict[str, Any] = {}
+    signature = inspect.signature(function)
+    for name, parameter in signature.parameters.items():
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        try:
+            hints |= get_type_hints(_Holder({name: parameter.annotation}, function))
+        except NameError:
+            continue
+    hints.pop("return", None)
+    return signature, {name: hint for name, hint in hints.items() if hint is not inspect._empty}
+
+
+def _is_a(value: object, hint: Any) -> bool:
+    """As far as it can be told at once: sequences by their kind and their first element."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(_is_a(value, part) for part in parts)
+    if origin is Literal:
+        return value in parts
+    if origin is not None and not isinstance(origin, type):
+        return True
+    kind = origin or hint
+    if not isinstance(kind, type) or isinstance(hint, TypeVar):
+        return True
+    return _is_kind(value, kind) and (not parts or _fits_first(value, kind, parts[0]))
+
+
+def _is_kind(value: object, kind: type) -> bool:
+    import numpy as np
+
+    array = getattr(kind, "array_type", None)  # of an annotation by jaxtyping
+    if array is not None:
+        return isinstance(value, array)
+    if kind in (int, float):
+        numbers = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
+        return isinstance(value, numbers)
+    if kind is os.PathLike:
+        return isinstance(value, os.PathLike)
+    if issubclass(kind, Sequence) and not issubclass(kind, str):
+        return isinstance(value, kind | np.ndarray) and not isinstance(value, str)
+    try:
+        return isinstance(value, kind)
+    except TypeError:  # a protocol that cannot be asked; ours are of functions
+        return callable(value)
+
+
+def _fits_first(value: object, kind: type, part: Any) -> bool:
+    looked_into = issubclass(kind, Sequence | AbstractSet) and not hasattr(value, "dtype")
+    if not looked_into or not isinstance(value, Sequence):
+        return True
+    return not len(value) or _is_a(value[0], part)
+
+
+def _named(hint: Any) -> str:
+    """A kind for people."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(_named(part) for part in parts))
+    if hasattr(hint, "array_type"):
+        return f"an array ({hint.dim_str})" if hint.dim_str else "an array"
+    kind = origin or hint
+    if isinstance(kind, type) and issubclass(kind, Sequence) and kind is not str and parts:
+        return f"a list of {_named(parts[0])}"
+    name = getattr(kind, "__name__", str(kind))
+    maker = f" ({MAKERS[name]})" if name in MAKERS else ""
+    return WORDS.get(kind, f"{name}{maker}")
+
+
+def _told(value: object) -> str:
+    """What was given, and which part of it may have been meant."""
+    import numpy as np
+
+    name = type(value).__name__
+    if value is None:
+        return "None"
+    if isinstance(value, str | int | float):
+        return f"{ascii(value)[:60]} ({name})"
+    if isinstance(value, np.ndarray):
+        return f"an array {value.dtype} {value.shape}"
+    for part in ("relevancy", "scores", "values"):
+        if isinstance(getattr(value, part, None), np.ndarray):
+            return f"{name}: pass its .{part}"
+    if isinstance(value, list | tuple) and value:
+        return f"{name} of {type(value[0]).__name__}"
+    return name
+
+
+class _Holder:
+    """One annotation of a function, for `get_type_hints`, which resolves all or none."""
+
+    def __init__(self, annotations: dict[str, Any], function: Callable[..., Any]) -> None:
+        self.__annotations__ = annotations
+        self.__globals__ = getattr(inspect.unwrap(function), "__globals__", {})

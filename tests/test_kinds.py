@@ -1,0 +1,94 @@
+"""Arguments of another kind: every public name says what was given and what was expected.
+
+The checks are outside of those that the tests are run with, so both runs meet them.
+"""
+
+import inspect
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drsplat as ds
+from drsplat.kinds import _annotations
+from toy_capture import balls, write_toy_capture
+
+
+class Odd:
+    """Of no kind that anything expects."""
+
+
+def doors() -> Iterator[tuple[str, str]]:
+    """Each public name and parameter of it that has a kind."""
+    for name in ds.__all__:
+        thing = getattr(ds, name)
+        function = thing.__init__ if isinstance(thing, type) else thing
+        if callable(thing) and hasattr(function, "__wrapped__"):
+            for parameter in _annotations(inspect.unwrap(function))[1]:
+                yield name, parameter
+
+
+DOORS = list(doors())
+
+
+def test_the_doors_are_those_of_all_public_functions_and_classes() -> None:
+    functions = {name for name in ds.__all__ if inspect.isfunction(getattr(ds, name))}
+    made = {"View", "Gaussians", "ViewFeatures", "EncoderIdentity", "TrainingSettings", "Masks"}
+    assert functions | made <= {name for name, _ in DOORS}
+    assert len(functions) > 30
+    assert len(DOORS) > 120
+
+
+@pytest.mark.parametrize(("name", "parameter"), DOORS)
+def test_another_kind_is_named(name: str, parameter: str) -> None:
+    with pytest.raises(ds.InputError, match=rf"^{name}: {parameter}: expected .+, got Odd$"):
+        getattr(ds, name)(**{parameter: Odd()})
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_toy_capture(tmp_path_factory.mktemp("kinds"))
+
+
+def test_the_mistakes_that_people_make(room: Path) -> None:
+    gaussians, views = balls(), ds.read_views(room / "capture")
+    features = ds.read_features(room / "capture/language_features", encoder=ds.WordEncoder.identity)
+    field = ds.register(gaussians, views, features).to_field()
+    answer = ds.query(field, ds.WordEncoder(), "red mug")
+    mistakes = {
+        r"render: view: expected View \(one of read_views\(...\)\), got 'frame_00001' \(str\)": lambda: ds.render(gaussians, "frame_00001"),
+        r"locate: scores: expected an array \(r\), got Answer: pass its \.relevancy": lambda: ds.locate(field, gaussians, answer),
+        r"register: gaussians: expected Gaussians \(read_gaussians\(...\)\), got list of View": lambda: ds.register(views, gaussians, features),
+        r"select: scores: expected an array \(r\), got Answer": lambda: ds.select(field, answer, 0.5),
+        r"query: text: expected a text, got list of str": lambda: ds.query(field, ds.WordEncoder(), ["mug"]),
+        r"query: negatives: expected a list of a text, got 'object' \(str\)": lambda: ds.query(field, ds.WordEncoder(), "mug", "object"),
+        r"render: gaussians: expected Gaussians .*, got LanguageField": lambda: ds.render(field, views[0]),
+        r"View: K: expected an array \(3 3\), got list": lambda: ds.View("x", [[1, 0], [0, 1]], np.eye(4), 4, 4),
+        r"write_cameras_json: views: expected a list of View .*, got list of str": lambda: ds.write_cameras_json("x", ["a"]),
+        r"read_views: max_side: expected a whole number or None, got '640' \(str\)": lambda: ds.read_views(room, max_side="640"),
+    }  # fmt: skip
+    for said, mistake in mistakes.items():
+        with pytest.raises(ds.InputError, match=said):
+            mistake()
+
+
+def test_what_is_right_goes_through(room: Path) -> None:
+    gaussians, views = ds.read_gaussians(str(room / "scene.ply")), ds.read_views(room / "capture")
+    drawn = ds.render(gaussians, view=views[0], background=[0.0, 0.0, 0.0], select=np.arange(3))
+    assert drawn.rgb.shape == (views[0].height, views[0].width, 3)
+    assert ds.render.__doc__ == inspect.unwrap(ds.render).__doc__
+    assert list(inspect.signature(ds.render).parameters)[:2] == ["gaussians", "view"]
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        ds.render(gaussians, views[0], colour=3)
+
+
+def test_a_warning_points_at_the_line_of_the_caller(room: Path) -> None:
+    features = dict(ds.read_features(room / "capture/language_features"))
+    features.pop(next(iter(features)))
+    views = ds.read_views(room / "capture")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ds.register(balls(), views, features)
+    assert [Path(one.filename).name for one in caught] in (["test_kinds.py"], ["_decorator.py"])
