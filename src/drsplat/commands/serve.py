@@ -17,7 +17,6 @@ EXAMPLES = """\
 scenes is a folder with a field and its scene, or with one of these in each subfolder. /openapi.json describes all routes;
 docs/serve.md has examples."""
 MOST_WORKERS = 256  # processes, and threads of each
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,12 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..access import is_loopback
     from ..errors import InputError
     from ..serving.libraries import require
 
     require("serve", "fastapi", "uvicorn", "prometheus_client")
     key = _key(arguments.api_key_file)
-    if arguments.host not in LOOPBACK and key is None and not arguments.open:
+    if not is_loopback(arguments.host) and key is None and not arguments.open:
         raise InputError(
             f"--host {arguments.host} lets other machines ask: pass --api-key-file FILE, or --open to let anyone"
         )
@@ -66,6 +66,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _started(arguments: argparse.Namespace, key: str | None) -> None:
+    from ..access import is_loopback, names_of
     from ..serving.app import Settings
     from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
@@ -74,7 +75,7 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
     limits = Limits(seconds=arguments.timeout, scans=arguments.scans)
-    hosts = ("127.0.0.1", "localhost", "[::1]") if arguments.host in LOOPBACK else None
+    hosts = names_of(arguments.host) if is_loopback(arguments.host) else None
     settings = Settings(arguments.folder, sources, limits, key, hosts)
     names = list(Catalog(_path(arguments.folder)).folders())
     if not arguments.json:

@@ -1,15 +1,14 @@
 """What stands before every route: key, body size, time, and a JSON reason for whatever is refused."""
 
 import asyncio
-import hmac
 import json
-import re
 import time
 from collections.abc import Awaitable, Callable, MutableMapping, Sequence
 from typing import Any
 
 from starlette.exceptions import HTTPException
 
+from ..access import is_addressed, is_secret
 from .limits import Limits
 from .metrics import Metrics
 
@@ -88,11 +87,10 @@ class Guard:
         given = headers.get(b"x-api-key") or headers.get(b"authorization", b"").removeprefix(
             b"Bearer "
         )
-        return hmac.compare_digest(given, self.key.encode())
+        return is_secret(given, self.key)
 
     def _is_meant(self, host: bytes) -> bool:
-        named = re.fullmatch(r"(\[[^\]]*\]|[^:]*)(?::\d+)?", host.decode("latin-1").lower())
-        return self.hosts is None or (named is not None and named[1] in self.hosts)
+        return self.hosts is None or is_addressed(host.decode("latin-1"), self.hosts)
 
 
 class _Answer:

@@ -1,0 +1,53 @@
+"""Whom a server answers that a browser can reach: by which names, from which pages, with which secret.
+
+A page in a browser can send requests to this machine, and can give it another name (DNS rebinding); it cannot
+choose what the browser writes into `Host` and `Origin`.
+"""
+
+import hmac
+import ipaddress
+import re
+from collections.abc import Sequence
+
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
+EVERYWHERE = ("", "0.0.0.0", "::")
+_HOST = re.compile(r"(\[[0-9a-f:.]*\]|[a-z0-9._-]+)(?::\d{1,5})?")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a server that listens on `host`."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
+def names_of(host: str) -> tuple[str, ...] | None:
+    """What requests to a server that listens on `host` may call it; None for anything, where it listens everywhere."""
+    if host in EVERYWHERE:
+        return None
+    own = f"[{host}]" if ":" in host and not host.startswith("[") else host
+    return tuple(dict.fromkeys((*LOOPBACK_NAMES, own.lower())))
+
+
+def is_addressed(header: str, names: Sequence[str] | None) -> bool:
+    """Whether a `Host` header calls one of `names`, whatever the port; with None, whether it is one at all."""
+    named = _HOST.fullmatch(header.lower())
+    return named is not None and (names is None or named[1] in names)
+
+
+def is_own_page(origin: str | None, header: str) -> bool:
+    """Whether a request comes from a page of the same server, or (None) not from a page.
+
+    origin, header: what `Origin` and `Host` say. Another port is another server.
+    """
+    return origin is None or origin.lower() in (
+        f"http://{header.lower()}",
+        f"https://{header.lower()}",
+    )
+
+
+def is_secret(given: str | bytes, secret: str) -> bool:
+    """Compared in a time that says nothing about where they differ."""
+    said = given.encode("utf-8", "surrogateescape") if isinstance(given, str) else given
+    return hmac.compare_digest(said, secret.encode())
