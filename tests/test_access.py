@@ -5,17 +5,23 @@ import pytest
 from drsplat.access import is_addressed, is_loopback, is_own_page, is_secret, names_of
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "localhost", "LOCALHOST", "::1", "[::1]"])
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1", "127.8.9.1", "localhost", "LOCALHOST", "::1", "[::1]"]
+)
 def test_loopback_is_this_machine(host: str) -> None:
     assert is_loopback(host)
 
 
-@pytest.mark.parametrize("host", ["", "0.0.0.0", "::", "192.168.1.5", "localhost.evil.example", "127.0.0.1.example"])
+@pytest.mark.parametrize(
+    "host", ["", "0.0.0.0", "::", "192.168.1.5", "localhost.evil.example", "127.0.0.1.example"]
+)
 def test_what_others_reach_is_not(host: str) -> None:
     assert not is_loopback(host)
 
 
-@pytest.mark.parametrize("header", ["localhost", "localhost:8080", "127.0.0.1:1", "[::1]:8080", "LocalHost:8080"])
+@pytest.mark.parametrize(
+    "header", ["localhost", "localhost:8080", "127.0.0.1:1", "[::1]:8080", "LocalHost:8080"]
+)
 def test_a_loopback_server_answers_to_its_names(header: str) -> None:
     assert is_addressed(header, names_of("127.0.0.1"))
 

@@ -393,7 +393,9 @@ def test_new_names_replace_nothing(tmp_path: Path) -> None:
 def test_an_uploaded_picture_is_read_and_anything_else_refused() -> None:
     pixels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     np.testing.assert_array_equal(uploads.picture_in(saving.png_of(pixels)), pixels)
-    for junk in (b"", b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(40), bytes(1000)):
+    with pytest.raises(InputError, match="1 to"):
+        uploads.picture_in(b"")
+    for junk in (b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(40), bytes(1000)):
         with pytest.raises(FormatError, match="no picture"):
             uploads.picture_in(junk)
     with pytest.raises(InputError, match="bytes"):
