@@ -95,6 +95,18 @@ def test_websockets_own_serve_is_back_when_the_viewer_has_started(panel: Any) ->
     assert server.serve is gate.serve
 
 
+def test_what_is_no_request_says_nothing_here(
+    panel: Any, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_connection(("127.0.0.1", port_of(panel))) as one:
+        one.sendall(b"\x1b]0;owned\x07\r\n\r\n")
+        one.settimeout(60)
+        assert one.recv(1) == b""
+    assert get(panel).status == 200
+    assert caplog.text == ""
+    assert "owned" not in "".join(capfd.readouterr())
+
+
 # --- beyond this machine ---
 
 

@@ -5,6 +5,7 @@ viser lets in every page of every browser, and binds its checks to nothing that 
 """
 
 import asyncio
+import logging
 import socket
 import time
 from collections.abc import Iterator
@@ -31,6 +32,8 @@ POLICY = (
     "ws://{host} wss://{host}; frame-ancestors 'none'; base-uri 'none'; object-src 'none'"
 )
 serve = websockets_server.serve
+_quiet = logging.getLogger("drsplat.viewer")
+_quiet.setLevel(logging.CRITICAL)  # else what strangers send reaches the terminal
 
 
 class Gate:
@@ -116,6 +119,7 @@ class Gate:
                 "max_size": messages.MOST_MESSAGE,
                 "max_queue": MOST_FRAMES,
                 "server_header": None,
+                "logger": _quiet,
             },
         )
 
