@@ -1,5 +1,6 @@
 """The viewer without a browser: what is shown, picked, painted, asked, changed and saved."""
 
+import colorsys
 import io
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from drsplat import read_gaussians
+from drsplat import read_gaussians, write_gaussians
+from drsplat.asking import Question
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
-from drsplat.viewing import cameras, painting, picking, results, saving, shown, uploads
+from drsplat.viewing import cameras, painting, picking, results, saving, shown, texts, uploads
+from drsplat.viewing.bare import is_bare, open_bare
+from drsplat.viewing.finds import finds_of
 from drsplat.viewing.naming import photo_of
 from drsplat.viewing.session import MOST_QUERIES, Mode, Session
+from drsplat.viewing.suggestions import suggestions
 from scenes import look_at_view, random_gaussians
 from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
 
@@ -75,6 +80,32 @@ def test_a_frame_there_and_back_is_the_same_place() -> None:
 def test_nothing_to_show_is_said(count: int, budget: int) -> None:
     with pytest.raises(InputError, match="nothing to show"):
         shown.shown_of(random_gaussians(5).subset(np.arange(count)), budget)
+
+
+# --- colours ---
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.tuples(*[st.floats(0, 1, width=32)] * 3))
+def test_what_was_found_keeps_its_hue_and_gains_light(color: tuple[float, float, float]) -> None:
+    rgb = np.array([color], np.float32)
+    heat, owner = np.ones(1, np.float32), np.zeros(1, np.int32)
+    painted = painting.highlighted(rgb, heat, owner, [painting.accent(0)])[0]
+    before, after = (colorsys.rgb_to_hsv(*map(float, one)) for one in (rgb[0], painted))
+    assert after[2] >= before[2] - 1e-6
+    if before[2] > 1e-3:
+        assert after[1] == pytest.approx(before[1], abs=1e-4)
+        if before[1] > 1e-2:
+            assert min(abs(after[0] - before[0]), 1 - abs(after[0] - before[0])) < 1e-4
+
+
+def test_blue_stays_blue_and_stands_out_of_the_rest() -> None:
+    blue = np.array([[0.1, 0.25, 0.7]] * 2, np.float32)
+    heat, owner = np.array([1, 0], np.float32), np.array([0, -1], np.int32)
+    found, rest = painting.highlighted(blue, heat, owner, [painting.accent(0)])
+    assert np.ptp(found) > 0.6
+    assert found.argmax() == 2
+    assert np.ptp(rest) < 0.05
 
 
 # --- picking ---
@@ -387,13 +418,120 @@ def test_new_names_replace_nothing(tmp_path: Path) -> None:
         saving.write_bytes(path, b"x")
 
 
+def test_a_session_saves_so_many_files_and_never_over_another(tmp_path: Path) -> None:
+    (tmp_path / "found.ply").symlink_to(tmp_path / "nowhere")
+    saves = saving.Saves(tmp_path, most_files=2)
+    for expected in ("found-2.ply", "found-3.ply"):
+        path, data = saves.save("found", ".ply", lambda path: path.write_bytes(b"xy"))
+        assert (path.name, data) == (expected, b"xy")
+    with pytest.raises(InputError, match="saved enough"):
+        saves.save("found", ".ply", lambda path: path.write_bytes(b""))
+    assert not (tmp_path / "nowhere").exists()
+    assert (tmp_path / "found.ply").is_symlink()
+
+
+def test_a_session_saves_so_many_bytes(tmp_path: Path) -> None:
+    saves = saving.Saves(tmp_path, most_bytes=3)
+    for _ in range(2):
+        saves.save("found", ".ply", lambda path: path.write_bytes(b"xy"))
+    with pytest.raises(InputError, match="saved enough"):
+        saves.save("found", ".ply", lambda path: path.write_bytes(b""))
+
+
+def test_without_a_folder_nothing_stays_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path, data = saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
+    assert data == b"xy"
+    assert not path.exists()
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(saving, "MOST_SENT", 1)
+    with pytest.raises(InputError, match="--save-dir"):
+        saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
+
+
+# --- texts of strangers ---
+
+
+def test_no_text_of_a_stranger_is_more_than_text() -> None:
+    hostile = "<img src=x onerror=alert(1)>&\udcff\x1b[2J\u202e\n"
+    assert (
+        texts.escaped(hostile)
+        == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
+    )
+    assert texts.printable("é 日本 🍎") == "é 日本 🍎"
+    assert len(texts.printable("x" * 10_000)) == texts.MOST_SHOWN
+
+
+# --- what to ask ---
+
+
+def test_what_is_suggested_is_found(session: Session) -> None:
+    words = ("elephant", *THINGS, "green sofa")
+    suggested = suggestions(session.scene, words)
+    assert suggested
+    assert set(suggested) <= set(THINGS)
+    assert all(session.scene.find(session.scene.ask(Question(text=word))) for word in suggested)
+    assert suggestions(session.scene, words, most=1) == suggested[:1]
+
+
+def test_nothing_is_suggested_where_nothing_can_be_asked(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "plain.ply", random_gaussians(50))
+    assert suggestions(open_bare(tmp_path / "plain.ply")) == []
+
+
+# --- what was found ---
+
+
+def test_finds_are_numbered_through_all_queries_and_one_alone_is_not(session: Session) -> None:
+    session.ask("red mug; tall lamp")
+    assert [find.name for find in finds_of(session.results)] == ["1 red mug", "2 tall lamp"]
+    assert [find.query for find in finds_of(session.results)] == [0, 1]
+    session.ask("tall lamp")
+    assert [find.name for find in finds_of(session.results)] == ["tall lamp"]
+
+
+# --- a scene without a field ---
+
+
+def test_a_scene_without_a_field_can_be_looked_at_and_saved_and_says_why_it_is_silent(
+    tmp_path: Path,
+) -> None:
+    scene = random_gaussians(50)
+    write_gaussians(tmp_path / "plain.ply", scene)
+    bare = Session(open_bare(tmp_path / "plain.ply"))
+    assert not bare.is_askable
+    with pytest.raises(InputError, match="no field"):
+        bare.ask("red mug")
+    for mode in Mode:
+        bare.mode = mode
+        assert bare.colors.shape == (50, 3)
+    assert bare.click(np.array([0.0, 0.0, -9.0]), np.array([0.0, 0.0, 1.0])) is None
+    assert saving.save_scene(tmp_path / "again.ply", bare) == 50
+    np.testing.assert_array_equal(read_gaussians(tmp_path / "again.ply").means, scene.means)
+
+
+def test_a_trained_model_is_bare_until_it_has_a_field(tmp_path: Path) -> None:
+    folder = tmp_path / "point_cloud/iteration_7"
+    folder.mkdir(parents=True)
+    write_gaussians(folder / "point_cloud.ply", random_gaussians(50))
+    assert is_bare(tmp_path)
+    assert len(open_bare(tmp_path).gaussians) == 50
+    (tmp_path / "room.field").mkdir()
+    assert not is_bare(tmp_path)
+    assert not is_bare(tmp_path / "nothing")
+
+
 # --- uploads ---
 
 
 def test_an_uploaded_picture_is_read_and_anything_else_refused() -> None:
     pixels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     np.testing.assert_array_equal(uploads.picture_in(saving.png_of(pixels)), pixels)
-    for junk in (b"", b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(40), bytes(1000)):
+    with pytest.raises(InputError, match="1 to"):
+        uploads.picture_in(b"")
+    for junk in (b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(40), bytes(1000)):
         with pytest.raises(FormatError, match="no picture"):
             uploads.picture_in(junk)
     with pytest.raises(InputError, match="bytes"):

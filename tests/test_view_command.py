@@ -3,6 +3,10 @@
 import base64
 import json
 import re
+import signal
+import subprocess
+import sys
+import time
 import zlib
 from pathlib import Path
 
@@ -86,6 +90,63 @@ def test_a_field_alone_is_not_enough(folder: Path, capsys: pytest.CaptureFixture
     assert "--scene" in capsys.readouterr().err
     scene = ["--scene", str(folder / "boxes.ply")]
     assert main(["view", str(folder / "boxes.field"), *scene, *page]) == 0
+
+
+def test_a_scene_without_a_field_becomes_a_page_without_answers(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = ["--export", str(folder / "plain.html"), "--json"]
+    assert main(["view", str(folder / "boxes.ply"), *page]) == 0
+    assert json.loads(capsys.readouterr().out)["num_shown"] == 3 * EACH + 60
+    header, _ = header_and_blob(folder / "plain.html")
+    assert header["answers"] == header["words"] == []
+    assert main(["view", str(folder / "boxes.ply"), *page, "--overwrite", "--ask", "mug"]) == 1
+    assert "no field" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ask", ["\udcff mug", "\x1b[2J mug", "\u202emug", "x" * 100_000])
+def test_any_text_can_be_asked_for_on_a_page(folder: Path, ask: str) -> None:
+    assert export(folder, "--ask", ask) == 0
+    header, _ = header_and_blob(folder / "page.html")
+    assert header["answers"][0]["text"].isprintable()
+    assert len(header["answers"][0]["text"]) <= 200
+
+
+def test_a_name_that_is_no_text_is_no_obstacle(folder: Path) -> None:
+    odd = folder.parent / "odd\udcff<b>"
+    folder.rename(odd)
+    assert main(["view", str(odd), "--export", str(odd / "page.html"), "--ask", "mug"]) == 0
+    text = (odd / "page.html").read_text(encoding="utf-8")
+    assert "<b>" not in text.split("<style>")[0]
+
+
+def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path) -> None:
+    pytest.importorskip("viser")
+    command = [sys.executable, "-m", "drsplat", "view", str(folder), "--port", "8981", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as started:
+        assert started.stdout is not None
+        told = json.loads(started.stdout.readline())
+        assert told["address"].startswith("http://127.0.0.1:")
+        time.sleep(1)
+        started.send_signal(signal.SIGINT)
+        rest = started.stdout.read()
+    assert "{" not in rest
+    assert started.returncode == 0
+
+
+@pytest.mark.parametrize(
+    "options", [["--port", "99999999999"], ["--host", "300.1.1.1"], ["--host", "a" * 300]]
+)
+def test_where_it_cannot_listen_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    pytest.importorskip("viser")
+    assert main(["view", str(folder), *options]) == 1
+    assert re.search("listen|port", capsys.readouterr().err)
+
+
+def test_one_gaussian_makes_a_page(folder: Path) -> None:
+    assert export(folder, "--ask", "mug", "--max-gaussians", "1") == 0
 
 
 def test_a_page_is_not_overwritten_unasked(

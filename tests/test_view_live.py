@@ -37,11 +37,12 @@ class Live:
 
     def __init__(self, page: Any, panel: Any) -> None:
         self.page, self.panel, self.session = page, panel, panel.session
-        self.box = page.locator("form input:not([type=hidden])").first
+        self.box = page.locator("textarea").first
 
     def ask(self, text: str) -> None:
         before = self.session.results
         self.box.fill(text)
+        self.box.press("End")
         self.box.press("Enter")
         eventually(lambda: self.session.results is not before)
         self.page.get_by_text(text.split("; ")[0]).first.wait_for()
@@ -79,7 +80,39 @@ def live(
             yield one
     finally:
         with suppress(RuntimeError):
-            window.stop()
+            panel.stop()
+
+
+def test_what_is_typed_fast_is_asked_whole(live: Live) -> None:
+    live.box.fill("")
+    live.box.press_sequentially("red vase", delay=30)
+    live.box.press("Enter")
+    eventually(lambda: [one.label for one in live.session.results] == ["red vase"])
+    eventually(lambda: live.box.input_value() == "red vase")
+
+
+def test_what_is_suggested_is_found(live: Live) -> None:
+    eventually(lambda: live.panel.tried.visible)
+    words = live.panel.tried.options
+    assert len(words) == 4
+    for word in words:
+        live.page.get_by_role("button", name=word, exact=True).click()
+        eventually(lambda word=word: [one.label for one in live.session.results] == [word])
+        assert live.session.results[0].found
+
+
+def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Live) -> None:
+    live.ask("book; table")
+    total = sum(len(one.found) for one in live.session.results)
+    assert total > 12
+    live.page.get_by_role("button", name="1 book ·").wait_for()
+    assert live.page.get_by_role("button", name="12 table ·").is_visible()
+    assert not live.page.get_by_role("button", name="13 table ·").is_visible()
+    live.page.get_by_text(f"{total - 12} more", exact=True).click()
+    live.page.get_by_role("button", name="13 table ·").wait_for()
+    assert "1 book" in [mark.text for mark in live.panel.window._marks if hasattr(mark, "text")]
+    live.ask("red vase")
+    assert not live.page.get_by_role("button", name="2 ").first.is_visible()
 
 
 def test_typing_a_query_highlights_the_thing(live: Live) -> None:
@@ -126,3 +159,5 @@ def test_what_is_not_there_and_what_is_not_known_is_said(live: Live) -> None:
     live.box.fill("xylophone")
     live.box.press("Enter")
     live.page.get_by_text("was not taught").wait_for()
+    live.ask("red vase")
+    eventually(lambda: live.page.get_by_text("was not taught").count() == 0)

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import json
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from .options import PORT, add_overwrite, add_query_encoders, count, new_output, words
 
 if TYPE_CHECKING:
     from ..asking import AskableScene
     from ..viewing.session import Session
+    from ..viewing.shown import Shown
 
 SUMMARY = "see a scene in the browser and ask it, or write a page of it that needs no server"
 EXAMPLES = """\
   drsplat view drsplat-demo
   drsplat view room.field --scene scene.ply --views capture --ask "red mug; lamp"
   drsplat view drsplat-demo --export page.html --ask "red vase; couch; something to eat"
+  drsplat view scene.ply
 
-Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; --host 0.0.0.0
-lets everyone on the network look, ask and save."""
+Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
+0.0.0.0 it has a token, and who knows that can look, ask and save from elsewhere. A scene without a field can be looked at."""
 BUDGET = 1_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
-        help="what `drsplat register` wrote, or a folder with a field, its scene and photos",
+        help="a folder with a field, its scene and photos; what `drsplat register` wrote; a scene, or a trained "
+        "model's folder, without a field",
     )
     parser.add_argument("--scene", metavar="SCENE", help="the Gaussians that were registered")
     parser.add_argument(
@@ -51,11 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="AXIS",
         help="+x -x +y -y +z or -z (default: as the photos were held)",
     )
-    parser.add_argument("--host", default="127.0.0.1", help="(default: 127.0.0.1)")
-    parser.add_argument("--port", type=PORT, default=8080, help="(default: 8080)")
     parser.add_argument(
-        "--save-dir", default=".", metavar="DIR", help="where files are saved (default: here)"
-    )
+        "--host", default="127.0.0.1", metavar="ADDRESS",
+        help="address to listen on (default: 127.0.0.1, this machine only)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--port", type=PORT, default=8080, metavar="N",
+        help="the next free one is taken where it is not (default: 8080)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--save-dir", metavar="DIR",
+        help="where files are saved, under new names (default: nowhere, the browser is given them)",
+    )  # fmt: skip
     parser.add_argument(
         "--export", metavar="PAGE.html", help="write a page with the answers to --ask, and leave"
     )
@@ -64,9 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    if arguments.export:
-        return _export(arguments)
-    return _serve(arguments)
+    return _export(arguments) if arguments.export else _serve(arguments)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -82,6 +92,7 @@ def show(answer: dict[str, Any]) -> None:
 
 def _export(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..errors import InputError
+    from ..viewing.bare import NO_FIELD
     from ..viewing.cameras import first_look
     from ..viewing.exporting import page_of
     from ..viewing.page import MOST, write_page
@@ -89,9 +100,9 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
 
     new_output(arguments.export, arguments.overwrite, ".html")
     texts = split_queries(arguments.ask)
-    if not texts:
-        raise InputError('a page holds answers: pass --ask "red mug; lamp"')
     session = _session(arguments, min(arguments.max_gaussians or MOST, MOST))
+    if bool(texts) != session.is_askable:
+        raise InputError(NO_FIELD if texts else 'a page holds answers: pass --ask "red mug; lamp"')
     up = _up(arguments, session.scene)
     look = first_look(session.scene.views, session.shown.frame, up)
     page = page_of(session, texts, look, up)
@@ -107,25 +118,31 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _serve(arguments: argparse.Namespace) -> dict[str, Any]:
+def _serve(arguments: argparse.Namespace) -> NoReturn:
     from ..viewing.panel import Panel
     from ..viewing.window import Window, viser_module
 
     viser_module()
     session = _session(arguments, arguments.max_gaussians or BUDGET)
     up = _up(arguments, session.scene)
+    folder = None if arguments.save_dir is None else Path(arguments.save_dir)
     window = Window(session, up, host=arguments.host, port=arguments.port)
-    panel = Panel(window, Path(arguments.save_dir))
+    panel = Panel(window, folder)
     if arguments.ask:
         panel.ask(arguments.ask)
-    address = f"http://{window.server.get_host()}:{window.server.get_port()}"
-    if not arguments.json:
-        print(f"Open {address} in a browser; Ctrl-C ends this. {session.shown.said}", flush=True)
-    try:
+    _tell(arguments.json, window.address, session.shown)
+    with suppress(KeyboardInterrupt):
         window.server.sleep_forever()
-    except KeyboardInterrupt:
-        window.stop()
-    return {"address": address, "num_shown": len(session.shown)}
+    panel.stop()
+    raise SystemExit(0)  # all has been said
+
+
+def _tell(as_json: bool, address: str, shown: Shown) -> None:
+    """At once: who waits for the end never learns the address."""
+    if as_json:
+        print(json.dumps({"address": address, "num_shown": len(shown)}), flush=True)
+    else:
+        print(f"Open {address} in a browser; Ctrl-C ends this. {shown.said}", flush=True)
 
 
 def _session(arguments: argparse.Namespace, budget: int) -> Session:
@@ -141,9 +158,12 @@ def _scene(arguments: argparse.Namespace) -> AskableScene:
     """Raises: InputError: a field without --scene."""
     from ..asking import SceneFiles, open_scene
     from ..errors import InputError
+    from ..viewing.bare import is_bare, open_bare
 
     files: SceneFiles | str = arguments.field
     path = Path(arguments.field)
+    if arguments.scene is None and is_bare(path):
+        return open_bare(path, arguments.views, arguments.threads)
     if arguments.scene is not None:
         capture = None if arguments.views is None else Path(arguments.views)
         files = SceneFiles(path.stem, path, (Path(arguments.scene),), capture)

@@ -68,15 +68,14 @@
   function paint() {
     const look = header.look, answer = header.answers[state.answer], mode = answer || state.mode === "features" ? state.mode : "photo";
     const heat = answer && arrays["heat" + state.answer], owner = answer && arrays["owner" + state.answer];
-    const table = Array.from({ length: 256 }, (_, i) => warm(i / 255)), tint = answer ? answer.accent.map((x) => x / 255) : null;
+    const table = Array.from({ length: 256 }, (_, i) => warm(i / 255));
     for (let i = 0; i < count; i++) {
       let r = rgb[3 * i] / 255, g = rgb[3 * i + 1] / 255, b = rgb[3 * i + 2] / 255;
       if (mode === "features") { r = features[3 * i] / 255; g = features[3 * i + 1] / 255; b = features[3 * i + 2] / 255; }
       else if (mode === "heat") [r, g, b] = table[heat[i]];
       else if (mode === "answer" && owner[i]) {
-        r = Math.min(1, r * (1 + look.glow) + 0.08); g = Math.min(1, g * (1 + look.glow) + 0.08); b = Math.min(1, b * (1 + look.glow) + 0.08);
-        const light = 0.45 + 0.55 * (0.299 * r + 0.587 * g + 0.114 * b), keep = 1 - look.tint;
-        r = keep * r + look.tint * tint[0] * light; g = keep * g + look.tint * tint[1] * light; b = keep * b + look.tint * tint[2] * light;
+        const gain = Math.max(0.001, r, g, b) ** -look.glow;
+        r *= gain; g *= gain; b *= gain;
       } else if (mode === "answer") {
         const grey = look.floor + look.dim * (0.299 * r + 0.587 * g + 0.114 * b), w = look.warmth * Math.max(0, heat[i] / 255 - 0.25), c = table[heat[i]];
         r = grey * (1 - w) + c[0] * w; g = grey * (1 - w) + c[1] * w; b = grey * (1 - w) + c[2] * w;
@@ -226,7 +225,7 @@
       pen.beginPath();
       for (let i = 0; i < 8; i++) for (const bit of [1, 2, 4]) if (!(i & bit)) { pen.moveTo(corners[i][0], corners[i][1]); pen.lineTo(corners[i | bit][0], corners[i | bit][1]); }
       pen.stroke();
-      const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a)), label = answer.things.length > 1 ? `${answer.text} ${number + 1}` : answer.text, wide = pen.measureText(label).width;
+      const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a)), label = answer.things.length > 1 ? `${number + 1} ${answer.text}` : answer.text, wide = pen.measureText(label).width;
       pen.fillStyle = "rgba(20,22,27,.85)";
       pen.fillRect(top[0] - wide / 2 - 6, top[1] - 26, wide + 12, 20);
       pen.fillStyle = `rgb(${answer.accent})`;
@@ -272,6 +271,7 @@
   }
 
   // --- the panel ---
+  const FIRST = 12;
   function panel() {
     $("about").textContent = header.about;
     const press = (row, chosen) => [...row.children].forEach((button, k) => button.setAttribute("aria-pressed", String(k === chosen)));
@@ -291,7 +291,14 @@
       list.textContent = "";
       if (!answer) return;
       if (!answer.things.length) { const p = document.createElement("p"); p.textContent = `Nothing found for "${answer.text}".`; list.append(p); }
-      answer.things.forEach((thing, number) => list.append(button(thing.said, () => flyTo(thing.eye, thing.center), answer.accent)));
+      const named = answer.things.map((thing, number) => button(answer.things.length > 1 ? `${number + 1} · ${thing.said}` : thing.said, () => flyTo(thing.eye, thing.center), answer.accent));
+      list.append(...named.slice(0, FIRST));
+      if (named.length > FIRST) {
+        const more = document.createElement("details"), count = document.createElement("summary");
+        count.textContent = `${named.length - FIRST} more`;
+        more.append(count, ...named.slice(FIRST));
+        list.append(more);
+      }
       paint();
     };
     header.answers.forEach((answer, k) => $("queries").append(button(answer.text, () => { if (state.mode === "photo" || state.mode === "features") show(0); ask(k); }, answer.accent)));

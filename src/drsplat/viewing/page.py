@@ -1,7 +1,6 @@
 """One file with a scene and its answers, for someone who has only a browser."""
 
 import base64
-import html
 import json
 import re
 import zlib
@@ -20,6 +19,7 @@ from ..tasks import Instance
 from . import painting
 from .cameras import FOV_DEGREES
 from .shown import Frame, Shown
+from .texts import escaped, printable
 
 MOST = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
@@ -72,7 +72,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
     arrays = _arrays(page)
     layout, blob = packed(arrays)
     parts = {
-        "TITLE": html.escape(page.title),
+        "TITLE": escaped(page.title),
         "HEADER": _in_script(json.dumps(_header(page) | {"arrays": layout})),
         "BLOB": base64.b64encode(zlib.compress(blob, 6)).decode(),
         "SCRIPT": _own("page.js"),
@@ -127,8 +127,7 @@ def _header(page: Page) -> dict[str, Any]:
         "background": BACKGROUND,
         "heat": painting.HEAT.tolist(),
         "look": {
-            "dim": painting.DIM, "floor": painting.DIM_FLOOR, "tint": painting.TINT_ONE,
-            "glow": painting.GLOW, "warmth": painting.WARMTH,
+            "dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH,
         },
         "words": list(page.words)[:MOST_WORDS],
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
@@ -146,7 +145,7 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
         }
         for thing, eye in zip(answer.things, answer.eyes, strict=True)
     ]
-    return {"text": answer.text, "accent": painting.accent(number), "things": things}
+    return {"text": printable(answer.text), "accent": painting.accent(number), "things": things}
 
 
 def said_of(thing: Instance) -> str:

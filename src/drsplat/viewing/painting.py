@@ -18,8 +18,8 @@ ACCENTS = (
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another is meant
-TINT_ONE, TINT_SEVERAL = 0.3, 0.8  # share of the query's colour in what was found
-GLOW = 0.25  # more light than it had
+TINT = 0.8  # share of the query's colour in what was found, where several are told apart
+GLOW = 0.3  # power of more light than it had: dark things gain most, and no channel overflows
 WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
 HEAT = np.array(
     [(0.05, 0.06, 0.20), (0.17, 0.24, 0.62), (0.16, 0.62, 0.72), (0.62, 0.80, 0.30), (0.98, 0.72, 0.16), (0.86, 0.14, 0.10)],
@@ -37,6 +37,12 @@ def dimmed(rgb: Colors) -> Colors:
     """Dark and without colour, so that what is not dimmed stands out."""
     grey = DIM_FLOOR + DIM * (rgb @ LUMA)
     return np.repeat(grey[:, None], 3, axis=1).astype(np.float32)
+
+
+def brighter(rgb: Colors) -> Colors:
+    """Of the same hue and saturation, with more light."""
+    top = rgb.max(axis=1, keepdims=True, initial=0)
+    return np.asarray(rgb * np.clip(top, 1e-3, 1) ** -GLOW, np.float32)
 
 
 def heat_of(values: Values, threshold: float) -> Values:
@@ -62,7 +68,9 @@ def heat_colors(heat: Values) -> Colors:
 def highlighted(
     rgb: Colors, heat: Values, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]
 ) -> Colors:
-    """What was found in bright colours of its query, the rest dimmed and faintly warm where it nearly fits.
+    """What was found in its own colours, brighter, the rest dimmed and faintly warm where it nearly fits.
+
+    Of several queries, what was found is in the colour of its query.
 
     owners: the number of the query that found a Gaussian, -1 for none of them.
     """
@@ -70,8 +78,8 @@ def highlighted(
     painted = dimmed(rgb) * (1 - warmth) + heat_colors(heat) * warmth
     palette = np.array(accents, np.float32).reshape(-1, 3) / 255
     found = owners >= 0
-    bright = np.clip(rgb[found] * (1 + GLOW) + 0.08, 0, 1)
-    tint = TINT_ONE if len(palette) == 1 else TINT_SEVERAL
+    bright = brighter(rgb[found])
+    tint = 0.0 if len(palette) == 1 else TINT
     painted[found] = (1 - tint) * bright + tint * palette[owners[found]] * (
         0.45 + 0.55 * (bright @ LUMA)[:, None]
     )

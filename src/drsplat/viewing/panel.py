@@ -1,104 +1,161 @@
-"""What people press beside the scene, by viser; each press is one call of the session."""
+"""What people press beside the scene, by viser; each press is one call of the session, one after the other."""
 
-import html
-import threading
+import sys
+import traceback
 from collections.abc import Callable
-from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..asking import Named
 from ..errors import DrSplatError
 from ..palette import class_colors
-from . import painting, saving
+from ..tasks import Instance
+from . import painting, saving, texts
+from .actions import Actions
+from .bare import NO_FIELD
 from .cameras import before
+from .finds import FindList, finds_of
 from .naming import This, photo_of
-from .page import said_of
+from .saving import Saves
 from .session import Mode
+from .suggestions import suggestions
+from .texts import escaped, paragraphs
 from .uploads import picture_in
 from .window import Window
 
-MOST_LISTED = 12  # things
 STEP = 0.001  # of the slider
-MOST_SENT = 64 << 20  # bytes of a file that a browser is offered as well
 PICTURE_SIZE = (1280, 960)
-PLACEHOLDER = "Ask for something, such as *mug*, *mug; lamp* or *mug, not red*."
+CLICK = paragraphs("Click something in the scene.")
 
 
 class Panel:
-    """The controls of a window. Files are written to `folder`."""
+    """The controls of a window. folder: where files are saved, None for nowhere but in the browser."""
 
-    def __init__(self, window: Window, folder: Path) -> None:
-        self.window, self.session, self.folder = window, window.session, folder
+    def __init__(self, window: Window, folder: Path | None = None) -> None:
+        self.window, self.session, self.saves = window, window.session, Saves(folder)
         self.gui = window.server.gui
-        self._lock = threading.RLock()
-        self._wanted: float | None = None  # the slider's latest place
-        self._listed: list[Any] = []
+        self.actions, self.flights = Actions(), Actions()
         self._build()
-        window.server.scene.on_click()(self._clicked)
+        window.server.scene.on_click()(lambda event: self._do("click", event, self._clicked))
+
+    def stop(self) -> None:
+        self.actions.stop()
+        self.flights.stop()
+        self.window.stop()
+
+    # --- doing what was pressed ---
+
+    def _do(self, what: str, event: Any, act: Callable[[Any], None]) -> None:
+        """Later, after what was pressed before; pressed again meanwhile, it is done once."""
+        client = None if event is None else event.client_id
+        self.actions.do((what, client), lambda: self._done(act, event))
+
+    def _done(self, act: Callable[[Any], None], event: Any) -> None:
+        """What goes wrong is said until the next press, and leaves what is shown as it was."""
+        self.fault.content, self.fault.visible = "", False
+        try:
+            act(event)
+        except (DrSplatError, OSError, MemoryError) as error:
+            self._complain(str(error) or type(error).__name__)
+        except Exception as error:  # ours: the next press must find this thread alive
+            traceback.print_exc(file=sys.stderr)
+            self._complain(f"this went wrong here: {type(error).__name__}")
+
+    def _complain(self, text: str) -> None:
+        self.fault.content = paragraphs(f"<b style='color:#ff8f7a'>{escaped(text, 600)}</b>")
+        self.fault.visible = True
 
     # --- making the controls ---
 
     def _build(self) -> None:
         self._title()
-        with self.gui.add_form(None) as form:
-            self.text = self.gui.add_text(
-                "Look for", "", hint='Press enter. Several: "mug; lamp". Without: "mug, not red".'
-            )
-        form.on_submit(lambda _: self._ask())
-        self._button("Ask", lambda _: self._ask())
+        askable = self.session.is_askable
+        self.text = self._prompt("Look for", 'Press enter. Several: "mug; lamp". Without: "mug, not red".', self._ask)  # fmt: skip
+        self.asking = self._button("Ask", self._ask)
         self.upload = self.gui.add_upload_button("Look for a picture", mime_type="image/*")
-        self.upload.on_upload(lambda _: self._ask_picture())
-        self.told = self.gui.add_markdown(PLACEHOLDER)
+        self.upload.on_upload(lambda event: self._do("picture", event, self._ask_picture))
+        for control in (self.text, self.asking, self.upload):
+            control.visible = askable
+        self.fault = self.gui.add_html("", visible=False)
+        self.told = self.gui.add_html(paragraphs("Ask for something.") if askable else paragraphs(NO_FIELD))  # fmt: skip
+        self.tried = self.gui.add_button_group("Try", ("-",), visible=False)
+        self.tried.on_click(lambda event: self._do("try", event, self._try))
         self._build_answer()
         self._build_show()
         self._build_this()
         self._build_edit()
         self._build_save()
+        if askable:
+            self._do("suggest", None, self._suggest)
 
     def _title(self) -> None:
         shown, scene = self.session.shown, self.session.scene
         note = f" {shown.said}" if shown.said else ""
-        self.gui.add_markdown(
-            f"**{_plain(scene.name)}** {len(scene.gaussians):,} Gaussians, {len(scene.field):,} with a feature.{note}"
+        counted = f"{len(scene.gaussians):,} Gaussians, {len(scene.field):,} with a feature.{note}"
+        self.gui.add_html(paragraphs(f"<b>{escaped(scene.name)}</b> {counted}"))
+
+    def _prompt(self, label: str, hint: str, act: Callable[[Any], None]) -> Any:
+        """A field whose text ends in a new line when enter is pressed.
+
+        viser's page sends the latest of many changes only: what a form submits overtakes the text that was typed
+        just before, and that is lost. This comes with the text, or not at all.
+        """
+        prompt = self.gui.add_text(label, "", hint=hint, multiline=True)
+
+        prompt.on_update(
+            lambda event: self._do(label, event, act) if "\n" in prompt.value else None
         )
+        return prompt
+
+    def _by_hand(self, control: Any, what: str, act: Callable[[Any], None]) -> None:
+        """When people change a control, not when we do."""
+
+        def changed(event: Any) -> None:
+            if event.client is not None:
+                self._do(what, event, act)
+
+        control.on_update(changed)
 
     def _build_answer(self) -> None:
-        self.answer = self.gui.add_folder("Found")
+        self.answer = self.gui.add_folder("Found", visible=self.session.is_askable)
         with self.answer:
-            self.which = self.gui.add_dropdown("Threshold of", ("-",), visible=False)
-            self.which.on_update(lambda _: self._new_slider())
+            self.which = self.gui.add_dropdown("Threshold of", ("-",), visible=False, order=0.0)
+            self._by_hand(self.which, "which", self._new_slider)
             self.slider: Any = None
+        self.finds = FindList(self.gui, self.answer, self._fly)
         self._new_slider()
 
     def _build_show(self) -> None:
+        askable = self.session.is_askable
         with self.gui.add_folder("Show"):
-            names = tuple(mode.value for mode in Mode)
+            names = tuple(mode.value for mode in Mode) if askable else (Mode.SCENE.value,)
             self.mode = self.gui.add_dropdown("Colours", names, initial_value=Mode.SCENE.value)
-            self.mode.on_update(lambda event: self._set_mode(event))
-            boxes = self.gui.add_checkbox("Boxes and names", True)
-            boxes.on_update(lambda _: self._set_boxes(boxes.value))
+            self._by_hand(self.mode, "mode", self._set_mode)
+            self.boxes = self.gui.add_checkbox("Boxes and names", True, visible=askable)
+            self.boxes.on_update(lambda event: self._do("boxes", event, self._set_boxes))
             if self.session.scene.views:
                 cameras = self.gui.add_checkbox("Cameras of the photos", False)
-                cameras.on_update(lambda _: self.window.show_cameras(cameras.value))
-            with self.gui.add_form(None) as form:
-                self.classes = self.gui.add_text("Classes", "", hint="mug, bowl, table")
-            form.on_submit(lambda _: self._classify())
+                show = self.window.show_cameras
+                cameras.on_update(
+                    lambda event: self._do("cameras", event, lambda _: show(cameras.value))
+                )
+            self.classes = self._prompt("Classes", "mug, bowl, table", self._classify)
+            self.classes.visible = askable
             self.legend = self.gui.add_html("")
 
     def _build_this(self) -> None:
-        with self.gui.add_folder("What is this?"):
-            self.this = self.gui.add_markdown("Click something in the scene.")
+        with self.gui.add_folder("What is this?", visible=self.session.is_askable):
+            self.this = self.gui.add_html(CLICK)
             blank = np.zeros((2, 2, 3), np.uint8)
             self.photo = self.gui.add_image(blank, visible=False)
-            self.more = self._button("More like this", lambda _: self._more())
+            self.more = self._button("More like this", self._more)
             self.more.visible = False
 
     def _build_edit(self) -> None:
         session = self.session
-        with self.gui.add_folder("Edit what was found", expand_by_default=False):
+        with self.gui.add_folder("Edit what was found", expand_by_default=False, visible=session.is_askable):  # fmt: skip
             self._button("Keep only this", self._changing(session.keep))
             self._button("Hide", self._changing(session.hide))
             color = self.gui.add_rgb("Colour", painting.accent(1))
@@ -108,14 +165,15 @@ class Panel:
     def _build_save(self) -> None:
         with self.gui.add_folder("Save", expand_by_default=False):
             self._button("Scene as PLY", lambda event: self._save_ply(event, False))
-            self._button("Selection as PLY", lambda event: self._save_ply(event, True))
+            if self.session.is_askable:
+                self._button("Selection as PLY", lambda event: self._save_ply(event, True))
             self._button("Picture as PNG", self._save_png)
             self._button("Flight as GIF", self._save_gif)
-            self.saved = self.gui.add_markdown("")
+            self.saved = self.gui.add_html("")
 
     def _button(self, label: str, act: Callable[[Any], None]) -> Any:
         button = self.gui.add_button(label)
-        button.on_click(act)
+        button.on_click(lambda event: self._do(label, event, act))
         return button
 
     # --- asking ---
@@ -123,28 +181,35 @@ class Panel:
     def ask(self, text: str) -> None:
         """As if it had been typed."""
         self.text.value = text
-        self._ask()
+        self._do("ask", None, self._ask)
 
-    def _ask(self) -> None:
-        with self._doing():
-            self.session.ask(self.text.value)
-            self._answered()
+    def _ask(self, _: Any) -> None:
+        self.text.value = self.text.value.replace("\n", "")
+        self.session.ask(self.text.value)
+        self._answered()
 
-    def _ask_picture(self) -> None:
-        with self._doing():
-            file = self.upload.value
-            self.session.ask_picture(picture_in(file.content), file.name)
-            self._answered()
+    def _try(self, _: Any) -> None:
+        self.text.value = self.tried.value
+        self._ask(None)
 
-    def _more(self) -> None:
-        with self._doing():
-            self.session.more_like_this()
-            self._answered()
+    def _suggest(self, _: Any) -> None:
+        words = suggestions(self.session.scene, self.session.words)
+        if words:
+            self.tried.options, self.tried.visible = tuple(words), True
+
+    def _ask_picture(self, _: Any) -> None:
+        file = self.upload.value
+        self.session.ask_picture(picture_in(file.content), texts.printable(file.name))
+        self._answered()
+
+    def _more(self, _: Any) -> None:
+        self.session.more_like_this()
+        self._answered()
 
     def _answered(self) -> None:
         """Show a new answer: in the scene first, then beside it."""
         self.window.repaint()
-        labels = tuple(result.label for result in self.session.results)
+        labels = self._labels
         self.which.options = labels or ("-",)
         self.which.value = self.which.options[0]
         self.which.visible = len(labels) > 1
@@ -154,195 +219,148 @@ class Panel:
     def _follow(self) -> None:
         """The words and the list, after the answer or its threshold has changed."""
         self.mode.value = self.session.mode.value
-        self.told.content = "\n\n".join(_plain(result.said) for result in self.session.results)
-        for button in self._listed:
-            button.remove()
-        things = [
-            (number, one.thing)
-            for number, result in enumerate(self.session.results)
-            for one in result.found
-        ]
-        with self.answer:
-            self._listed = [
-                self._fly_button(number, thing) for number, thing in things[:MOST_LISTED]
-            ]
-            if len(things) > MOST_LISTED:
-                more = f"and {len(things) - MOST_LISTED} more"
-                self._listed.append(self.gui.add_markdown(more))
+        said = (escaped(result.said, 600) for result in self.session.results)
+        self.told.content = paragraphs(*said)
+        self.finds.show(finds_of(self.session.results))
 
-    def _fly_button(self, number: int, thing: Any) -> Any:
-        label = self.session.results[number].label
-        place = " ".join(f"{x:.1f}" for x in thing.center)
-        short = f"{label} {thing.score:.2f} · {thing.extent.max():.2f} long · {place}"
-        button = self.gui.add_button(
-            short, color=painting.accent(number), hint=f"Fly to {label}: {said_of(thing)}"
-        )
-        button.on_click(lambda event: self._fly(event, thing))
-        return button
-
-    def _fly(self, event: Any, thing: Any) -> None:
+    def _fly(self, event: Any, thing: Instance) -> None:
         scene = self.session.scene
         eye = before(thing, scene.gaussians, scene.views, self.window.up)
-        self.window.fly(event.client, eye, thing.center)
+        self.flights.do(event.client_id, lambda: self.window.fly(event.client, eye, thing.center))
 
     # --- the threshold ---
 
-    def _new_slider(self) -> None:
-        """Of the query chosen, with its own threshold marked."""
-        if self.slider is not None:
-            self.slider.remove()
-        with self.answer:
-            if not self.session.results:
-                self.slider = self.gui.add_slider("Threshold", 0, 1, 0.01, 0.5, visible=False)
-                return
-            result = self.session.results[self._chosen]
-            low, high = result.limits
-            low, high = np.floor(low / STEP) * STEP, np.ceil(high / STEP) * STEP
-            value = round(float(np.clip(result.threshold, low, high)), 3)
-            self.slider = self.gui.add_slider(
-                "Threshold", round(low, 3), round(high, 3), STEP, value,
-                order=self.which.order + 1e-3, marks=((round(result.asked.threshold, 3), "auto"),),
-                hint=f"{result.asked.measure} above which a Gaussian is found; the mark is the rule's choice ({result.asked.rule})",
-            )  # fmt: skip
-            self.slider.on_update(lambda event: self._cut(event))
+    @property
+    def _labels(self) -> tuple[str, ...]:
+        """Of the queries; numbers tell apart what looks the same."""
+        labels = [texts.printable(result.label, 60) for result in self.session.results]
+        return tuple(
+            f"{label} ({number})" if labels.count(label) > 1 else label
+            for number, label in enumerate(labels, start=1)
+        )
 
     @property
     def _chosen(self) -> int:
-        labels = [result.label for result in self.session.results]
+        labels = self._labels
         return labels.index(self.which.value) if self.which.value in labels else 0
 
-    def _cut(self, event: Any) -> None:
-        """Of many places on the way of a hand, only the latest is shown."""
-        if event.client is None:
+    def _new_slider(self, _: Any = None) -> None:
+        """Of the query chosen, with its own threshold marked."""
+        if self.slider is None:
+            with self.answer:
+                self.slider = self.gui.add_slider(
+                    "Threshold", 0.0, 1.0, STEP, 0.5, marks=((0.5, "auto"),), order=1.0
+                )
+            self._by_hand(self.slider, "cut", self._cut)
+        self.slider.visible = bool(self.session.results)
+        if not self.session.results:
             return
-        self._wanted = wanted = self.slider.value
-        with self._doing():
-            if self._wanted != wanted:
-                return
-            self.session.set_threshold(self._chosen, float(wanted))
-            self.window.repaint()
-            self._follow()
+        result = self.session.results[self._chosen]
+        low, high = result.limits
+        low, high = float(np.floor(low / STEP) * STEP), float(np.ceil(high / STEP) * STEP)
+        self.slider.min, self.slider.max = round(low, 3), round(high, 3)
+        self.slider.value = round(float(np.clip(result.threshold, low, high)), 3)
+        own = replace(self.slider._marks[0], value=round(result.asked.threshold, 3))
+        self.slider._marks = (own,)
+        self.slider.hint = (
+            f"{result.asked.measure} above which a Gaussian is found; "
+            f"the mark is the rule's choice ({result.asked.rule})"
+        )
+
+    def _cut(self, _: Any) -> None:
+        """Of many places on the way of a hand, only the latest is shown."""
+        self.session.set_threshold(self._chosen, float(self.slider.value))
+        self.window.repaint()
+        self._follow()
 
     # --- showing ---
 
-    def _set_mode(self, event: Any) -> None:
-        if event.client is None:  # set by us
-            return
-        with self._doing():
-            self.session.mode = Mode(self.mode.value)
-            self.window.repaint()
-
-    def _set_boxes(self, wanted: bool) -> None:
-        with self._doing():
-            self.window.boxes = wanted
-            self.window.repaint()
-
-    def _classify(self) -> None:
-        with self._doing():
-            classes = self.session.classify(self.classes.value.split(","))
-            counts = np.bincount(classes.labels[classes.labels >= 0], minlength=len(classes.names))
-            self.legend.content = legend_html(classes.names, counts)
+    def _set_mode(self, _: Any) -> None:
+        if self.mode.value not in self.mode.options:
             self.mode.value = self.session.mode.value
-            self.window.repaint()
+        self.session.mode = Mode(self.mode.value)
+        self.window.repaint()
+
+    def _set_boxes(self, _: Any) -> None:
+        self.window.boxes = self.boxes.value
+        self.window.repaint()
+
+    def _classify(self, _: Any) -> None:
+        self.classes.value = self.classes.value.replace("\n", "")
+        classes = self.session.classify(self.classes.value.split(","))
+        counts = np.bincount(classes.labels[classes.labels >= 0], minlength=len(classes.names))
+        self.legend.content = legend_html(classes.names, counts)
+        self.mode.value = self.session.mode.value
+        self.window.repaint()
 
     def _clicked(self, event: Any) -> None:
-        with self._doing():
-            this = self.session.click(np.array(event.ray_origin), np.array(event.ray_direction))
-            self.more.visible = this is not None
-            self.this.content = (
-                "Nothing with a feature is there." if this is None else said_of_this(this)
-            )
-            photo = None if this is None else photo_of(self.session.scene, this)
-            self.photo.visible = photo is not None
-            if photo is not None:
-                self.photo.image = photo
+        this = self.session.click(np.array(event.ray_origin), np.array(event.ray_direction))
+        self.more.visible = this is not None
+        nothing = paragraphs("Nothing with a feature is there.")
+        self.this.content = nothing if this is None else said_of_this(this)
+        photo = None if this is None else photo_of(self.session.scene, this)
+        self.photo.visible = photo is not None
+        if photo is not None:
+            self.photo.image = photo
 
     def _changing(self, change: Callable[[], None]) -> Callable[[Any], None]:
         def act(_: Any) -> None:
-            with self._doing():
-                change()
-                self.window.repaint()
-                self.mode.value = self.session.mode.value
+            change()
+            self.window.repaint()
+            self.mode.value = self.session.mode.value
 
         return act
 
     # --- saving ---
 
     def _save_ply(self, event: Any, selected_only: bool) -> None:
-        with self._doing():
-            path = saving.new_name(self.folder, "selection" if selected_only else "found", ".ply")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            count = saving.save_scene(path, self.session, selected_only=selected_only)
-            self._tell_saved(event, path, f"{count:,} Gaussians")
+        def write(path: Path) -> None:
+            saving.save_scene(path, self.session, selected_only=selected_only)
+
+        self._save(event, "selection" if selected_only else "found", ".ply", write)
 
     def _save_png(self, event: Any) -> None:
-        with self._doing():
-            view = self.window.seen_by(event.client, PICTURE_SIZE)
-            self._save_bytes(event, saving.png_of(saving.picture_of(self.session, view)), ".png")
+        view = self.window.seen_by(event.client, PICTURE_SIZE)
+        data = saving.png_of(saving.picture_of(self.session, view))
+        self._save(event, "found", ".png", lambda path: saving.write_bytes(path, data))
 
     def _save_gif(self, event: Any) -> None:
-        with self._doing():
-            frame, camera = self.session.shown.frame, event.client.camera
-            eye, target = (frame.world(np.array(x)) for x in (camera.position, camera.look_at))
-            found = [one.thing for result in self.session.results for one in result.found]
-            if found:
-                scene, target = self.session.scene, found[0].center
-                eye = before(found[0], scene.gaussians, scene.views, self.window.up)
-            data = saving.flight_gif(self.session, eye, target, self.window.up)
-            self._save_bytes(event, data, ".gif")
+        frame, camera = self.session.shown.frame, event.client.camera
+        eye, target = (frame.world(np.array(x)) for x in (camera.position, camera.look_at))
+        found = [one.thing for result in self.session.results for one in result.found]
+        if found:
+            scene, target = self.session.scene, found[0].center
+            eye = before(found[0], scene.gaussians, scene.views, self.window.up)
+        data = saving.flight_gif(self.session, eye, target, self.window.up)
+        self._save(event, "found", ".gif", lambda path: saving.write_bytes(path, data))
 
-    def _save_bytes(self, event: Any, data: bytes, suffix: str) -> None:
-        path = saving.new_name(self.folder, "found", suffix)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        saving.write_bytes(path, data)
-        self._tell_saved(event, path, "")
-
-    def _tell_saved(self, event: Any, path: Path, note: str) -> None:
-        self.saved.content = f"Saved `{path}` {note}"
-        if path.stat().st_size <= MOST_SENT:
-            event.client.send_file_download(path.name, path.read_bytes())
-
-    @contextmanager
-    def _doing(self) -> Any:
-        """One thing at a time; what goes wrong is said, and leaves what is shown as it was."""
-        with self._lock:
-            try:
-                yield
-            except (DrSplatError, OSError) as error:
-                self.told.content = f"**{_plain(str(error))}**"
+    def _save(self, event: Any, stem: str, suffix: str, write: Callable[[Path], None]) -> None:
+        path, data = self.saves.save(stem, suffix, write)
+        kept = self.saves.folder is not None
+        sent = bool(data) and not self.window.is_sending(event.client)
+        if sent:
+            event.client.send_file_download(path.name, data)
+        said = "Saved" if kept else "Sent" if sent else "Take the last file first; not sent:"
+        self.saved.content = paragraphs(f"{said} {escaped(str(path) if kept else path.name, 600)}")
 
 
 def said_of_this(this: This) -> str:
-    """Its best words, and the photos and masks behind it, as Markdown."""
+    """Its best words, and the photos and masks behind it, as HTML."""
     place = ", ".join(f"{x:.2f}" for x in this.point)
-    lines = [_bold(this.words[0]) if this.words else "No encoder here has words for it."]
-    if len(this.words) > 1:
-        others = (f"{_plain(one.text)} {one.score:.2f}" for one in this.words[1:])
-        lines.append("or " + ", ".join(others))
-    lines.append(f"at {place}")
-    masks = [
-        f"{_plain(one.view_name)}, mask {one.segment_id} ({one.share:.0%})" for one in this.evidence
-    ]
-    if masks:
-        lines.append("Seen in " + "; ".join(masks))
-    return "\n\n".join(lines)
-
-
-def _bold(word: Named) -> str:
-    return f"**{_plain(word.text)}** {word.score:.2f}"
+    words = [f"{escaped(one.text)} {one.score:.2f}" for one in this.words]
+    best = f"<strong>{escaped(this.words[0].text)}</strong> {this.words[0].score:.2f}" if words else "No encoder here has words for it."  # fmt: skip
+    masks = [f"{escaped(one.view_name)}, mask {one.segment_id} ({one.share:.0%})" for one in this.evidence]  # fmt: skip
+    others = "or " + ", ".join(words[1:]) if words[1:] else ""
+    return paragraphs(best, others, f"at {place}", "Seen in " + "; ".join(masks) if masks else "")
 
 
 def legend_html(names: tuple[str, ...], counts: np.ndarray) -> str:
     """A swatch, a name and a number of Gaussians on each line."""
     spot = "display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:.6em"
-    lines = [
-        f'<div><span style="{spot};background:rgb({",".join(map(str, color))})"></span>{html.escape(name)} '
-        f'<span style="opacity:.6">{count:,}</span></div>'
-        for name, color, count in zip(names, class_colors(len(names)), counts, strict=True)
-    ]
-    return f'<div style="padding:.3em 1em;font-size:.85em">{"".join(lines)}</div>'
-
-
-def _plain(text: str) -> str:
-    """Text that Markdown leaves alone."""
-    return "".join(f"\\{letter}" if letter in r"\`*_{}[]<>#|~$" else letter for letter in text)
+    return paragraphs(
+        *(
+            f'<span style="{spot};background:rgb({",".join(map(str, color))})"></span>{escaped(name)} '
+            f'<span style="opacity:.6">{count:,}</span>'
+            for name, color, count in zip(names, class_colors(len(names)), counts, strict=True)
+        )
+    )

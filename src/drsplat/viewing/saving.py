@@ -1,7 +1,9 @@
 """Answers as files: a scene with columns, a picture, a flight."""
 
 import io
-from collections.abc import Sequence
+import os
+import tempfile
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
+from ..errors import InputError
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
 from ..kernels import render_channels
@@ -21,6 +24,8 @@ from .session import Session
 BACKGROUND = np.array([0.078, 0.086, 0.106], np.float32)
 GIF_SIZE, GIF_FRAMES, GIF_MILLISECONDS = (480, 360), 40, 60
 COLORS = 128
+MOST_FILES, MOST_BYTES = 200, 8 << 30  # of a session
+MOST_SENT = 64 << 20  # bytes of a file that a browser is given
 
 
 def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bool = False) -> int:
@@ -69,10 +74,49 @@ def gif_of(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> bytes:
     return out.getvalue()
 
 
+class Saves:
+    """Files of one session, to a folder or, without one, only to the browser that asked; never over another file.
+
+    folder: made when something is first saved; None for none.
+    """
+
+    def __init__(
+        self, folder: Path | None, most_files: int = MOST_FILES, most_bytes: int = MOST_BYTES
+    ) -> None:
+        self.folder, self.files_left, self.bytes_left = folder, most_files, most_bytes
+
+    def save(self, stem: str, suffix: str, write: Callable[[Path], object]) -> tuple[Path, bytes]:
+        """Where it is, and what is in it, empty if that is too large for a browser.
+
+        write: makes a file of a name. Raises: InputError: this session has saved enough; the file is too
+        large for a browser and there is no folder.
+        """
+        if self.files_left < 1 or self.bytes_left < 1:
+            raise InputError("this session has saved enough: start drsplat view anew to save more")
+        if self.folder is None:
+            with tempfile.TemporaryDirectory() as folder:
+                return self._saved(Path(folder) / f"{stem}{suffix}", write)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return self._saved(new_name(self.folder, stem, suffix), write)
+
+    def _saved(self, path: Path, write: Callable[[Path], object]) -> tuple[Path, bytes]:
+        self.files_left -= 1
+        write(path)
+        size = path.stat().st_size
+        self.bytes_left -= size
+        if size <= MOST_SENT:
+            return path, path.read_bytes()
+        if self.folder is None:
+            raise InputError(
+                f"{size / 1e6:,.0f} MB are too much to send: start drsplat view with --save-dir FOLDER"
+            )
+        return path, b""
+
+
 def new_name(folder: Path, stem: str, suffix: str) -> Path:
     """A file in the folder that is not there yet: stem, or stem-2 and so on."""
     path, number = folder / f"{stem}{suffix}", 1
-    while path.exists():
+    while os.path.lexists(path):
         number += 1
         path = folder / f"{stem}-{number}{suffix}"
     return path

@@ -60,6 +60,11 @@ class Session:
 
     # --- asking ---
 
+    @property
+    def is_askable(self) -> bool:
+        """Whether anything here has a feature."""
+        return len(self.scene.field) > 0
+
     def ask(self, text: str) -> str:
         """To one query in words, or several with ";" between them; says what was found.
 
@@ -98,8 +103,10 @@ class Session:
     def set_threshold(self, number: int, threshold: float) -> str:
         """Cut the values of one of the queries elsewhere.
 
-        Raises: InputError: no such query.
+        Raises: InputError: no such query, or not a number.
         """
+        if not np.isfinite(threshold):
+            raise InputError(f"expected a finite threshold, got {threshold}")
         if not 0 <= number < len(self.results):
             raise InputError(f"there is no query {number} of {len(self.results)}")
         changed = results.cut_at(self.scene, self.results[number], threshold)
@@ -128,7 +135,12 @@ class Session:
     def click(
         self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
     ) -> This | None:
-        """What a ray in the browser's frame meets first; None where that is nothing with a feature."""
+        """What a ray in the browser's frame meets first; None where that is nothing with a feature.
+
+        Raises: InputError: a ray that goes nowhere.
+        """
+        if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
+            raise InputError("a click needs a place and a direction")
         visible = np.zeros(len(self.scene.gaussians), bool)
         visible[self.scene.field.gaussian_ids] = True
         visible &= ~self.hidden

@@ -1,6 +1,8 @@
 """A session in a browser, by viser: the scene, its boxes and cameras. What people press is in `panel`."""
 
 import io
+import secrets
+import socket
 import time
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -9,12 +11,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from ..access import EVERYWHERE, is_loopback
 from ..errors import MissingExtraError
 from ..tasks import Instance
 from ..views import View
 from . import painting
 from .cameras import FOV_DEGREES, first_look, looking_at
+from .finds import MOST_FIRST, MOST_LISTED, finds_of
+from .listening import listening_socket
 from .session import Mode, Session
+from .texts import printable
 
 INSTALL = 'pip install "drsplat[viewer]"'
 FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
@@ -22,6 +28,23 @@ MOST_CAMERAS, CAMERA_SIZE = 200, 0.35
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
 Vector = Float64[np.ndarray, " 3"]
+
+
+def guarded_server(host: str, port: int, token: str | None) -> Any:
+    """viser's server behind a `Gate`. Raises: MissingExtraError: a viser that goes round it; it is stopped."""
+    from .gate import Gate
+
+    viser, gate = viser_module(), Gate(host, token)
+    listening = listening_socket(host, port)
+    with gate.before(listening), redirect_stdout(io.StringIO()):  # it draws a box, wanted or not
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    if not gate.stands:
+        server.stop()
+        listening.close()
+        raise MissingExtraError(
+            f"viser {viser.__version__} lets every page in, so the viewer does not start: {INSTALL}"
+        )
+    return server
 
 
 def viser_module() -> Any:
@@ -36,20 +59,29 @@ def viser_module() -> Any:
 class Window:
     """What a browser shows of a session. All who open the page see, and change, the same one.
 
-    up: of the scene, in the world. Raises: MissingExtraError: viser is not installed.
+    up: of the scene, in the world. Where other machines reach `host`, the address has a token.
+
+    Raises: MissingExtraError: viser is not installed. InputError: nothing can listen there.
     """
 
     def __init__(
         self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
-        self.session, self.up = session, up
-        viser = viser_module()
-        with redirect_stdout(io.StringIO()):  # it draws a box with its addresses, wanted or not
-            self.server: Any = viser.ViserServer(host=host, port=port, verbose=False)
+        self.session, self.up, self.host = session, up, host
+        self.token = None if is_loopback(host) else secrets.token_urlsafe(24)
+        self.server: Any = guarded_server(host, port, self.token)
         self._marks: list[Any] = []
         self._cameras: list[Any] = []
         self.boxes = True
         self._open()
+
+    @property
+    def address(self) -> str:
+        """For a browser."""
+        name = socket.gethostname() if self.host in EVERYWHERE else self.host
+        host = f"[{name}]" if ":" in name and not name.startswith("[") else name
+        token = "" if self.token is None else f"/?token={self.token}"
+        return f"http://{host}:{self.server.get_port()}{token}"
 
     def _open(self) -> None:
         scene, shown = self.server.scene, self.session.shown
@@ -88,10 +120,9 @@ class Window:
         self._marks.clear()
         if not self.boxes or self.session.mode not in (Mode.ANSWER, Mode.HEAT):
             return
-        for number, result in enumerate(self.session.results):
-            for count, one in enumerate(result.found):
-                label = result.label if len(result.found) == 1 else f"{result.label} {count + 1}"
-                self._mark_thing(f"{number}-{count}", one.thing, label, painting.accent(number))
+        for number, find in enumerate(finds_of(self.session.results)[:MOST_LISTED]):
+            label = find.name if number < MOST_FIRST else str(number + 1)
+            self._mark_thing(str(number), find.thing, label, painting.accent(find.query))
 
     def _mark_thing(
         self, name: str, thing: Instance, label: str, color: tuple[int, int, int]
@@ -106,7 +137,10 @@ class Window:
         middle = frame.shown(thing.center)
         above = middle + ((top - middle) @ self.up) * self.up
         text = scene.add_label(
-            f"/found/{name}/name", label, position=tuple(above), anchor="bottom-center"
+            f"/found/{name}/name",
+            printable(label, 60),
+            position=tuple(above),
+            anchor="bottom-center",
         )
         self._marks += [box, text]
 
@@ -151,6 +185,10 @@ class Window:
                 camera.look_at = from_target + share * (to_target - from_target)
             client.flush()
             time.sleep(FLIGHT_SECONDS / FLIGHT_STEPS)
+
+    def is_sending(self, client: Any) -> bool:
+        """Whether a browser has not yet taken the last file: who never takes any fills no memory."""
+        return bool(client._websock_connection.get_message_buffer().message_from_id)
 
     def seen_by(self, client: Any, size: tuple[int, int]) -> View:
         """The camera of one browser, in the world."""

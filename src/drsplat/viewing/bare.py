@@ -1,0 +1,56 @@
+"""A scene that nobody has registered: to look at."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..asking import AskableScene
+from ..codes import Codebook, PQCode
+from ..encoders import Encoder, EncoderIdentity
+from ..errors import InputError
+from ..field import LanguageField
+from ..formats.captures import read_views
+from ..formats.scenes import read_gaussians
+from ..gaussians import Gaussians
+from ..kernels.scan import GROUP
+
+NO_FIELD = (
+    "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
+)
+CAMERAS = "cameras.json"  # of a trained model
+
+
+def is_bare(path: Path) -> bool:
+    """Whether a path is a scene's file, or a trained model's folder without a field."""
+    if not path.is_dir():
+        return path.is_file()
+    return (path / "point_cloud").is_dir() and not any(path.glob("*.field"))
+
+
+def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> AskableScene:
+    """The scene of a file or a trained model's folder, with a field of nothing.
+
+    capture: its photos; None takes the cameras of the model's folder, if they are there.
+
+    Raises: as `read_gaussians` and `read_views`.
+    """
+    own = path if path.is_dir() and (path / CAMERAS).is_file() else None
+    cameras = capture if capture is not None else own
+    views = () if cameras is None else tuple(read_views(cameras))
+    gaussians = read_gaussians(path)
+    return AskableScene(path.resolve().stem, gaussians, _empty_field(gaussians), views, _no_encoder, threads)  # fmt: skip
+
+
+def _empty_field(gaussians: Gaussians) -> LanguageField:
+    nobody = EncoderIdentity("none", 1)
+    code = PQCode(
+        Codebook(np.zeros((1, 256, 1), np.float32), None, nobody),
+        np.empty((0, 1, GROUP), np.uint8),
+        None,
+        np.empty(0, np.float32),
+    )
+    return LanguageField(np.empty(0, np.uint32), code, nobody, gaussians.fingerprint, len(gaussians))  # fmt: skip
+
+
+def _no_encoder() -> Encoder:
+    raise InputError(NO_FIELD)
