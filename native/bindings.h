@@ -12,6 +12,7 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <type_traits>
 #include <vector>
 
 namespace drsplat {
@@ -26,11 +27,11 @@ inline void require(bool ok, const char *what) {
   if (!ok) throw std::invalid_argument(what);
 }
 
-// A member of a tuple as what it has to be. Not converted: the tuple keeps an array alive, and nothing would a copy.
+// A member of a tuple as what it has to be. Arrays are not converted: the tuple keeps one alive, and nothing would a copy.
 template <class T>
 T member(const nb::tuple &whole, size_t place, const char *what) {
   T value;
-  require(nb::try_cast(whole[place], value, false), what);
+  require(nb::try_cast(whole[place], value, std::is_arithmetic_v<T>), what);
   return value;
 }
 
