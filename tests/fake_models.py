@@ -73,4 +73,5 @@ if __name__ == "__main__":
     from drsplat import read_views
     from drsplat.embedding import embed
 
-    embed(read_views(sys.argv[1]), sys.argv[2], ColorSegmenter(seconds=0.1), ThumbnailEncoder())
+    capture, output, form = sys.argv[1:]
+    embed(read_views(capture), output, ColorSegmenter(seconds=0.1), ThumbnailEncoder(), form=form)

@@ -9,6 +9,7 @@ import time
 import tracemalloc
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,12 @@ import drsplat as ds
 from captures_to_train import ring
 from drsplat import cli
 from drsplat.crops import crop
-from drsplat.embedding import embed, recorded_encoder
+from drsplat.embedding import embed as embed_compactly
+from drsplat.embedding import recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.activation import SH_C0
+from drsplat.formats.checksums import sealed
+from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, read_features
 from drsplat.pictures import as_pixels, write_picture
 from drsplat.views import View
@@ -30,6 +34,7 @@ from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from scenes import random_gaussians
 
 TESTS = Path(__file__).parent
+embed = partial(embed_compactly, form="langsplat")  # test_compact_features.py has the other form
 
 
 def a_view(folder: Path, name: str, width: int = 24, height: int = 18, seed: int = 0) -> View:
@@ -312,7 +317,8 @@ def test_files_that_are_not_as_recorded_are_made_again(views, tmp_path, damage):
         case "short maps":
             maps.write_bytes(before[1][:-1])
         case "entry":
-            record.write_text(record.read_text().replace('"empty_masks"', '"empty"', 1))
+            document = json.loads(record.read_text().replace('"empty_masks"', '"empty"', 1))
+            record.write_text(json.dumps(sealed(document)))
     assert embed_quietly(views, tmp_path / "out").reused == 2
     assert (rows.read_bytes(), maps.read_bytes()) == before
 
@@ -369,38 +375,41 @@ def test_no_reader_ever_sees_new_rows_with_old_maps(views, tmp_path, monkeypatch
     langsplat_reader(tmp_path / "out", "a", 3)
 
 
-def wait_for(folder: Path, count: int, process: subprocess.Popen[bytes]) -> None:
-    while len(list(folder.glob("*_s.npy"))) < count:
+def wait_for(folder: Path, ending: str, count: int, process: subprocess.Popen[bytes]) -> None:
+    while len(list(folder.glob(f"*{ending}"))) < count:
         assert process.poll() is None
         time.sleep(0.01)
 
 
-def test_a_kill_loses_at_most_one_photo(tmp_path):
+@pytest.mark.parametrize("form", ["langsplat", "compact"])
+def test_a_kill_loses_at_most_one_photo(form, tmp_path):
     views = [replace(view, image_path=None) for view in ring(8)]
     write_model_folder(tmp_path, views)
     for index, view in enumerate(views):
         a_view(tmp_path, view.name, view.width, view.height, seed=index)
-    out = tmp_path / "out"
-    command = [sys.executable, TESTS / "fake_models.py", str(tmp_path), str(out)]
+    out, ending = tmp_path / "out", {"langsplat": "_s.npy", "compact": COMPACT}[form]
+    command = [sys.executable, TESTS / "fake_models.py", str(tmp_path), str(out), form]
     process = subprocess.Popen(command)
-    wait_for(out, 3, process)
+    wait_for(out, ending, 3, process)
     process.send_signal(signal.SIGKILL)
     process.wait()
     killed = times_of(out)
     finished = len(json.loads((out / "embedding.json").read_text())["photos"])
-    listed = len(list(out.glob("*_s.npy")))
+    listed = len(list(out.glob(f"*{ending}")))
     assert 3 <= listed <= 7
     assert listed - finished <= 1
     assert subprocess.run(command).returncode == 0
     done = times_of(out)
-    kept = [name for name in done if name.endswith(".npy") and done[name] == killed.get(name)]
-    assert len(kept) >= 2 * finished
+    kept = [n for n in done if n != "embedding.json" and done[n] == killed.get(n)]
+    assert len(kept) >= (2 if form == "langsplat" else 1) * finished
     assert len(json.loads((out / "embedding.json").read_text())["photos"]) == 8
     assert subprocess.run(command).returncode == 0
     assert times_of(out) == done
-    embed(ds.read_views(tmp_path), tmp_path / "whole", ColorSegmenter(), ThumbnailEncoder())
-    for path in (tmp_path / "whole").glob("*.npy"):
-        assert (out / path.name).read_bytes() == path.read_bytes()
+    whole = tmp_path / "whole"
+    embed_compactly(ds.read_views(tmp_path), whole, ColorSegmenter(), ThumbnailEncoder(), form=form)
+    for name in done.keys() - {"embedding.json"}:
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+    assert times_of(whole).keys() == done.keys()  # nothing hidden is left either
 
 
 def write_model_folder(folder: Path, views: list[View]) -> None:
@@ -488,7 +497,7 @@ def fake_models(monkeypatch) -> None:
 def test_the_command_reports_and_resumes(three_balls, tmp_path, fake_models, capsys):
     out = tmp_path / "features"
     command = ["embed", three_balls, "--segmenter", "s", "--encoder", "e", "--output", out,
-               "--device", "cpu"]  # fmt: skip
+               "--device", "cpu", "--langsplat"]  # fmt: skip
     assert cli.main([*map(str, command), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["photos"], answer["reused"], answer["redone"]) == (12, 0, 0)

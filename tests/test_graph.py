@@ -327,7 +327,7 @@ def test_the_command_refuses_options_of_sam(option: list[str], captured: Path, c
 def test_the_command_runs_without_torch(levels: list[str], captured: Path) -> None:
     code = (
         "import sys; sys.modules['torch'] = None; from drsplat.cli import main; sys.exit(main("
-        f"['embed', {str(captured)!r}, '--segmenter', 'graph', '--encoder', 'drsplat-mini', *{levels}]))"
+        f"['embed', {str(captured)!r}, '--segmenter', 'graph', '--encoder', 'drsplat-mini', '--langsplat', *{levels}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

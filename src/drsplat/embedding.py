@@ -19,7 +19,8 @@ from .crops import crops
 from .encoders import EncoderIdentity, ImageEncoder, identity_json
 from .errors import DrSplatWarning, InputError
 from .formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
-from .formats.langsplat import write_features
+from .formats.feature_files import Form
+from .formats.langsplat import stored_features, write_features
 from .formats.photo_files import listed
 from .mask_selection import SegmentMaps, segment_maps
 from .photos import load_image
@@ -54,14 +55,17 @@ def embed(
     *,
     max_height: int | None = MAX_HEIGHT,
     overwrite: bool = False,
+    form: Form = "compact",
     track: Track = untracked,
 ) -> EmbeddingReport:
-    """Write `<photo>_f.npy` and `<photo>_s.npy` of every view, as LangSplat does.
+    """Write `<photo>.features.safetensors` of every view, or LangSplat's files.
 
     A photo is segmented as stored, its lens not undone, because that is where `register` expects maps
     to lie. Finished photos are not touched: a run that was killed loses at most the photo it was at.
     Where a setting differs from the folder's, everything is made anew, each file replaced when its
     successor is complete. Memory holds one photo at a time.
+    form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; what is finished in the other form
+    is rewritten, not made anew.
     max_height: photos that are taller are scaled to it, in pixels; None takes them as they are.
     overwrite: makes everything anew, also over features that others made.
 
@@ -84,8 +88,10 @@ def embed(
     photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
     pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
     redone = sum(record.has_files(stem) for stem in pending)
+    for stem in sorted(photos.keys() - pending):
+        _rewrite(record, stem, form)
     for stem in track(pending, "embedding photos"):
-        _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder)
+        _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder, form)
     _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
     return EmbeddingReport(
@@ -153,15 +159,26 @@ def _embed_photo(
     photo: str,
     segmenter: Segmenter,
     encoder: ImageEncoder,
+    form: Form,
 ) -> None:
     image = load_image(view)
     levels = segmenter.segment(image)
     maps = segment_maps(levels)
     embeddings = _embeddings(image, maps.masks, encoder, view.name)
     record.make_room(stem)
-    write_features(record.folder, stem, maps.segment_ids, embeddings, overwrite=True)
+    write_features(record.folder, stem, maps.segment_ids, embeddings, overwrite=True, form=form)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
-    record.add(stem, photo, _counts(maps, levels), empty)
+    record.add(stem, photo, _counts(maps, levels), empty, form)
+
+
+def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
+    """A finished photo's files in this form, if they are in the other."""
+    known = record.finished[stem]
+    if known.form != form:
+        maps, embeddings = stored_features(record.folder, stem, known.form)
+        record.make_room(stem)
+        write_features(record.folder, stem, maps, embeddings, overwrite=True, form=form)
+        record.add(stem, known.photo, known.masks, known.empty_masks, form)
 
 
 def _embeddings(

@@ -1,4 +1,4 @@
-"""drsplat embed: posed photos -> masks and their embeddings, as LangSplat writes them."""
+"""drsplat embed: posed photos -> masks and their embeddings."""
 
 from __future__ import annotations
 
@@ -40,7 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--output", "-o", metavar="DIR",
-        help="folder for <photo>_s.npy and <photo>_f.npy (default: CAPTURE/language_features)",
+        help="folder for the features (default: CAPTURE/language_features)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--langsplat", action="store_true",
+        help="write LangSplat's <photo>_s.npy and <photo>_f.npy, for other programs: the same, some hundred times as "
+        "large (default: <photo>.features.safetensors)",
     )  # fmt: skip
     add_overwrite(parser)
     models = parser.add_argument_group("models")
@@ -93,7 +98,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     watch.lap("load")
     report = embed(
         views, output, segmenter, encoder,
-        max_height=arguments.max_height, overwrite=arguments.overwrite, track=metered(arguments),
+        max_height=arguments.max_height, overwrite=arguments.overwrite,
+        form="langsplat" if arguments.langsplat else "compact", track=metered(arguments),
     )  # fmt: skip
     watch.lap("embed")
     made = report.photos - report.reused

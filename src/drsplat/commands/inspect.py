@@ -55,6 +55,7 @@ def kind_of(path: Path) -> str:
     Raises: InputError: there is nothing at `path`.
     """
     from ..errors import InputError
+    from ..formats.langsplat import has_features
 
     if path.is_file():
         return _file_kind(path)
@@ -67,7 +68,7 @@ def kind_of(path: Path) -> str:
     has_models = any(
         (path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json")
     )
-    return "features" if not has_models and next(path.rglob("*_s.npy"), None) else "capture"
+    return "features" if not has_models and has_features(path) else "capture"
 
 
 def _file_kind(path: Path) -> str:

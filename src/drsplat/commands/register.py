@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--features",
         required=True,
         metavar="DIR",
-        help="LangSplat's <photo>_s.npy and <photo>_f.npy",
+        help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
     )
     parser.add_argument(
         "--output",

@@ -30,7 +30,7 @@ from .stored import StoredField
 SUMMED = 3  # the first version with checksums
 MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
 
-CURE = "restore the field from a copy, or register again"
+CURE = "Restore the field from a copy, or register again"
 
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {
@@ -62,7 +62,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             f"{ascii(manifest.get('drsplat'))[:20]}; this one reads 1 to {VERSION}: upgrade, or register "
             "again"
         )
-    check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED)
+    check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
     files = {name: _tied(path, name, manifest) for name in _names(manifest)}
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
@@ -106,9 +106,9 @@ def _compare(file: _File, evidence: Evidence | None) -> None:
         if evidence is not None:
             evidence.check_weights()
     except FormatError as error:
-        raise FormatError(f"{error}: {CURE}") from error
+        raise FormatError(f"{error}. {CURE}") from error
     except InputError as error:
-        raise FormatError(f"{file.path}: {error}: {CURE}") from error
+        raise FormatError(f"{file.path}: {error}. {CURE}") from error
 
 
 def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
@@ -173,7 +173,7 @@ def _negatives(file: _File | None, manifest: dict[str, object], dim: int) -> Neg
     if embeddings.shape[1] != dim:
         raise FormatError(f"{path}: expected embeddings (n, {dim}), got {embeddings.shape}")
     if not (np.isfinite(embeddings).all() and np.isfinite(tensors["maxima"]).all()):
-        raise FormatError(f"{path}: expected finite embeddings and maxima: {CURE}")
+        raise FormatError(f"{path}: expected finite embeddings and maxima. {CURE}")
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         raise FormatError(f"{path.parent}: negatives must be a list of texts")
     if texts and len(texts) != len(embeddings):

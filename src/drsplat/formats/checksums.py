@@ -63,7 +63,9 @@ def sealed(document: Mapping[str, object]) -> dict[str, object]:
     return {**document, DOCUMENT: _of_json(_unsealed(document))}
 
 
-def check_seal(document: Mapping[str, object], where: str, required: bool = True) -> None:
+def check_seal(
+    document: Mapping[str, object], where: str, required: bool = True, cure: str = ""
+) -> None:
     """Compare a JSON document with its checksum; those of older versions have none: not `required`.
 
     Raises: FormatError: another document than was written, or no checksum.
@@ -71,7 +73,7 @@ def check_seal(document: Mapping[str, object], where: str, required: bool = True
     if not required and DOCUMENT not in document:
         return
     if document.get(DOCUMENT) != _of_json(_unsealed(document)):
-        raise FormatError(f"{where}: damaged or edited: it is not what was written")
+        raise FormatError(f"{where}: damaged or edited: it is not what was written. {cure}".strip())
 
 
 def _unsealed(document: Mapping[str, object]) -> dict[str, object]:

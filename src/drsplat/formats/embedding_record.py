@@ -8,25 +8,32 @@ from pathlib import Path
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
+from .checksums import check_seal, sealed
+from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .json_files import read_json, shown
 from .photo_files import listed
 from .replacing import replacing
 
 FILE_NAME, FORMAT = "embedding.json", "drsplat embedding 1"
-_MAPS, _EMBEDDINGS = "_s.npy", "_f.npy"
+_ENDINGS = (MAPS, COMPACT, EMBEDDINGS)  # what makes a photo listed goes first
 
 
 @dataclass(frozen=True)
 class Finished:
     """One photo's files. photo: hash of its bytes and its raster. embeddings: hash of `_f.npy`, which
-    is written first; map_bytes: size of `_s.npy`. masks: by level. empty_masks: left out.
+    is written first, or of the compact file; map_bytes: size of `_s.npy`, None of a compact file, which has
+    none. masks: by level. empty_masks: left out.
     """
 
     photo: str
     embeddings: str
-    map_bytes: int
+    map_bytes: int | None
     masks: Mapping[str, int]
     empty_masks: int
+
+    @property
+    def form(self) -> Form:
+        return "compact" if self.map_bytes is None else "langsplat"
 
 
 class EmbeddingRecord:
@@ -51,11 +58,11 @@ class EmbeddingRecord:
         return entry is not None and entry.photo == photo and _fits(entry, self.folder, stem)
 
     def has_files(self, stem: str) -> bool:
-        return _sized(self.folder / f"{stem}{_MAPS}") is not None
+        return any((self.folder / f"{stem}{ending}").is_file() for ending in (MAPS, COMPACT))
 
     def unfinished(self) -> list[str]:
-        """Stems that have maps but no entry."""
-        return [stem for stem in _stems(self.folder, _MAPS) if stem not in self.finished]
+        """Stems that have files but no entry."""
+        return [stem for stem in _listed_stems(self.folder) if stem not in self.finished]
 
     def make_room(self, stem: str) -> None:
         """Before files are replaced. An entry that outlives its files could come to fit others; maps
@@ -63,20 +70,24 @@ class EmbeddingRecord:
         """
         if self.finished.pop(stem, None) is not None:
             self.write()
-        (self.folder / f"{stem}{_MAPS}").unlink(missing_ok=True)
+        for ending in _ENDINGS:
+            (self.folder / f"{stem}{ending}").unlink(missing_ok=True)
 
-    def add(self, stem: str, photo: str, masks: Mapping[str, int], empty_masks: int) -> None:
-        """After both files are written."""
-        size = (self.folder / f"{stem}{_MAPS}").stat().st_size
-        digest = _digest(self.folder / f"{stem}{_EMBEDDINGS}")
+    def add(
+        self, stem: str, photo: str, masks: Mapping[str, int], empty_masks: int, form: Form
+    ) -> None:
+        """After the files are written."""
+        compact, maps, rows = (self.folder / f"{stem}{e}" for e in (COMPACT, MAPS, EMBEDDINGS))
+        digest = _digest(compact if form == "compact" else rows)
+        size = None if form == "compact" else maps.stat().st_size
         self.finished[stem] = Finished(photo, digest, size, masks, empty_masks)
         self.write()
 
     def write(self) -> None:
-        photos = {stem: asdict(entry) for stem, entry in self.finished.items()}
+        photos = {stem: asdict(entry) for stem, entry in sorted(self.finished.items())}
         document = {"format": FORMAT, "settings": self._settings, "photos": photos}
         with replacing(self.folder / FILE_NAME, overwrite=True) as file:
-            file.write(json.dumps(document, indent=1).encode())
+            file.write(json.dumps(sealed(document), indent=1).encode())
 
 
 def open_record(
@@ -98,7 +109,7 @@ def open_record(
         if changes:
             record.write()
         return record
-    foreign = [stem for ending in (_MAPS, _EMBEDDINGS) for stem in _stems(folder, ending)]
+    foreign = [stem for ending in _ENDINGS for stem in stems(folder, ending)]
     if foreign and not overwrite:
         raise InputError(
             f"{folder} has features that were not made here ({FILE_NAME} is missing): name another "
@@ -120,7 +131,7 @@ def read_settings(folder: Path) -> dict[str, object] | None:
     if not path.is_file():
         return None
     settings, finished = _read(path)
-    others = [stem for stem in _stems(folder, _MAPS) if stem not in finished]
+    others = [stem for stem in _listed_stems(folder) if stem not in finished]
     if others:
         raise MismatchError(
             f"{folder}: {len(others)} photos have features that are not of the settings in "
@@ -170,12 +181,14 @@ def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
     document = read_json(path)
     parts = document if isinstance(document, dict) else {}
     settings, photos = parts.get("settings"), parts.get("photos")
+    cure = "Name another folder, or pass overwrite to make all anew"
     if parts.get("format") == FORMAT and isinstance(settings, dict) and isinstance(photos, dict):
+        check_seal(parts, f"{path}", required=False, cure=cure)
         entries = {stem: _entry(value) for stem, value in photos.items()}
         return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
     raise FormatError(
         f"{path}: expected '{FORMAT}' with settings and photos, got {shown(parts.get('format'))}: "
-        "damaged, or of another version. Name another folder, or pass overwrite=True to make all anew"
+        f"damaged, or of another version. {cure}"
     )
 
 
@@ -183,15 +196,18 @@ def _entry(value: object) -> Finished | None:
     """None for what no entry looks like: its photo is then embedded again."""
     try:
         entry = Finished(**value)  # type: ignore[arg-type]
-        counts = [entry.empty_masks, entry.map_bytes, *entry.masks.values()]
+        counts = [entry.empty_masks, entry.map_bytes or 0, *entry.masks.values()]
     except (TypeError, AttributeError):
         return None
     return entry if all(type(count) is int for count in counts) else None
 
 
 def _fits(entry: Finished, folder: Path, stem: str) -> bool:
-    embeddings = folder / f"{stem}{_EMBEDDINGS}"
-    if _sized(folder / f"{stem}{_MAPS}") != entry.map_bytes or not embeddings.is_file():
+    if entry.form == "compact":
+        hashed = folder / f"{stem}{COMPACT}"
+        return hashed.is_file() and _digest(hashed) == entry.embeddings
+    embeddings = folder / f"{stem}{EMBEDDINGS}"
+    if _sized(folder / f"{stem}{MAPS}") != entry.map_bytes or not embeddings.is_file():
         return False
     return _digest(embeddings) == entry.embeddings
 
@@ -205,9 +221,8 @@ def _digest(path: Path) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
-def _stems(folder: Path, ending: str) -> list[str]:
-    names = (path.relative_to(folder).as_posix() for path in folder.rglob(f"*{ending}"))
-    return sorted(name.removesuffix(ending) for name in names)
+def _listed_stems(folder: Path) -> list[str]:
+    return sorted({*stems(folder, MAPS), *stems(folder, COMPACT)})
 
 
 def _as_json(settings: Mapping[str, object]) -> dict[str, object]:

@@ -1,8 +1,11 @@
-"""LangSplat's language features: `<photo>_s.npy`, segment maps, `<photo>_f.npy`, embeddings."""
+"""Language features by photo: LangSplat's `<photo>_s.npy`, segment maps, and `<photo>_f.npy`, embeddings; or our
+compact `<photo>.features.safetensors`, which holds the same.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
@@ -11,11 +14,26 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from ..features import ViewFeatures
 from ..segments import LEVELS
+from .compact_features import CompactFile, read_compact, write_compact
 from .embedding_record import embedded_by
+from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .npy import map_npy, write_npy
 from .photo_files import listed, safe_name
 
-_MAPS, _EMBEDDINGS = "_s.npy", "_f.npy"
+
+class _Pair(NamedTuple):
+    """LangSplat's two files of a photo; `CompactFile` is the other form."""
+
+    path: Path
+    maps: Path
+    embeddings: np.ndarray
+
+    def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
+        return _level_ids(self.maps, level, len(self.embeddings))
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        return tuple(range(len(LEVELS))) if map_npy(self.maps).ndim == 3 else (0,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +61,8 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     def __init__(self, directory: Path, level: int, encoder: EncoderIdentity | None = None) -> None:
         self.directory, self.level = directory, level
         self.encoder = encoder = embedded_by(directory, encoder)
-        self._keys = dict.fromkeys(_listed_keys(directory))
-        self.dim = int(_map_embeddings(self._path(next(iter(self._keys)), _EMBEDDINGS)).shape[1])
+        self._keys = _listed_keys(directory)
+        self.dim = int(self._files(next(iter(self._keys))).embeddings.shape[1])
         if encoder is not None and encoder.dim != self.dim:
             raise MismatchError(
                 f"{directory}: its embeddings have {self.dim} dimensions, those of "
@@ -63,16 +81,24 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
 
         Raises: KeyError: no such photo. FormatError: a damaged file; the error names file and row.
         """
-        key = self.key(name)
-        if key is None:
-            raise KeyError(f"{self.directory} has no features of '{name}'")
-        features = _read_level(self._path(key, _MAPS), self._path(key, _EMBEDDINGS), self.level)
+        files = self._files(self._known(name))
+        features = _one_level(files, self.level)
         if features.embeddings.shape[1] != self.dim:
             raise FormatError(
-                f"{self._path(key, _EMBEDDINGS)}: has {features.embeddings.shape[1]} dimensions, "
+                f"{files.path}: has {features.embeddings.shape[1]} dimensions, "
                 f"the folder's first has {self.dim}"
             )
         return features
+
+    def stored(
+        self, name: str
+    ) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+        """All levels of a photo and its embeddings as they are in its files: what `write_features` takes.
+
+        Raises: as indexing does.
+        """
+        key = self._known(name)
+        return stored_features(self.directory, key, self._keys[key])
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self.key(name) is not None
@@ -83,14 +109,20 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     def __len__(self) -> int:
         return len(self._keys)
 
-    def _path(self, key: str, ending: str) -> Path:
-        return self.directory / f"{key}{ending}"
+    def _known(self, name: str) -> str:
+        key = self.key(name)
+        if key is None:
+            raise KeyError(f"{self.directory} has no features of '{name}'")
+        return key
+
+    def _files(self, key: str) -> _Pair | CompactFile:
+        return _opened(self.directory, key, self._keys[key])
 
 
 def read_features(
     directory: str | Path, level: str | int = "large", encoder: EncoderIdentity | None = None
 ) -> FeatureFolder:
-    """A folder of LangSplat features, one level of it; nothing but headers is read yet.
+    """A folder of features in LangSplat's form or the compact one; one level of it. Read when asked for.
 
     level: "default", "small", "medium" or "large", or 0..3 in this order. A trap: Dr. Splat's own
     preprocessing stores its *large* masks in all four levels and its README trains with
@@ -127,15 +159,20 @@ def write_features(
     segment_ids: Int32[np.ndarray, "*levels h w"],
     embeddings: Float32[np.ndarray, "n d"],
     overwrite: bool = False,
+    form: Form = "langsplat",
 ) -> None:
     """Write one photo's features as LangSplat does: `<stem>_f.npy`, then `<stem>_s.npy`.
 
     The maps come last, so a photo that is listed is complete. segment_ids: (4, H, W) in the order
-    of LEVELS, or one (H, W). Folders in the stem are made.
+    of LEVELS, or one (H, W). Folders in the stem are made. form: "compact" writes the same as one file
+    `<stem>.features.safetensors`, which only drsplat reads, some hundredth of the size. Files of the
+    other form are replaced as well.
 
     Raises: InputError: wrong shapes, an id without a row, a stem that leaves the folder, existing
-    files.
+    files, another form.
     """
+    if form not in ("compact", "langsplat"):
+        raise InputError(f"form: expected 'compact' or 'langsplat', got {form!r}")
     if segment_ids.ndim not in (2, 3) or (
         segment_ids.ndim == 3 and len(segment_ids) != len(LEVELS)
     ):
@@ -147,36 +184,79 @@ def write_features(
     except FormatError as error:
         raise InputError(str(error)) from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_npy(path.with_name(path.name + _EMBEDDINGS), embeddings, overwrite)
-    write_npy(path.with_name(path.name + _MAPS), segment_ids, overwrite)
-
-
-def _listed_keys(directory: Path) -> list[str]:
-    maps = sorted(path.relative_to(directory).as_posix() for path in directory.rglob(f"*{_MAPS}"))
-    keys = [name.removesuffix(_MAPS) for name in maps]
-    if not keys:
+    compact, maps, rows = (
+        path.with_name(path.name + ending) for ending in (COMPACT, MAPS, EMBEDDINGS)
+    )
+    others = (maps, rows) if form == "compact" else (compact,)
+    if not overwrite and any(other.exists() for other in others):
         raise InputError(
-            f"{directory}: expected files <photo>{_MAPS} and <photo>{_EMBEDDINGS} as LangSplat "
-            "writes them"
+            f"{path} has features of another form: pass overwrite=True to replace them"
         )
-    bare = [key for key in keys if not (directory / f"{key}{_EMBEDDINGS}").is_file()]
+    for other in others:
+        other.unlink(missing_ok=True)
+    if form == "compact":
+        write_compact(compact, segment_ids, embeddings, overwrite)
+    else:
+        write_npy(rows, embeddings, overwrite)
+        write_npy(maps, segment_ids, overwrite)
+
+
+def has_features(directory: Path) -> bool:
+    """Whether a folder holds features of any form, it or its subfolders."""
+    return any(next(directory.rglob(f"*{ending}"), None) for ending in (MAPS, COMPACT))
+
+
+def _listed_keys(directory: Path) -> dict[str, Form]:
+    pairs, compact = stems(directory, MAPS), stems(directory, COMPACT)
+    if not pairs and not compact:
+        raise InputError(
+            f"{directory}: expected files <photo>{COMPACT} as drsplat embed writes them, or <photo>{MAPS} "
+            f"and <photo>{EMBEDDINGS} as LangSplat does"
+        )
+    bare = [key for key in pairs if not (directory / f"{key}{EMBEDDINGS}").is_file()]
     if bare:
         raise FormatError(
-            f"{directory}: {len(bare)} of {len(keys)} photos have {_MAPS} but no {_EMBEDDINGS}: "
+            f"{directory}: {len(bare)} of {len(pairs)} photos have {MAPS} but no {EMBEDDINGS}: "
             f"{listed(bare)}"
         )
-    return keys
+    twice = sorted(set(pairs) & set(compact))
+    if twice:
+        raise FormatError(
+            f"{directory}: {len(twice)} photos have features in two forms, {COMPACT} and {MAPS}: remove one: "
+            f"{listed(twice)}"
+        )
+    forms: dict[str, Form] = {
+        **dict.fromkeys(pairs, "langsplat"),
+        **dict.fromkeys(compact, "compact"),
+    }
+    return dict(sorted(forms.items()))
 
 
-def _read_level(maps: Path, embeddings: Path, level: int) -> LevelFeatures:
-    rows = _map_embeddings(embeddings)
-    ids = _level_ids(maps, level, len(rows))
+def stored_features(
+    directory: Path, stem: str, form: Form
+) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+    """See `FeatureFolder.stored`."""
+    files = _opened(directory, stem, form)
+    maps = np.stack([files.ids(level).astype(np.int32) for level in range(len(files.levels))])
+    with np.errstate(over="ignore", under="ignore"):
+        return maps if len(maps) > 1 else maps[0], np.array(files.embeddings, np.float32)
+
+
+def _opened(directory: Path, stem: str, form: Form) -> _Pair | CompactFile:
+    if form == "compact":
+        return read_compact(directory / f"{stem}{COMPACT}")
+    maps, embeddings = (directory / f"{stem}{ending}" for ending in (MAPS, EMBEDDINGS))
+    return _Pair(embeddings, maps, _map_embeddings(embeddings))
+
+
+def _one_level(files: _Pair | CompactFile, level: int) -> LevelFeatures:
+    rows, ids = files.embeddings, files.ids(level)
     used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
     used[ids] = True
     file_rows = np.flatnonzero(used[:-1])
     compact = np.full(len(rows) + 1, -1, np.int32)
     compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
-    return LevelFeatures(compact[ids], _unit_rows(rows, file_rows, embeddings), file_rows)
+    return LevelFeatures(compact[ids], _unit_rows(rows, file_rows, files.path), file_rows)
 
 
 def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:
@@ -195,7 +275,7 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
         raise FormatError(
             f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has segment {stored[y, x]}: "
             "expected -1 or one of "
-            f"the {num_rows} rows of {path.name.removesuffix(_MAPS)}{_EMBEDDINGS}"
+            f"the {num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
         )
     return stored.astype(np.int64)
 

@@ -1,0 +1,159 @@
+"""A photo's features in one small file: each map compressed, and only once, beside the embeddings.
+
+LangSplat's files hold 16 bytes for every pixel, four levels of int32; maps are large areas of one number.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from jaxtyping import Float32, Int32, Int64
+
+from ..errors import FormatError, InputError
+from .tensors import check_tensors, read_tensors, write_tensors
+
+FORMAT = "drsplat features 1"
+MOST_PIXELS = 1 << 27
+"""Of a map: beyond any photo. What a file decompresses to is bounded by it."""
+_WIDE = 1 << 16  # embeddings, from which on ids are kept in 32 bits
+_STRENGTH = 12  # of zstd: a third smaller than its default, and still far quicker than embedding
+_CHUNK = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class CompactFile:
+    """What a file holds; maps are decompressed when they are asked for.
+
+    embeddings: (N, D), as stored. size: height and width of its maps. levels: the number of the map that
+    serves each of the four levels, or the only one, of a file without levels.
+    """
+
+    path: Path
+    embeddings: Float32[np.ndarray, "n d"]
+    size: tuple[int, int]
+    levels: tuple[int, ...]
+    maps: tuple[np.ndarray, ...]
+
+    def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
+        """Row of `embeddings` by pixel, -1 for none.
+
+        Raises: FormatError: damaged, or an id without a row.
+        """
+        height, width = self.size
+        dtype = _dtype(len(self.embeddings))
+        raw = _decompressed(
+            self.maps[self.levels[level if len(self.levels) > 1 else 0]],
+            self.path,
+            height * width * dtype.itemsize,
+        )
+        ids = np.frombuffer(raw, dtype).reshape(height, width).astype(np.int64) - 1
+        if ids.max() >= len(self.embeddings):
+            raise FormatError(f"{self.path}: segment {ids.max()} of {len(self.embeddings)}")
+        return ids
+
+
+def write_compact(
+    path: Path,
+    segment_ids: Int32[np.ndarray, "*levels h w"],
+    embeddings: Float32[np.ndarray, "n d"],
+    overwrite: bool = False,
+) -> None:
+    """Write one photo's features; maps that are alike are kept once.
+
+    Raises: InputError: `path` exists and `overwrite` is false; a map of no or too many pixels.
+    """
+    planes = segment_ids.reshape(-1, *segment_ids.shape[-2:])
+    height, width = planes.shape[1:]
+    if not 0 < height * width <= MOST_PIXELS:
+        raise InputError(f"segment_ids: expected 1 to {MOST_PIXELS:,} pixels, got {width}x{height}")
+    levels = [_first_alike(planes, index) for index in range(len(planes))]
+    kept = sorted(set(levels))
+    dtype = _dtype(len(embeddings))
+    squeeze = zstandard.ZstdCompressor(level=_STRENGTH, write_content_size=False).compress
+    tensors = {
+        f"map_{number}": np.frombuffer(
+            squeeze((planes[index] + 1).astype(dtype).tobytes()), np.uint8
+        )
+        for number, index in enumerate(kept)
+    }
+    about = {
+        "format": FORMAT,
+        "size": json.dumps([height, width]),
+        "levels": json.dumps([kept.index(index) for index in levels]),
+    }
+    write_tensors(path, {"embeddings": embeddings, **tensors}, about, overwrite)
+
+
+def read_compact(path: Path) -> CompactFile:
+    """Read what `write_compact` wrote, compared with its checksums.
+
+    Raises: InputError: there is no such file. FormatError: damaged, or another kind of file.
+    """
+    tensors, about = read_tensors(path)
+    if about.get("format") != FORMAT:
+        raise FormatError(f"{path}: expected '{FORMAT}', got {ascii(about.get('format'))[:60]}")
+    size, levels = (_counts(about.get(name), f"{path}: {name}") for name in ("size", "levels"))
+    names = [f"map_{number}" for number in range(len(set(levels)))]
+    check_tensors(
+        tensors,
+        {"embeddings": ("float32", "n d")} | {name: ("uint8", name) for name in names},
+        str(path),
+    )
+    if (
+        len(size) != 2
+        or not 0 < size[0] * size[1] <= MOST_PIXELS
+        or not tensors["embeddings"].shape[1]
+    ):
+        raise FormatError(
+            f"{path}: expected maps of 1 to {MOST_PIXELS:,} pixels and embeddings, got {list(size)}"
+        )
+    if len(levels) not in (1, 4) or set(levels) != set(range(len(names))):
+        raise FormatError(
+            f"{path}: expected a map for each of four levels, or one, got {list(levels)}"
+        )
+    return CompactFile(
+        path,
+        tensors["embeddings"],
+        (size[0], size[1]),
+        levels,
+        tuple(tensors[name] for name in names),
+    )
+
+
+def _dtype(num_embeddings: int) -> np.dtype[np.unsignedinteger]:
+    """Of ids, which count from 1; 0 is none."""
+    return np.dtype("<u2" if num_embeddings < _WIDE else "<u4")
+
+
+def _first_alike(planes: np.ndarray, index: int) -> int:
+    return next(i for i in range(index + 1) if np.array_equal(planes[i], planes[index]))
+
+
+def _counts(text: str | None, where: str) -> tuple[int, ...]:
+    try:
+        numbers = json.loads(text or "")
+    except (ValueError, RecursionError):
+        numbers = None
+    if (
+        not isinstance(numbers, list)
+        or len(numbers) > 4
+        or not all(type(n) is int and 0 <= n <= MOST_PIXELS for n in numbers)
+    ):
+        raise FormatError(f"{where}: expected a short list of counts")
+    return tuple(numbers)
+
+
+def _decompressed(data: np.ndarray, path: Path, size: int) -> bytes:
+    """Exactly `size` bytes; memory grows with what is there, not with what is promised."""
+    raw = bytearray()
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(data.tobytes()) as stream:
+            while len(raw) <= size and (chunk := stream.read(_CHUNK)):
+                raw += chunk
+    except zstandard.ZstdError as error:
+        raise FormatError(f"{path}: damaged: {error}") from None
+    if len(raw) != size:
+        raise FormatError(f"{path}: damaged: a map of another size than {size} bytes")
+    return bytes(raw)

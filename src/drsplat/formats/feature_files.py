@@ -1,0 +1,14 @@
+"""The names that files of language features have."""
+
+from pathlib import Path
+from typing import Literal
+
+MAPS, EMBEDDINGS = "_s.npy", "_f.npy"  # LangSplat's
+COMPACT = ".features.safetensors"
+Form = Literal["compact", "langsplat"]
+
+
+def stems(directory: Path, ending: str) -> list[str]:
+    """What is before `ending` in the names of a folder's files and those of its subfolders, sorted."""
+    names = (path.relative_to(directory).as_posix() for path in directory.rglob(f"*{ending}"))
+    return sorted(name.removesuffix(ending) for name in names)
