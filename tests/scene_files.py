@@ -2,10 +2,13 @@
 
 import gzip
 import io
+import json
 import struct
+import zipfile
 
 import numpy as np
 import zstandard
+from PIL import Image
 
 from drsplat.gaussians import Gaussians
 
@@ -199,3 +202,90 @@ def sh_basis(d: np.ndarray) -> np.ndarray:
         x * (4 * zz - xx - yy), z * (xx - yy), x * (xx - 3 * yy),
     ]  # fmt: skip
     return np.stack(columns, 1)
+
+
+def webp_bytes(pixels: np.ndarray, lossless: bool = True) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8), "RGBA").save(
+        out, "WEBP", lossless=lossless, exact=True
+    )
+    return out.getvalue()
+
+
+def sog_plane(rows: np.ndarray, width: int = 8) -> bytes:
+    """Rows of up to four bytes as pixels, row by row; what is left over is 255."""
+    height = -(-max(len(rows), 1) // width) + 1
+    pixels = np.full((height * width, 4), 255)
+    pixels[: len(rows), : rows.shape[1]] = rows
+    return webp_bytes(pixels.reshape(height, width, 4))
+
+
+def sog_files(g: Gaussians, version: int = 2) -> dict[str, bytes]:
+    """An unpacked SOG, from its specification; scales, colours and harmonics to 256 steps."""
+    n, coefficients = len(g), g.sh.shape[1] - 1
+    logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
+    low, high = logs.min(0), logs.max(0)
+    steps = np.rint((logs - low) / np.where(high > low, high - low, 1) * 65535).astype(int)
+    largest = np.abs(g.quats).argmax(1)
+    signs = np.sign(g.quats[np.arange(n), largest])[:, None]
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    three = np.take_along_axis(g.quats * signs, others, 1)
+    turned = np.rint((three * 2**0.5 + 1) * 127.5)
+    linear = {
+        "scales": np.log(g.scales), "sh0": g.sh[:, 0], "shN": g.sh[:, 1:],
+        "opacity": np.log(g.opacities / (1 - g.opacities)),
+    }  # fmt: skip
+    ends = {name: (v.min(initial=9), v.max(initial=-9)) for name, v in linear.items()}
+    codes = {
+        k: np.rint((v - ends[k][0]) / (ends[k][1] - ends[k][0]) * 255) for k, v in linear.items()
+    }
+    opacity = codes["opacity"] if version == 1 else np.rint(g.opacities * 255)
+    files = {
+        "means_l.webp": sog_plane(steps & 255),
+        "means_u.webp": sog_plane(steps >> 8),
+        "quats.webp": sog_plane(np.column_stack([turned, 252 + largest])),
+        "scales.webp": sog_plane(codes["scales"]),
+        "sh0.webp": sog_plane(np.column_stack([codes["sh0"], opacity])),
+    }
+
+    def coded(name: str, size: int) -> dict[str, object]:
+        a, b = (float(end) for end in ends[name])
+        if version == 2:
+            return {"codebook": [a + (b - a) * k / 255 for k in range(256)]}
+        last = [float(end) for end in ends["opacity"]] if size == 4 else ()
+        spread = [[end] * min(size, 3) + list(last[k : k + 1]) for k, end in enumerate((a, b))]
+        return dict(zip(("mins", "maxs"), (spread if size else (a, b)), strict=True))
+
+    meta: dict[str, object] = {
+        "means": {"shape": [n, 3], "mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {**coded("scales", 3), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {**coded("sh0", 4), "files": ["sh0.webp"]},
+    }  # fmt: skip
+    if version == 2:
+        meta |= {"version": 2, "count": n}
+    if coefficients:  # a palette in which every Gaussian has its own entry, in reverse
+        rows = -(-n // 64)
+        palette = np.zeros((rows, 64 * coefficients, 4))
+        palette[..., 3] = 255
+        for i in range(n):
+            row, column = divmod(n - 1 - i, 64)
+            for c in range(coefficients):
+                palette[row, column * coefficients + c, :3] = codes["shN"][i, c]
+        labels = np.arange(n)[::-1]
+        files["shN_centroids.webp"] = webp_bytes(palette)
+        files["shN_labels.webp"] = sog_plane(np.column_stack([labels & 255, labels >> 8]))
+        bands = {3: 1, 8: 2, 15: 3}[coefficients]
+        meta["shN"] = {
+            **coded("shN", 0), "files": ["shN_centroids.webp", "shN_labels.webp"],
+            **({"count": n, "bands": bands} if version == 2 else {}),
+        }  # fmt: skip
+    return {"meta.json": json.dumps(meta).encode(), **files}
+
+
+def zip_bytes(files: dict[str, bytes]) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return out.getvalue()

@@ -242,7 +242,7 @@ def test_format_is_told_by_content_not_by_name(tmp_path: Path) -> None:
     }.items():
         (tmp_path / name).write_bytes(data)
         assert np.abs(read_gaussians(tmp_path / name).means - g.means).max() < 4e-3
-    (tmp_path / "f.ply").write_bytes(b"PK\3\4 and so on")
+    (tmp_path / "f.ply").write_bytes(b"KS\3\4 and so on")
     with pytest.raises(FormatError, match=r"f\.ply: no scene format .*splat-transform"):
         read_gaussians(tmp_path / "f.ply")
     (tmp_path / "g.ply").write_bytes(b"")

@@ -4,6 +4,7 @@ Run under the sanitizers by scripts/sanitize. Calls that once did not come back 
 """
 
 import json
+import os
 import subprocess
 import sys
 
@@ -131,6 +132,7 @@ def test_the_head_of_a_row_may_be_beyond_32_bits() -> None:
     in_own_process(HUGE_ROWS)
 
 
+@pytest.mark.skipif("san" in os.environ.get("LD_PRELOAD", ""), reason="sanitizers need the room")
 def test_a_system_without_more_threads_takes_longer() -> None:
     """The process was ended, by threads that were not joined."""
     in_own_process(FEW_THREADS)

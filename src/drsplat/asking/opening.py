@@ -16,7 +16,7 @@ from .encoding import Load, encoder_for
 from .scene import AskableScene
 
 FIELD_SUFFIX = ".field"
-SCENE_SUFFIXES = (".ply", ".spz", ".splat")
+SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat")
 CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
 

@@ -65,6 +65,8 @@ def kind_of(path: Path) -> str:
         return "field"
     if (path / "point_cloud").is_dir():
         return "scene"
+    if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
+        return "scene"
     has_models = any(
         (path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json")
     )
@@ -84,8 +86,11 @@ def _file_kind(path: Path) -> str:
 def _json_kind(path: Path) -> str:
     """cameras.json is a list, transforms.json has frames; a vocabulary may have vectors of that name."""
     from ..formats.json_files import read_json
+    from ..formats.sog import is_sog_meta
 
     document = read_json(path)
+    if is_sog_meta(document):
+        return "scene"
     frames = document.get("frames") if isinstance(document, dict) else document
     posed = isinstance(frames, list) and not any(isinstance(frame, int | float) for frame in frames)
     return "capture" if posed or path.name == "transforms.json" else "vocabulary"

@@ -15,17 +15,21 @@ from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import parse_gaussian_ply, vertex_columns
 from .ply import write_vertices
 from .ply_header import read_header
+from .sog import parse_sog, read_unpacked_sog
+from .sog_files import META, ZIP_MAGIC
 from .splat import parse_splat
-from .spz import MAGIC, parse_spz
+from .spz import MAGIC as SPZ_MAGIC
+from .spz import parse_spz
 
 GZIP_DEFLATE = b"\x1f\x8b\x08"
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, `.splat`, or a trained model's folder.
+    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, `.splat`, or a trained model's folder.
 
     The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
-    In a folder, the PLY of the highest `point_cloud/iteration_*` is read. Row order is the file's.
+    In a folder, its SOG (meta.json, which may be named itself) or the PLY of the highest
+    `point_cloud/iteration_*` is read. Row order is the file's.
     The result is in the axes of the trained scene (RDF for SPZ, see formats.spz) and owns its
     memory.
 
@@ -35,6 +39,8 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     """
     path = scene_file(Path(path))
     try:
+        if path.name == META:
+            return read_unpacked_sog(path)
         content = file_bytes(path)
         if not content.size:
             raise FormatError("the file is empty")
@@ -55,18 +61,20 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
         return (parse_compressed_ply if is_compressed(header) else parse_gaussian_ply)(
             buffer, header
         )
-    if start == MAGIC or start.startswith(GZIP_DEFLATE):
+    if start == SPZ_MAGIC or start.startswith(GZIP_DEFLATE):
         return parse_spz(buffer)
+    if start == ZIP_MAGIC:
+        return parse_sog(buffer)
     if suffix.lower() == ".splat":
         return parse_splat(buffer)
     raise FormatError(
-        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ and .splat can be read. "
-        "Convert others first, e.g. `splat-transform scene.sog scene.ply`"
+        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG and .splat can be read. "
+        "Convert others first, e.g. `splat-transform scene.ksplat scene.ply`"
     )
 
 
 def scene_file(path: Path) -> Path:
-    """The scene file at `path`: itself, or the latest PLY of a trained model's folder.
+    """The scene file at `path`: itself, an unpacked SOG's meta.json, or the latest PLY of a trained model's folder.
 
     Raises: InputError: there is none.
     """
@@ -79,10 +87,12 @@ def scene_file(path: Path) -> Path:
         for ply in path.glob("point_cloud/iteration_*/point_cloud.ply")
         if (match := re.fullmatch(r"iteration_(\d{1,9})", ply.parent.name))
     }
+    if not found and (path / META).is_file():
+        return path / META
     if not found:
         raise InputError(
-            f"{path} is a folder without point_cloud/iteration_*/point_cloud.ply: name the scene "
-            "file itself"
+            f"{path} is a folder without point_cloud/iteration_*/point_cloud.ply or {META}: name the "
+            "scene file itself"
         )
     return found[max(found)]
 

@@ -12,6 +12,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
 from .json_files import as_vector, read_json, shown
 from .replacing import replacing
+from .sog import is_sog_meta
 
 TENSOR = "embeddings"
 
@@ -107,6 +108,11 @@ def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     if not isinstance(document, dict) or not document:
         raise FormatError(
             f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {shown(document)}"
+        )
+    if is_sog_meta(document):
+        raise FormatError(
+            f"{path}: this is the meta.json of an unpacked SOG, a scene, and no vocabulary: name it where "
+            "the Gaussians are asked for"
         )
     first = next(iter(document.values()))
     dim = len(first) if isinstance(first, list) else 0

@@ -1,0 +1,209 @@
+"""PlayCanvas' SOG (SuperSplat's WebP format), versions 1 and 2: planes of bytes as lossless WebP pictures.
+
+Pixel i, row by row, is Gaussian i. means_l and means_u are the low and high bytes of 16-bit steps between mins
+and maxs of sign(x) ln(1 + |x|). quats holds three components of [-1, 1] / sqrt 2 and, as 252 + its index
+(w, x, y, z), the largest. Version 2 looks up the logarithms of scales, the colours and the further harmonics in
+codebooks of 256; its alpha is the opacity. Version 1, which states no version, has steps of 255 between
+mins and maxs instead, and the logit of the opacity. Harmonics beyond the first are those of a palette: 64
+entries a row, a pixel for each coefficient (of the three channels); labels are 16 bits in red and green.
+
+Axes are those of the PLY that it was made from, as splat-transform reads and writes it.
+
+Source: developer.playcanvas.com, "The SOG Format"; splat-transform's readers for version 1.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..errors import FormatError
+from ..gaussians import Gaussians
+from .activation import checked, exp, from_smallest_three, sigmoid
+from .json_files import as_count, as_number, as_vector, shown
+from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member
+from .spz_streams import refuse_implausible
+
+COEFFICIENTS = (0, 3, 8, 15)  # of each channel beyond the constant one, by degree
+PALETTE_ROW = 64
+LARGEST_PALETTE = 1 << 16
+SPARE_ROWS = 8  # writers round both sides of a picture up to fours
+_FIRST_TAG = 252
+Bytes = UInt8[np.ndarray, "n 4"]
+
+
+def read_unpacked_sog(meta: Path) -> Gaussians:
+    """A SOG whose files lie beside its meta.json.
+
+    Raises: FormatError: as `parse_sog`.
+    """
+    return _Sog(folder_member(meta.parent)).gaussians()
+
+
+def parse_sog(buffer: memoryview) -> Gaussians:
+    """A bundled SOG (.sog), a ZIP.
+
+    Raises: FormatError: a damaged archive, file or picture; counts that the pictures cannot hold, or
+    pictures that are far larger than the count; a version that is not known; rows that are no Gaussians.
+    """
+    return _Sog(zip_member(buffer)).gaussians()
+
+
+class _Sog:
+    def __init__(self, member: Member) -> None:
+        self.member = member
+        self.meta = _document(member(META))
+        version = self.meta.get("version")
+        if version not in (None, 2) or isinstance(version, bool):
+            raise FormatError(f"SOG version {shown(version)}; 1 and 2 can be read: export it again")
+        if version is None:
+            shape = _part(self.meta, "means").get("shape")
+            count = shape[0] if isinstance(shape, list) and shape else None
+        else:
+            count = self.meta.get("count")
+        self.legacy, self.count = version is None, as_count(count, f"{META}: count")
+        if self.count < 0:
+            raise FormatError(f"{META}: expected a count of Gaussians, got {self.count}")
+
+    def gaussians(self) -> Gaussians:
+        means, quats, scales = self._means(), self._quats(), self._scales()
+        colours = self._plane("sh0")
+        return checked(means, quats, scales, self._opacities(colours), self._harmonics(colours))
+
+    def _plane(self, part: str, place: int = 0) -> Bytes:
+        """The pixels of the Gaussians, in a picture that holds them and hardly more."""
+        name = _file(self.meta, part, place)
+        data = self.member(name)
+        width, height = webp_size(data, name)
+        needed = -(-self.count // width) * width
+        if not self.count <= width * height <= needed + SPARE_ROWS * width:
+            raise FormatError(f"'{name}' is {width}x{height} pixels for {self.count} Gaussians")
+        # The low bytes of positions are noise in any scene; other planes may well be all of one colour.
+        noise = len(self.member(_file(self.meta, "means", 0)))
+        refuse_implausible(4 * width * height, max(noise, len(data)))
+        return webp_pixels(data, name).reshape(-1, 4)[: self.count]
+
+    def _between(self, part: str, steps: np.ndarray, most: int) -> Float32[np.ndarray, "n k"]:
+        """`most` steps from mins to maxs."""
+        mins, maxs = (
+            as_vector(_part(self.meta, part).get(end), steps.shape[1], f"{META}: {part}: {end}")
+            for end in ("mins", "maxs")
+        )
+        values: np.ndarray = mins + (maxs - mins) * (steps / most)
+        return values.astype(np.float32)
+
+    def _looked_up(self, part: str, codes: np.ndarray) -> Float32[np.ndarray, "*n"]:
+        book = as_vector(_part(self.meta, part).get("codebook"), 256, f"{META}: {part}: codebook")
+        return np.asarray(book.astype(np.float32)[codes])
+
+    def _means(self) -> Float32[np.ndarray, "n 3"]:
+        low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
+        logs = self._between("means", low | high << 8, 65535).astype(np.float64)
+        means: np.ndarray = np.sign(logs) * np.expm1(np.abs(logs))
+        return means.astype(np.float32)
+
+    def _quats(self) -> Float32[np.ndarray, "n 4"]:
+        plane = self._plane("quats")
+        bad = np.flatnonzero(plane[:, 3] < _FIRST_TAG)
+        if len(bad):
+            raise FormatError(
+                f"{len(bad)} of {self.count} rows have rotations without their largest component; the "
+                f"first is row {bad[0]}"
+            )
+        three = (plane[:, :3] / np.float32(127.5) - 1) * np.float32(0.5**0.5)
+        return from_smallest_three(three.astype(np.float32), plane[:, 3] - np.uint8(_FIRST_TAG))
+
+    def _scales(self) -> Float32[np.ndarray, "n 3"]:
+        sizes = self._plane("scales")[:, :3]
+        return exp(
+            self._between("scales", sizes, 255) if self.legacy else self._looked_up("scales", sizes)
+        )
+
+    def _opacities(self, colours: Bytes) -> Float32[np.ndarray, " n"]:
+        if self.legacy:
+            return sigmoid(self._between("sh0", colours, 255)[:, 3])
+        return np.asarray(colours[:, 3] / np.float32(255))
+
+    def _harmonics(self, colours: Bytes) -> Float32[np.ndarray, "n k 3"]:
+        if self.legacy:
+            first = self._between("sh0", colours, 255)[:, None, :3]
+        else:
+            first = self._looked_up("sh0", colours[:, None, :3])
+        return np.concatenate([first, self._further()], axis=1) if "shN" in self.meta else first
+
+    def _further(self) -> Float32[np.ndarray, "n k 3"]:
+        palette = self._palette()
+        labels = self._plane("shN", 1)[:, :2].astype(np.uint16)
+        chosen = labels[:, 0] | labels[:, 1] << 8
+        if self.count and chosen.max() >= len(palette):
+            raise FormatError(
+                f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}"
+            )
+        return np.asarray(palette[chosen])
+
+    def _palette(self) -> Float32[np.ndarray, "p k 3"]:
+        name = _file(self.meta, "shN", 0)
+        data = self.member(name)
+        width, height = webp_size(data, name)
+        size, coefficients = self._palette_shape(width, height)
+        if (
+            width != PALETTE_ROW * coefficients
+            or not size <= PALETTE_ROW * height <= LARGEST_PALETTE
+        ):
+            raise FormatError(f"'{name}' is {width}x{height} pixels for a palette of {size}")
+        pixels = webp_pixels(data, name)[..., :3].reshape(-1, coefficients, 3)[:size]
+        if not self.legacy:
+            return self._looked_up("shN", pixels)
+        part = _part(self.meta, "shN")
+        low, high = (as_number(part.get(end), f"{META}: shN: {end}") for end in ("mins", "maxs"))
+        return (low + (high - low) * (pixels / np.float64(255))).astype(np.float32)
+
+    def _palette_shape(self, width: int, height: int) -> tuple[int, int]:
+        """Entries and coefficients of each; version 1 says neither but by the picture's size."""
+        if self.legacy:
+            coefficients = width // PALETTE_ROW
+            return PALETTE_ROW * height, coefficients if coefficients in COEFFICIENTS[1:] else 0
+        part = _part(self.meta, "shN")
+        bands = as_count(part.get("bands"), f"{META}: shN: bands")
+        if not 1 <= bands <= 3:
+            raise FormatError(f"{META}: shN: expected 1 to 3 bands, got {shown(bands)}")
+        size = as_count(part.get("count"), f"{META}: shN: count")
+        if not 1 <= size <= LARGEST_PALETTE:
+            raise FormatError(f"{META}: shN: expected 1 to {LARGEST_PALETTE} entries, got {size}")
+        return size, COEFFICIENTS[bands]
+
+
+def _document(data: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{META}: expected JSON: {error}") from None
+    if not is_sog_meta(found):
+        raise FormatError(f"{META}: expected that of a SOG, with means, scales, quats and sh0")
+    return dict(found)
+
+
+def is_sog_meta(document: object) -> bool:
+    """Whether this is what a SOG's meta.json holds."""
+    return isinstance(document, dict) and all(
+        isinstance(document.get(part), dict) for part in ("means", "scales", "quats", "sh0")
+    )
+
+
+def _part(meta: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    found = meta.get(name)
+    if not isinstance(found, dict):
+        raise FormatError(f"{META}: {name}: expected an object, got {shown(found)}")
+    return found
+
+
+def _file(meta: Mapping[str, Any], part: str, place: int) -> str:
+    files = _part(meta, part).get("files")
+    if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
+        raise FormatError(f"{META}: {part}: files: expected a list of names, got {shown(files)}")
+    if place >= len(files):
+        raise FormatError(f"{META}: {part}: expected {place + 1} files, got {len(files)}")
+    return str(files[place])
