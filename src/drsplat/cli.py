@@ -114,6 +114,7 @@ def _thread_count(text: str) -> int:
 
 
 def _run(argv: list[str]) -> int:
+    _refuse_empty(argv)
     arguments = make_parser().parse_args(argv)
     if arguments.threads and "numpy" not in sys.modules:  # its BLAS reads them once
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
@@ -124,6 +125,19 @@ def _run(argv: list[str]) -> int:
         arguments.command.show(answer)
     sys.stdout.flush()
     return 0
+
+
+def _refuse_empty(argv: list[str]) -> None:
+    """An empty name would be this folder, or a default: a shell wrote it for a variable that is not set.
+
+    Raises: UsageError.
+    """
+    for before, given in zip(["drsplat", *argv], argv, strict=False):
+        option, equals, value = given.partition("=")
+        if not given or (option.startswith("--") and equals and not value):
+            raise UsageError(
+                f"expected a name or a text after {option or before}, got an empty one"
+            )
 
 
 def _plain(value: object) -> object:

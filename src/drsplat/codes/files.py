@@ -8,6 +8,7 @@ import numpy as np
 
 from ..encoders import EncoderIdentity, identity_json
 from ..errors import FormatError, InputError, MismatchError
+from ..formats.json_files import is_text, parsed
 from ..formats.tensors import check_tensors, map_tensors, write_tensors
 from .codebook import Codebook
 
@@ -37,7 +38,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
             f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}"
         )
     try:
-        identity = json.loads(metadata.get("encoder", ""))
+        identity = parsed(metadata.get("encoder", ""))
     except (ValueError, RecursionError):
         identity = None
     return codebook_from_tensors(tensors, identity, metadata.get("hash"), str(path))
@@ -76,6 +77,6 @@ def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
     name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
     preprocessing = identity.get("preprocessing", "")
     texts = (name, weights, preprocessing)
-    if all(isinstance(text, str) for text in texts) and type(dim) is int and dim > 0:
+    if all(map(is_text, texts)) and type(dim) is int and dim > 0:
         return EncoderIdentity(str(name), dim, str(weights), preprocessing)
     raise FormatError(f"{where}: expected the encoder's name, dim and weights")

@@ -101,6 +101,8 @@ def open_record(
     Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a
     damaged record.
     """
+    if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
+        raise InputError(f"{folder} is no folder: name one for the features, or a new one")
     path, settings = folder / FILE_NAME, _as_json(settings)
     if path.is_file() and not overwrite:
         before, finished = _read(path)

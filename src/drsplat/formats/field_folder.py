@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import FormatError, InputError
 from .checksums import sealed
+from .json_files import parsed
 from .replacing import (
     lock,
     refuse_missing_parent,
@@ -95,7 +96,7 @@ def read_manifest(path: Path) -> dict[str, object]:
     """
     try:
         with (path / MANIFEST).open("rb") as file:
-            manifest = json.loads(file.read(_MAX_MANIFEST))
+            manifest = parsed(file.read(_MAX_MANIFEST))
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise InputError(f"{path}: there is no such field (no {MANIFEST} in it)") from None
     except (ValueError, RecursionError) as error:
