@@ -19,6 +19,7 @@ from drsplat.field import LanguageField, build_field, load_field
 from drsplat.formats.checksums import sealed
 from drsplat.formats.replacing import replacing, sweep
 from drsplat.formats.tensors import map_tensors, read_tensors, write_tensors
+from drsplat.formats.vocabulary import read_vocabulary
 from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
 from mutations import quota
 
@@ -99,10 +100,42 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path: Path) -> None:
 def test_inspect_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = saved_field(tmp_path)
     assert main(["inspect", str(path), "--verify", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["verified"] is True
+    assert "codes.safetensors" in json.loads(capsys.readouterr().out)["verified"]
     damage(path / "negatives.safetensors", "maxima")
     assert main(["inspect", str(path), "--verify"]) == 1
     assert "'maxima' is not what was written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", [["--output", ""], ["--output="]])
+def test_empty_names_are_refused(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """They would be the current folder, or the default."""
+    assert main(["embed", "capture", *given]) == 2
+    assert "after --output, got an empty one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ('{"vase": [1, 0], "vase": [0, 1]}', "'vase' is given twice"),
+        (r'{"\ud800": [1, 0]}', "surrogates"),
+    ],
+)
+def test_vocabularies_whose_names_are_no_names_are_refused(
+    text: str, reason: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(FormatError, match=reason):
+        read_vocabulary(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("dtype", ["F8_E4M3", "F4", "BF16", "C64"])
+def test_vocabularies_of_other_numbers_are_refused(dtype: str, tmp_path: Path) -> None:
+    entry = {"dtype": dtype, "shape": [1, 16], "data_offsets": [0, 16]}
+    header = json.dumps({"__metadata__": {"texts": '["vase"]'}, "embeddings": entry}).encode()
+    content = len(header).to_bytes(8, "little") + header + bytes(16)
+    (tmp_path / "a.safetensors").write_bytes(content)
+    with pytest.raises(FormatError, match=f"dtype '{dtype}' is none of"):
+        read_vocabulary(tmp_path / "a.safetensors")
 
 
 def test_fields_of_version_2_have_no_checksums_and_load(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from ..encoders import identity_json
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.embedding_record import encoder_from_json
+from ..formats.json_files import parsed
 from ..formats.tensors import check_tensors, map_tensors, write_tensors
 from .codebook import Codebook
 
@@ -38,7 +39,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
             f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}"
         )
     try:
-        identity = json.loads(metadata.get("encoder", ""))
+        identity = parsed(metadata.get("encoder", ""))
     except (ValueError, RecursionError):
         identity = None
     return codebook_from_tensors(tensors, identity, metadata.get("hash"), str(path))

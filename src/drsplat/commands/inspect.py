@@ -178,7 +178,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "negatives": list(field.negatives.texts) if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},
         "fingerprint": field.fingerprint,
-        "verified": arguments.verify,
+        **({"verified": [file.name for file in files]} if arguments.verify else {}),
     }
 
 

@@ -10,7 +10,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from .checksums import check_seal, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
-from .json_files import read_json, shown
+from .json_files import is_text, read_json, shown
 from .photo_files import listed
 from .replacing import replacing
 
@@ -101,6 +101,8 @@ def open_record(
     Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a
     damaged record.
     """
+    if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
+        raise InputError(f"{folder} is no folder: name one for the features, or a new one")
     path, settings = folder / FILE_NAME, _as_json(settings)
     if path.is_file() and not overwrite:
         before, finished = _read(path)
@@ -172,7 +174,7 @@ def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
     name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
     preprocessing = identity.get("preprocessing", "")
     texts = (name, weights, preprocessing)
-    if all(isinstance(text, str) for text in texts) and type(dim) is int and dim > 0:
+    if all(map(is_text, texts)) and type(dim) is int and dim > 0:
         return EncoderIdentity(str(name), dim, str(weights), preprocessing)
     raise FormatError(f"{where}: expected the encoder's name, dim and weights")
 

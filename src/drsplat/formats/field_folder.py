@@ -18,6 +18,7 @@ import numpy as np
 from ..contents import open_file
 from ..errors import FormatError, InputError
 from .checksums import sealed
+from .json_files import parsed
 from .replacing import (
     lock,
     refuse_missing_parent,
@@ -96,7 +97,7 @@ def read_manifest(path: Path) -> dict[str, object]:
     """
     try:
         with open_file(path / MANIFEST) as file:
-            manifest = json.loads(file.read(_MAX_MANIFEST))
+            manifest = parsed(file.read(_MAX_MANIFEST))
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: there is no such field (no {MANIFEST} in it)") from None
     except (ValueError, RecursionError) as error:

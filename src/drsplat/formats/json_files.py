@@ -14,15 +14,45 @@ from ..errors import FormatError, InputError
 def read_json(path: Path) -> object:
     """The document in `path`.
 
-    Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, or nested too
-    deep.
+    Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, nested too deep,
+    or as `parsed` says.
     """
     try:
-        return json.loads(file_text(path))
+        return parsed(file_text(path))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{path}: expected JSON: {error}") from error
+
+
+def parsed(text: str | bytes) -> object:
+    """A JSON document in which each name is given once, and all text is Unicode that can be written.
+
+    Raises: ValueError, RecursionError: it is not.
+    """
+    text = text.decode("utf-8-sig") if isinstance(text, bytes) else text
+    document: object = json.loads(text, object_pairs_hook=unique_names)
+    if "\\u" in text:  # only so may half a character come in
+        json.dumps(document, ensure_ascii=False).encode()
+    return document
+
+
+def is_text(value: object) -> bool:
+    """Text that can be written: no half of a character, which JSON can hold."""
+    return isinstance(value, str) and value == value.encode(errors="ignore").decode()
+
+
+def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """For json.loads, which takes the last of two.
+
+    Raises: ValueError: a name is given twice.
+    """
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{shown(twice)} is given twice")
+    return entries
 
 
 def as_number(value: object, where: str) -> float:

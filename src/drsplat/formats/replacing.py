@@ -79,10 +79,15 @@ def refuse_missing_parent(path: Path) -> None:
 
 @contextmanager
 def saying_what_is_full(path: Path) -> Iterator[None]:
-    """Raises: NoRoom: the block ran out of disk while it wrote `path`, or something for it."""
+    """Raises: NoRoom: the block ran out of disk while it wrote `path`, or something for it. InputError: it may
+    not write there.
+    """
     try:
         yield
     except OSError as error:
+        if error.errno in (errno.EROFS, errno.EACCES):
+            reason = os.strerror(error.errno)
+            raise InputError(f"{path}: cannot be written ({reason}): name another place") from error
         if error.errno not in _NO_ROOM:
             raise
         raise NoRoom(_told(path, os.strerror(error.errno)), os.strerror(error.errno)) from error

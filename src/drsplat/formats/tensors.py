@@ -15,6 +15,7 @@ import numpy as np
 from ..contents import file_bytes
 from ..errors import FormatError, InputError
 from .checksums import check_checksums, check_header, raw_bytes, with_checksums
+from .json_files import unique_names
 from .replacing import replacing
 
 _DTYPES = {
@@ -139,19 +140,12 @@ def _header(raw: np.ndarray, path: Path) -> tuple[dict[str, Any], np.ndarray]:
             f"{path}: expected safetensors: a header of {length} bytes in a file of {raw.size}"
         )
     try:
-        header = json.loads(raw[8 : 8 + length].tobytes(), object_pairs_hook=_unique)
+        header = json.loads(raw[8 : 8 + length].tobytes(), object_pairs_hook=unique_names)
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{path}: the safetensors header is not JSON: {error}") from None
     if not isinstance(header, dict):
         raise FormatError(f"{path}: the safetensors header must be an object")
     return header, raw[8 + length :]
-
-
-def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    entries = dict(pairs)
-    if len(entries) < len(pairs):
-        raise ValueError("a name is given twice")
-    return entries
 
 
 def _is_count(value: object) -> bool:

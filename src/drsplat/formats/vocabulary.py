@@ -10,9 +10,10 @@ from jaxtyping import Float32
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
-from .json_files import as_vector, read_json, shown
-from .replacing import replacing
+from .checksums import check_checksums
+from .json_files import as_vector, is_text, parsed, read_json, shown
 from .sog import is_sog_meta
+from .tensors import map_tensors, write_tensors
 
 TENSOR = "embeddings"
 
@@ -91,16 +92,13 @@ def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bo
 
     Raises: InputError: the file exists and `overwrite` is false, or its folder does not.
     """
-    from safetensors.numpy import save
-
     identity = encoder.identity
     metadata = {
         "texts": json.dumps(encoder.texts),
         "name": identity.name,
         "weights": identity.weights,
     }
-    with replacing(path, overwrite) as file:
-        file.write(save({TENSOR: np.ascontiguousarray(encoder.embeddings)}, metadata))
+    write_tensors(path, {TENSOR: encoder.embeddings}, metadata, overwrite)
 
 
 def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
@@ -123,17 +121,21 @@ def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
 
 
 def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, str]]:
-    from safetensors import SafetensorError, safe_open
-
-    try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            vectors = file.get_tensor(TENSOR)
-        texts = json.loads(metadata.get("texts", "null"))
-    except (SafetensorError, ValueError, TypeError, RecursionError) as error:
+    tensors, metadata = map_tensors(path)
+    vectors = tensors.get(TENSOR)
+    if vectors is None or "texts" not in metadata:
         raise FormatError(
-            f"{path}: expected a safetensors file with '{TENSOR}' and metadata 'texts': {error}"
-        ) from error
+            f"{path}: expected a safetensors file with '{TENSOR}' and metadata 'texts'"
+        )
+    check_checksums(tensors, metadata, str(path), required=False)
+    try:
+        texts = parsed(metadata["texts"])
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: expected metadata 'texts' and 'name': {error}") from error
+    if not is_text(metadata.get("name", "")) or not is_text(metadata.get("weights", "")):
+        raise FormatError(
+            f"{path}: expected the encoder's name and weights as text in its metadata"
+        )
     if (
         not isinstance(texts, list)
         or not all(isinstance(text, str) for text in texts)
