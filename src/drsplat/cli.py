@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from io import TextIOWrapper
 from typing import NoReturn, TextIO
 
 from .errors import DrSplatError, DrSplatWarning
@@ -48,6 +49,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
     as_json, debug = "--json" in given, "--debug" in given
+    if isinstance(
+        sys.stdout, TextIOWrapper
+    ):  # a name that the terminal has no letters for is told all the same
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with _warnings_as_lines():
             return _run(given)
