@@ -113,6 +113,17 @@ def test_empty_names_are_refused(given: list[str], capsys: pytest.CaptureFixture
     assert "after --output, got an empty one" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("name", "encoding"), [("v\xe4se", "ascii"), ("v\udcffse", "utf-8")])
+def test_any_name_is_printed_on_any_terminal(name: str, encoding: str, tmp_path: Path) -> None:
+    toy_field().save(tmp_path / name)
+    ran = subprocess.run(
+        [sys.executable, "-m", "drsplat", "inspect", tmp_path / name],
+        env=os.environ | {"PYTHONIOENCODING": encoding}, capture_output=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    assert rb"v\xe4se" in ran.stdout or rb"v\udcffse" in ran.stdout
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from io import TextIOWrapper
 from typing import NoReturn, TextIO
 
 from .commands.options import whole
@@ -52,6 +53,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
     as_json, debug = "--json" in given, "--debug" in given
+    if isinstance(
+        sys.stdout, TextIOWrapper
+    ):  # a name that the terminal has no letters for is told all the same
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(given)
     except UsageError as error:
