@@ -17,6 +17,7 @@ from .codes import Track, encoder_from_json, untracked
 from .crops import crops
 from .encoders import EncoderIdentity, ImageEncoder, identity_json
 from .errors import DrSplatWarning, InputError
+from .formats.claiming import claimed_folder
 from .formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
 from .formats.langsplat import write_features
 from .formats.photo_files import listed
@@ -65,7 +66,8 @@ def embed(
     overwrite: makes everything anew, also over features that others made.
 
     Warns: DrSplatWarning: views without photo, changed settings, files left from other settings.
-    Raises: InputError: no photo, photos that would share a file, features of others in the folder.
+    Raises: InputError: no photo, photos that would share a file, features of others in the folder, another
+    process that embeds into it.
     FormatError: a damaged photo or embedding.json.
     Source: LangSplat preprocess.py; Dr. Splat Sec. A.
     """
@@ -78,14 +80,15 @@ def embed(
         "max_height": max_height,
         "algorithm": ALGORITHM,
     }
-    record = open_record(Path(output_dir), settings, overwrite)
-    _tell_changes(record)
-    photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
-    pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
-    redone = sum(record.has_files(stem) for stem in pending)
-    for stem in track(pending, "embedding photos"):
-        _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder)
-    _tell_leftovers(record)
+    with claimed_folder(output_dir):
+        record = open_record(Path(output_dir), settings, overwrite)
+        _tell_changes(record)
+        photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
+        pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
+        redone = sum(record.has_files(stem) for stem in pending)
+        for stem in track(pending, "embedding photos"):
+            _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder)
+        _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
     return EmbeddingReport(
         len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes
