@@ -26,7 +26,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 ORDER = (
     "errors", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
     "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
-    "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "viewing", "training",
+    "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent

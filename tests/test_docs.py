@@ -61,7 +61,7 @@ def masks(gaussians: ds.Gaussians, view: ds.View) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory) -> Path:
-    """A folder with scene.ply, capture/ and clip_texts.json, as the documents name them."""
+    """A folder with scene.ply, points.ply, capture/ and clip_texts.json, as the documents name them."""
     folder = tmp_path_factory.mktemp("documents")
     for name in ("capture/images", "capture/language_features"):
         (folder / name).mkdir(parents=True)
@@ -77,6 +77,7 @@ def capture(tmp_path_factory) -> Path:
         rows = encoder.encode_texts(list(THINGS))
         ds.write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
     ds.write_gaussians(folder / "scene.ply", gaussians)
+    ds.write_gaussians(folder / "points.ply", gaussians)  # of which the positions are read
     ds.write_cameras_json(folder / "capture/cameras.json", views)
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
