@@ -26,7 +26,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 ORDER = (
     "errors", "terminal", "kinds", "contents", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
     "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
-    "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "training",
+    "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent

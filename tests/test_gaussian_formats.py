@@ -465,3 +465,43 @@ def test_spz_written_by_gsply(tmp_path: Path) -> None:
         )
         back = read_gaussians(tmp_path / f"{version}.spz")
         assert_close(back, g, means=2.6e-4, scales=0.064, opacities=0.0042, sh=0.07, quats=6e-3)
+
+
+# What the viewer of 3DGS reads
+
+
+def read_as_sibr(data: bytes) -> tuple[int, np.ndarray]:
+    """Line 1 and 2 are not looked at, line 3 is the count, then anything up to end_header, then rows of 62 floats:
+    position, normal, 3 + 45 harmonics, opacity, 3 scales, 4 of a rotation."""
+    head, rows = data.split(b"end_header\n", 1)
+    lines = head.split(b"\n")
+    assert lines[:2] == [b"ply", b"format binary_little_endian 1.0"]
+    _, _, count = lines[2].split()
+    wanted = int(count) * 62 * 4
+    assert len(rows) >= wanted
+    return int(count), np.frombuffer(rows[:wanted], "<f4").reshape(-1, 62)
+
+
+@pytest.mark.parametrize(("degree", "filled"), [(3, None), (1, 3), (0, 3)])
+def test_what_is_written_is_what_the_viewer_of_3dgs_reads(tmp_path, degree, filled) -> None:
+    g = random_gaussians(np.random.default_rng(0), 50, degree)
+    write_gaussians(tmp_path / "scene.ply", g, sh_degree=filled)
+    count, rows = read_as_sibr((tmp_path / "scene.ply").read_bytes())
+    assert count == 50
+    np.testing.assert_array_equal(rows[:, :3], g.means)
+    assert not rows[:, 3:6].any()
+    np.testing.assert_array_equal(rows[:, 6:9], g.sh[:, 0])
+    rest = rows[:, 9:54].reshape(50, 3, 15).transpose(0, 2, 1)
+    np.testing.assert_array_equal(rest[:, : g.sh.shape[1] - 1], g.sh[:, 1:])
+    assert not rest[:, g.sh.shape[1] - 1 :].any()
+    np.testing.assert_allclose(1 / (1 + np.exp(-rows[:, 54])), g.opacities, atol=1e-6)
+    np.testing.assert_allclose(np.exp(rows[:, 55:58]), g.scales, rtol=1e-5)
+    np.testing.assert_array_equal(rows[:, 58:], g.quats)
+    assert read_gaussians(tmp_path / "scene.ply").extra == {}
+
+
+def test_harmonics_are_not_cut(tmp_path) -> None:
+    g = random_gaussians(np.random.default_rng(0), 5, 2)
+    for degree in (1, 4):
+        with pytest.raises(InputError, match="sh_degree: expected 2"):
+            write_gaussians(tmp_path / "scene.ply", g, sh_degree=degree)

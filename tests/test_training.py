@@ -19,6 +19,7 @@ import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
 from drsplat.cli import main
 from drsplat.formats.captures import read_sparse_points
+from drsplat.formats.ply import write_vertices
 from drsplat.formats.replacing import replacing
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.training.devices import chosen_device
@@ -89,10 +90,16 @@ def test_the_chain_learns_within_its_budget(views, points):
     assert len(training.gaussians) == 350
 
 
-def test_without_points_it_starts_at_random_and_still_learns(views):
+@pytest.mark.filterwarnings("ignore:held-out photos")
+def test_without_points_it_starts_from_found_and_random_ones_and_still_learns(views):
     settings = ds.TrainingSettings(iterations=150, random_points=2000, sh_degree=0)
-    before = ds.train(views, replace(settings, iterations=1), device="cpu").evaluation.psnr
-    assert ds.train(views, settings, device="cpu").evaluation.psnr > before + 3
+    with pytest.warns(ds.DrSplatWarning, match="triangulating 14 photos gave"):
+        before = ds.train(views[::2], replace(settings, iterations=1), device="cpu").evaluation.psnr
+    with pytest.warns(ds.DrSplatWarning, match="2,000 random points as well"):
+        after = ds.train(views[::2], settings, device="cpu")
+    assert after.evaluation.psnr > before + 3
+    assert after.start["random"] == 2000
+    assert after.measures()["start"] == after.start
 
 
 def test_pixels_past_the_photo_teach_nothing(views, points):
@@ -187,8 +194,8 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
     )  # fmt: skip
     assert seen == list(range(71, 121))
     assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
-    assert not (tmp_path / "killed/checkpoint.safetensors").exists()
     assert not leftover.exists()
+    assert not (tmp_path / "killed/.lock").exists()
 
 
 # --- the folder ---
@@ -211,8 +218,11 @@ def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, 
     before = checkpoint.read_bytes()
     with pytest.raises(ds.MismatchError, match=r"other settings.*--overwrite"):
         ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
-    with pytest.raises(ds.MismatchError, match="other capture"):
+    with pytest.raises(ds.MismatchError, match="other poses and photos:"):
         ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")
+    fewer = ds.SparsePoints(points.positions[1:], points.colors[1:])
+    with pytest.raises(ds.MismatchError, match="other points:"):
+        ds.train(views, BUSY, tmp_path / "model", points=fewer, device="cpu")
     assert checkpoint.read_bytes() == before
     fresh = replace(BUSY, seed=1, iterations=5)
     ds.train(views, fresh, tmp_path / "model", points=points, overwrite=True, device="cpu")
@@ -235,7 +245,7 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
     elif how == "type":
         arrays["parameters.sh"] = arrays["parameters.sh"].astype(np.float64)
     elif how == "version":
-        texts["version"] = "2"
+        texts["version"] = "1"
     else:
         texts[how] = "nonsense"
 
@@ -281,8 +291,6 @@ def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
     ds.train(views, quick, tmp_path, points=points, overwrite=True, device="cpu")
     assert (tmp_path / "holiday.txt").read_text() == "mine"
     assert not old.exists()  # it would be taken for the latest
-    with pytest.raises(ds.InputError, match="not empty"):
-        ds.train(views, quick, tmp_path, points=points, device="cpu")
     (tmp_path / "file").write_text("")
     with pytest.raises(ds.InputError, match="is a file"):
         ds.train(views, quick, tmp_path / "file", points=points, device="cpu")
@@ -308,7 +316,7 @@ def test_a_full_disk_is_a_clear_error_and_leaves_nothing_half_written(capture, t
     assert "free some space" in ran.stderr
     assert "Traceback" not in ran.stderr
     written = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
-    assert written == {"cameras.json", "input.ply", "settings.json"}
+    assert written == {"cameras.json", "cfg_args", "input.ply", "settings.json"}
 
 
 def test_other_failures_to_write_stay_what_they_are(tmp_path):
@@ -336,8 +344,8 @@ def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
     assert files == {
         "point_cloud/iteration_10/point_cloud.ply", "point_cloud/iteration_30/point_cloud.ply",
-        "cameras.json", "cfg_args", "input.ply", "results.json", "settings.json",
-        "test/photo_00.png",
+        "cameras.json", "cfg_args", "checkpoint.safetensors", "input.ply", "results.json",
+        "settings.json", "test/photo_00.png",
     }  # fmt: skip
     assert len(ds.read_gaussians(folder)) == 300
     assert ds.read_gaussians(folder).sh_degree == 1
@@ -403,14 +411,160 @@ def test_the_verb_refuses_points_that_are_not_finite(capture, tmp_path, capsys):
     assert not (tmp_path / "m").exists()
 
 
-def test_the_verb_says_when_it_starts_at_random(capture, tmp_path, capsys):
+def without_points(capture: Path, folder: Path) -> tuple[str, ...]:
+    """Arguments of the verb for a copy of the capture."""
     for name in ("cameras.txt", "images.txt"):
-        (tmp_path / name).write_bytes((capture / "sparse/0" / name).read_bytes())
-    options = ("--images", str(capture / "images"), "-o", str(tmp_path / "m"), "--device", "cpu")
-    budget = ("--max-gaussians", "500", "--iterations", "1")
-    assert main(["train", str(tmp_path), *options, *budget]) == 0
-    assert "no sparse points" in capsys.readouterr().err
+        (folder / name).write_bytes((capture / "sparse/0" / name).read_bytes())
+    return (str(folder), "--images", str(capture / "images"), "-o", str(folder / "m"))
+
+
+def test_the_verb_says_that_it_triangulates(capture, tmp_path, capsys):
+    options = ("--device", "cpu", "--max-gaussians", "500", "--iterations", "1")
+    assert main(["train", *without_points(capture, tmp_path), *options]) == 0
+    said = capsys.readouterr()
+    assert "has no points: triangulating" in said.err
+    assert "random points as well" in said.err
+    assert "500 random points" in said.out
     assert len(ds.read_gaussians(tmp_path / "m")) == 500
+
+
+def test_the_verb_starts_from_a_file_of_points(capture, points, tmp_path, capsys):
+    write_vertices(tmp_path / "cloud.ply", dict(zip("xyz", points.positions.T, strict=True)))
+    options = ("--points", str(tmp_path / "cloud.ply"), "--iterations", "2")
+    answer = run_verb(capsys, *without_points(capture, tmp_path), *options)
+    assert answer["start"] == {"given": 300, "triangulated": 0, "random": 0}
+    started = read_sparse_points(capture, points=tmp_path / "m/input.ply")
+    assert started.positions == pytest.approx(points.positions, abs=1e-6)
+    assert (started.colors == 128).all()
+    assert "no such file of points" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")  # fmt: skip
+
+
+# --- going on ---
+
+
+def scenes_of(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*.ply")}
+
+
+def test_a_run_killed_before_its_first_checkpoint_goes_on(views, points, tmp_path, monkeypatch):
+    """Also after --save-at has written a scene."""
+
+    def killed(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+        if status.iteration == 12:
+            raise RuntimeError("killed")
+
+    few = replace(BUSY, iterations=20)
+    ds.train(views[::4], few, tmp_path / "whole", points=points, save_at=(5,), device="cpu")
+    with pytest.raises(RuntimeError):
+        ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), report=killed, device="cpu")  # fmt: skip
+    assert (tmp_path / "m/cfg_args").is_file()
+    assert not (tmp_path / "m/results.json").exists()
+    ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), device="cpu")
+    assert scenes_of(tmp_path / "m") == scenes_of(tmp_path / "whole")
+
+
+def test_the_same_command_on_a_finished_run_gives_the_same_files(views, points, tmp_path):
+    few = replace(BUSY, iterations=20)
+    ds.train(views[::4], few, tmp_path, points=points, device="cpu")
+    before, results = scenes_of(tmp_path), (tmp_path / "results.json").read_text()
+    ds.train(views[::4], few, tmp_path, points=points, device="cpu")
+    assert scenes_of(tmp_path) == before
+    assert json.loads((tmp_path / "results.json").read_text())["psnr_test"] == json.loads(results)["psnr_test"]  # fmt: skip
+
+
+@both
+def test_a_finished_run_goes_on_as_if_it_had_been_longer(settings, views, points, tmp_path):
+    """Refinements of the last iteration included, which a run leaves out when it ends there."""
+    long, short = replace(settings, iterations=60), replace(settings, iterations=40)
+    ds.train(views[::4], long, tmp_path / "whole", points=points, device="cpu")
+    ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
+    ds.train(views[::4], long, tmp_path / "m", points=points, device="cpu")
+    assert ply_of(tmp_path / "m", 60) == ply_of(tmp_path / "whole", 60)
+    assert json.loads((tmp_path / "m/settings.json").read_text())["iterations"] == 60
+    with pytest.raises(ds.MismatchError, match="has done 59 iterations already, 40 are asked for"):
+        ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
+
+
+def test_a_longer_run_that_cannot_be_the_planned_one_says_so(views, points, tmp_path):
+    """The reset after 60 was left out, because the run ended at 70."""
+    ds.train(views[::4], replace(BUSY, iterations=70), tmp_path, points=points, device="cpu")
+    with pytest.warns(ds.DrSplatWarning, match="planned for 70 iterations and left out an opacity"):
+        ds.train(views[::4], replace(BUSY, iterations=90), tmp_path, points=points, device="cpu")
+
+
+def test_photos_that_changed_are_not_mixed_in(views, points, tmp_path):
+    own = photographed(tmp_path, known_scene(), ring(32)[::4])
+    unfinished(tmp_path / "model", own, points)
+    Image.new("RGB", (WIDTH, HEIGHT), (255, 0, 255)).save(own[3].image_path)
+    with pytest.raises(ds.MismatchError, match="other photos: go on with the same ones"):
+        ds.train(own, BUSY, tmp_path / "model", points=points, device="cpu")
+
+
+def test_a_scene_is_saved_before_the_opacity_reset(views, points, tmp_path):
+    settings = replace(BUSY, reset_every=10, evaluate_every=10, iterations=40)
+    training = ds.train(views[::4], settings, tmp_path, points=points, save_at=(10, 11), device="cpu")  # fmt: skip
+    at, after = (
+        ds.read_gaussians(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply").opacities.max()
+        for i in (10, 11)
+    )
+    assert at > 0.1
+    assert after < 0.02
+    assert training.history[0]["psnr_test"] > 12
+
+
+INTERRUPTED = """
+import os, signal, sys, threading, time
+from pathlib import Path
+folder = Path(sys.argv[3])
+def press():
+    while not (folder / "checkpoint.safetensors").exists():
+        time.sleep(0.01)
+    time.sleep(0.3)
+    os.kill(os.getpid(), signal.SIGINT)
+threading.Thread(target=press, daemon=True).start()
+from drsplat.cli import main
+sys.exit(main(["train", *sys.argv[1:]]))
+"""
+
+
+def test_ctrl_c_writes_a_checkpoint_and_says_how_to_go_on(capture, tmp_path):
+    folder = tmp_path / "m"
+    command = [sys.executable, "-c", INTERRUPTED, str(capture), "-o", str(folder), "--iterations"]
+    ran = subprocess.run([*command, "30000", "--device", "cpu"], capture_output=True, text=True, check=False)  # fmt: skip
+    assert ran.returncode == 130
+    assert "the same command, without --overwrite, goes on from there" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    _, texts = map_tensors(folder / "checkpoint.safetensors")
+    assert f"after iteration {int(texts['iteration']):,} of 30,000" in ran.stderr
+    assert int(texts["iteration"]) % 1000 != 0
+
+
+def test_two_runs_do_not_share_a_folder(views, points, tmp_path):
+    few = replace(BUSY, iterations=3)
+    said: list[str] = []
+
+    def second(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+        with pytest.raises(ds.InputError) as error:
+            ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
+        said.append(str(error.value))
+
+    ds.train(views[::4], few, tmp_path, points=points, report=second, device="cpu")
+    assert f"is being written by process {os.getpid()} on " in said[0]
+    assert (tmp_path / "results.json").is_file()
+    ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
+
+
+def test_held_out_photos_far_below_are_told_of(views, points, tmp_path):
+    """The photo that is held out shows something else."""
+    Image.new("RGB", (WIDTH, HEIGHT), (255, 255, 255)).save(tmp_path / "white.png")
+    mixed = [replace(views[0], image_path=tmp_path / "white.png"), *views[4::4]]
+    settings = replace(BUSY, iterations=100, background="black")
+    with pytest.warns(ds.DrSplatWarning, match=r"held-out photos are rendered at \d+\.\d dB"):
+        training = ds.train(mixed, settings, points=points, device="cpu")
+    assert training.measures()["held_out_far_below"]
+    assert training.psnr_train > training.evaluation.psnr + 10
+    well = ds.train(views[::4], replace(settings, iterations=30), points=points, device="cpu")
+    assert not well.held_out_far_below
 
 
 def test_points_move_with_their_views(capture, tmp_path):

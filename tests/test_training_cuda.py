@@ -18,11 +18,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat.kernels import training as kernels
-from drsplat.training import cuda, devices, loop
+from drsplat.training import cuda, devices
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
 from drsplat.training.optimizer import Optimizer, Rates
 from drsplat.training.run import Run
 from drsplat.training.start import first_gaussians, scene_extent
+from drsplat.training.training_photos import TrainingPhotos
 from test_training_parts import gradients, parameters
 
 missing = [name for name in ("torch", "gsplat") if importlib.util.find_spec(name) is None]
@@ -371,13 +372,13 @@ def test_the_whole_of_train(views, points, tmp_path):
     assert len(training.evaluation.views) == 3
     start = first_gaussians(points, s)
     untrained = ds.training.evaluation.evaluate(
-        start, views[::4], loop.TrainingPhotos(views[::4], 1 << 20), s
+        start, views[::4], TrainingPhotos(views[::4], 1 << 20), s
     )
     assert training.evaluation.psnr > untrained.psnr + 3
     results = json.loads((folder / "results.json").read_text())
     assert results["psnr_test"] == training.evaluation.psnr
     assert (results["iterations"], results["num_gaussians"]) == (40, 90)
-    assert not (folder / "checkpoint.safetensors").exists()
+    assert (folder / "checkpoint.safetensors").exists()  # a longer run goes on from it
     written = ds.read_gaussians(folder / "point_cloud/iteration_40/point_cloud.ply")
     assert_allclose(written.means, training.gaussians.means)
     assert (folder / "point_cloud/iteration_20/point_cloud.ply").is_file()
@@ -483,8 +484,9 @@ def test_density_control_grows_prunes_and_resets(gsplat_engine, views, points):
     assert set(changed) <= {5, 10, 15, 20}
     assert counts[-1] > 110
     ceiling = np.log(0.01 / 0.99)
-    reset = [i + 1 for i, logit in enumerate(most_opaque) if logit <= ceiling + 1e-5]
-    assert reset == [9, 18]
+    # after 9 and 18, seen when the next step has been taken
+    reset = [i + 1 for i, logit in enumerate(most_opaque) if logit <= ceiling + 0.1]
+    assert reset == [10, 19]
 
 
 @needs_gsplat

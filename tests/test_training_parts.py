@@ -21,7 +21,8 @@ from drsplat.training.metrics import psnr, ssim
 from drsplat.training.optimizer import Optimizer, Rates
 from drsplat.training.rotations import rotated, rotation_matrices, spread
 from drsplat.training.schedules import active_sh_degree, means_rate, refines, resets_opacity
-from drsplat.training.start import first_gaussians, scene_extent, split_views, start_points
+from drsplat.training.start import first_gaussians, scene_extent, split_views
+from drsplat.training.start_points import start_points
 from drsplat.training.training_photos import TrainingPhotos, ViewOrder
 from scenes import look_at_view
 
@@ -188,22 +189,13 @@ def test_points_that_cannot_be_started_from_are_refused(positions, said):
         start_points(points(positions), circle(), DEFAULT, np.random.default_rng(0))
 
 
-def test_without_points_the_start_is_random_about_the_cameras():
-    few = replace(DEFAULT, random_points=500)
-    views = circle(8, 3.0)
-    for none in (None, points(np.empty((0, 3)))):
-        made = start_points(none, views, few, np.random.default_rng(0))
-        assert made.positions.shape == (500, 3)
-        assert 3.0 < np.abs(made.positions).max() <= 3.3
-    again = start_points(None, views, few, np.random.default_rng(0))
-    assert np.array_equal(again.positions, made.positions)
-
-
 def test_a_budget_thins_the_points():
     many = points(np.random.default_rng(0).normal(size=(50, 3)))
-    kept = start_points(
+    start = start_points(
         many, circle(), replace(DEFAULT, max_gaussians=20), np.random.default_rng(0)
     )
+    assert start.plain() == {"given": 20, "triangulated": 0, "random": 0}
+    kept = start.points
     rows = {tuple(row) for row in many.positions}
     assert len(kept.positions) == 20
     assert all(tuple(row) in rows for row in kept.positions)

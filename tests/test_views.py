@@ -8,8 +8,9 @@ import pytest
 
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
-from drsplat.formats.captures import read_views
+from drsplat.formats.captures import read_sparse_points, read_views
 from drsplat.formats.colmap import read_points
+from drsplat.formats.ply import write_vertices
 from drsplat.views import View
 from written_captures import (
     CAMERAS,
@@ -266,6 +267,116 @@ def test_field_of_view_without_size_or_suffix(tmp_path):
     np.testing.assert_allclose(view.K[:2, 2], [40, 30])
     np.testing.assert_allclose(2 * np.arctan(40 / view.K[0, 0]), 1.2)
     assert view.K[0, 0] == view.K[1, 1]
+
+
+def test_absolute_photo_paths_are_taken_as_they_are(tmp_path):
+    elsewhere = tmp_path / "elsewhere/pictures"
+    write_photos(elsewhere, IMAGES[:2])
+    document = transforms_document(CAMERAS[:1], IMAGES[:2], f"{elsewhere}/")
+    write_json(tmp_path / "capture/transforms.json", document)
+    views = read_views(tmp_path / "capture")
+    assert [view.name for view in views] == ["a photo.png", "b.png"]
+    assert [view.image_path for view in views] == [elsewhere / view.name for view in views]
+    # moved, with everything in it, to where the paths do not lead
+    elsewhere.rename(tmp_path / "capture/images")
+    moved = read_views(tmp_path / "capture")
+    assert [view.image_path.parent.name for view in moved] == ["images", "images"]
+    assert [view.name for view in moved] == ["a photo.png", "b.png"]
+
+
+def test_absolute_paths_inside_the_capture_are_named_as_relative_ones(tmp_path):
+    write_photos(tmp_path / "images", IMAGES[:2])
+    document = transforms_document(CAMERAS[:1], IMAGES[:2], f"{tmp_path}/images/")
+    write_json(tmp_path / "transforms.json", document)
+    assert [view.name for view in read_views(tmp_path)] == ["a photo.png", "b.png"]
+
+
+@pytest.mark.parametrize("path", ["/a/../../b.png", "/x" * 600, "/a\n.png", "//host/a.png/.."])
+def test_absolute_paths_that_are_tricks(tmp_path, path):
+    document = transforms_document(CAMERAS[:1], IMAGES[:1], "")
+    document["frames"][0]["file_path"] = path
+    write_json(tmp_path / "transforms.json", document)
+    with pytest.raises(FormatError, match="relative to the image folder"):
+        read_views(tmp_path)
+
+
+def test_transforms_train_is_read_and_transforms_test_is_not(tmp_path):
+    write_photos(tmp_path / "images")
+    write_json(tmp_path / "transforms_train.json", transforms_document(CAMERAS[:1], IMAGES[:2]))
+    write_json(tmp_path / "transforms_test.json", transforms_document(images=IMAGES[2:]))
+    assert [view.name for view in read_views(tmp_path)] == NAMES[:2]
+    assert [view.name for view in read_views(tmp_path / "transforms_test.json")] == NAMES[2:]
+
+
+# points
+
+
+def write_cloud(path: Path, **columns: list) -> None:
+    write_vertices(path, {name: np.array(values) for name, values in columns.items()})
+
+
+def test_points_that_transforms_json_names(tmp_path):
+    write_photos(tmp_path / "images", IMAGES[:2])
+    document = transforms_document(CAMERAS[:1], IMAGES[:2]) | {"ply_file_path": "sparse_pc.ply"}
+    # the PLY is in the frame after it
+    document["applied_transform"] = (np.diag([1.0, 1, -1, 1]) @ np.eye(4)[[1, 0, 2, 3]])[
+        :3
+    ].tolist()
+    write_json(tmp_path / "transforms.json", document)
+    with pytest.warns(DrSplatWarning, match=r"ply_file_path, .*sparse_pc\.ply, is missing"):
+        assert read_sparse_points(tmp_path) is None
+    write_cloud(
+        tmp_path / "sparse_pc.ply", x=[1.0, 2.0], y=[3.0, 4.0], z=[5.0, 1e7 + 0.25],
+        red=np.uint8([255, 1]), green=np.uint8([0, 2]), blue=np.uint8([7, 3]),
+    )  # fmt: skip
+    found = read_sparse_points(tmp_path)
+    np.testing.assert_array_equal(found.positions, [[1, 3, 5], [2, 4, 1e7 + 0.25]])
+    np.testing.assert_array_equal(found.colors, [[255, 0, 7], [1, 2, 3]])
+    scale = {"transform": np.eye(4)[:3].tolist(), "scale": 2.0}
+    write_json(tmp_path / "dataparser_transforms.json", scale)
+    back = np.linalg.inv(np.array([*document["applied_transform"], [0, 0, 0, 1]]))
+    expected = 2 * np.array([[1, 3, 5], [2, 4, 1e7 + 0.25]]) @ back[:3, :3].T
+    np.testing.assert_allclose(read_sparse_points(tmp_path).positions, expected)
+
+
+def test_points_of_any_ply(tmp_path, capture):
+    write_cloud(tmp_path / "grey.ply", x=[1.0], y=[2.0], z=[3.0], intensity=[0.5])
+    found = read_sparse_points(capture, points=tmp_path / "grey.ply")
+    np.testing.assert_array_equal(found.positions, [[1, 2, 3]])
+    np.testing.assert_array_equal(found.colors, [[128] * 3])
+    write_cloud(tmp_path / "shares.ply", x=[1.0], y=[2.0], z=[3.0], red=[1.0], green=[0.5], blue=[0.0])  # fmt: skip
+    found = read_sparse_points(capture, points=tmp_path / "shares.ply")
+    np.testing.assert_array_equal(found.colors, [[255, 128, 0]])
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"x": [1.0], "y": [1.0]}, "vertex has no z"),
+        ({"x": [1.0, np.nan], "y": [1.0] * 2, "z": [1.0] * 2}, "1 of 2 points are not finite, the first at index 1"),
+        ({name: [2.0] for name in ("x", "y", "z", "red", "green", "blue")}, "expected colours"),
+    ],
+)  # fmt: skip
+def test_clouds_that_are_none(tmp_path, capture, columns, said):
+    write_cloud(tmp_path / "cloud.ply", **columns)
+    with pytest.raises(FormatError, match=rf"cloud\.ply: .*{said}"):
+        read_sparse_points(capture, points=tmp_path / "cloud.ply")
+
+
+def test_files_of_points_that_are_none(tmp_path, capture):
+    (tmp_path / "empty.ply").touch()
+    with pytest.raises(FormatError, match="empty"):
+        read_sparse_points(capture, points=tmp_path / "empty.ply")
+    for name in ("none.ply", "."):
+        with pytest.raises(InputError, match="no such file of points"):
+            read_sparse_points(capture, points=tmp_path / name)
+    document = transforms_document() | {"ply_file_path": "../secret.ply"}
+    write_json(tmp_path / "transforms.json", document)
+    with pytest.raises(FormatError, match=r"without '\.\.'"):
+        read_sparse_points(tmp_path / "transforms.json")
+
+
+# photos of transforms.json
 
 
 def test_photos_of_transforms_in_another_folder(tmp_path):

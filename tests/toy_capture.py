@@ -44,7 +44,7 @@ def masks(gaussians: ds.Gaussians, view: ds.View) -> np.ndarray:
 
 
 def write_toy_capture(folder: Path) -> Path:
-    """scene.ply, capture/ and clip_texts.json in a folder, as the documents name them."""
+    """scene.ply, points.ply, capture/ and clip_texts.json in a folder, as the documents name them."""
     for name in ("capture/images", "capture/language_features"):
         (folder / name).mkdir(parents=True)
     gaussians, encoder = balls(), ds.WordEncoder()
@@ -59,6 +59,7 @@ def write_toy_capture(folder: Path) -> Path:
         rows = encoder.encode_texts(list(THINGS))
         ds.write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
     ds.write_gaussians(folder / "scene.ply", gaussians)
+    ds.write_gaussians(folder / "points.ply", gaussians)  # of which the positions are read
     ds.write_cameras_json(folder / "capture/cameras.json", views)
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))

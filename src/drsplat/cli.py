@@ -67,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             raise
         return _failed(error, type(error).__name__, FAILED, as_json)
-    except KeyboardInterrupt:
-        print("drsplat: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print(": ".join(["drsplat: interrupted", *map(str, interrupt.args)]), file=sys.stderr)
         return INTERRUPTED
     except SystemExit as ending:  # argparse, after --help or --version
         return ending.code if isinstance(ending.code, int) else 0

@@ -18,6 +18,7 @@ from .contents import open_file
 from .crops import crops
 from .encoders import EncoderIdentity, ImageEncoder, identity_json
 from .errors import DrSplatWarning, InputError
+from .formats.claiming import claimed_folder
 from .formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
 from .formats.feature_files import Form
 from .formats.langsplat import stored_features, write_features
@@ -70,7 +71,8 @@ def embed(
     overwrite: makes everything anew, also over features that others made.
 
     Warns: DrSplatWarning: views without photo, changed settings, files left from other settings.
-    Raises: InputError: no photo, photos that would share a file, features of others in the folder.
+    Raises: InputError: no photo, photos that would share a file, features of others in the folder, another
+    process that embeds into it.
     FormatError: a damaged photo or embedding.json.
     Source: LangSplat preprocess.py; Dr. Splat Sec. A.
     """
@@ -83,16 +85,17 @@ def embed(
         "max_height": max_height,
         "algorithm": ALGORITHM,
     }
-    record = open_record(Path(output_dir), settings, overwrite)
-    _tell_changes(record)
-    photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
-    pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
-    redone = sum(record.has_files(stem) for stem in pending)
-    for stem in sorted(photos.keys() - pending):
-        _rewrite(record, stem, form)
-    for stem in track(pending, "embedding photos"):
-        _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder, form)
-    _tell_leftovers(record)
+    with claimed_folder(output_dir):
+        record = open_record(Path(output_dir), settings, overwrite)
+        _tell_changes(record)
+        photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
+        pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
+        redone = sum(record.has_files(stem) for stem in pending)
+        for stem in sorted(photos.keys() - pending):
+            _rewrite(record, stem, form)
+        for stem in track(pending, "embedding photos"):
+            _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder, form)
+        _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
     return EmbeddingReport(
         len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes

@@ -115,13 +115,21 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.claiming import claimed_output
+    from ..formats.field_folder import refuse_to_replace_others
+
+    output = new_output(arguments.output, arguments.overwrite)
+    refuse_to_replace_others(output)
+    with claimed_output(output):
+        return _registered(arguments, output)
+
+
+def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from .. import read_features, read_gaussians, register
     from ..aggregation import aggregator
-    from ..formats.field_folder import refuse_to_replace_others
     from ..progress import Stopwatch, peak_memory_bytes
 
-    output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
-    refuse_to_replace_others(output)
+    watch = Stopwatch()
     how = aggregator(arguments.aggregator)
     sampling = _sampling(arguments, how)
     gaussians = read_gaussians(arguments.scene)

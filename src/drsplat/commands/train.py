@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import warnings
+import sys
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .options import add_overwrite, count, views_of, whole
@@ -21,7 +20,8 @@ EXAMPLES = """\
   drsplat train capture --output-dir model --iterations 7000 --resolution 2
   drsplat train capture --output-dir model --strategy mcmc --max-gaussians 300000 --json
 
-A run that was stopped goes on where it was when the same command is given again, without --overwrite."""
+A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the same command is given again, without
+--overwrite; a finished one goes on with more --iterations."""
 DIVISORS = (1, 2, 4, 8)
 MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
@@ -60,6 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--images", metavar="DIR",
         help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)",
+    )  # fmt: skip
+    group.add_argument(
+        "--points", metavar="FILE",
+        help="PLY of points to start from, in the frame of the capture's camera file (default: those of the capture, "
+        "else they are triangulated from its photos)",
     )  # fmt: skip
     group.add_argument(
         "--dataparser-transforms", metavar="FILE",
@@ -101,7 +106,7 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     course.add_argument(
         "--save-at", type=count, nargs="*", default=[7000], metavar="N",
-        help="also write the scene after these iterations (default: 7000)",
+        help="also write the scene after these iterations, before an opacity reset that is due then (default: 7000)",
     )  # fmt: skip
     course.add_argument(
         "--checkpoint-every", type=count, default=1000, metavar="N",
@@ -118,9 +123,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     device, settings = chosen_device(arguments.device), _settings(arguments)
     views = [_resized(view, arguments.resolution) for view in _with_photo(arguments)]
     points = read_sparse_points(
-        arguments.capture, dataparser_transforms=arguments.dataparser_transforms
+        arguments.capture,
+        points=arguments.points,
+        dataparser_transforms=arguments.dataparser_transforms,
     )
-    _tell_of_random_start(points, settings)
+    _tell_of_triangulation(points, arguments)
     with Meter("training", settings.iterations, quiet=arguments.json) as meter:
         training = train(
             views, settings, arguments.output_dir, points=points, device=device,
@@ -131,7 +138,6 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
                 f"loss {status.loss:.4f}  PSNR {status.psnr:.2f}  {counted(status.num_gaussians, 'Gaussian')}",
             ),
         )  # fmt: skip
-    _write_cfg_args(arguments, settings)
     return {
         "model": arguments.output_dir,
         "device": device,
@@ -159,13 +165,20 @@ def show(answer: dict[str, Any]) -> None:
         f"trained: {answer['model']}",
         {
             "held out": tested,
+            "trained on": f"PSNR {answer['psnr_train']:.2f} dB",
             "Gaussians": said(answer["num_gaussians"]),
+            "started from": _start_said(answer["start"]),
             "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}",
             "time": f"{seconds:.1f} s on {answer['device']}, {1000 * seconds / count:.1f} ms an iteration",
             "stages, ms": ", ".join(f"{name} {1000 * spent / count:.1f}" for name, spent in stages),
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
+
+
+def _start_said(start: dict[str, int]) -> str:
+    named = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
+    return " and ".join(f"{count:,} {named[kind]} points" for kind, count in start.items() if count)
 
 
 def _settings(arguments: argparse.Namespace) -> TrainingSettings:
@@ -200,21 +213,8 @@ def _resized(view: View, resolution: int | None) -> View:
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 
-def _tell_of_random_start(points: SparsePoints | None, settings: TrainingSettings) -> None:
-    from ..errors import DrSplatWarning
-
-    if points is None:
-        text = (
-            f"the capture has no sparse points: training starts from {settings.random_points:,} random ones, which "
-            "takes longer and ends worse than from those of COLMAP"
-        )
-        warnings.warn(text, DrSplatWarning, stacklevel=2)
-
-
-def _write_cfg_args(arguments: argparse.Namespace, settings: TrainingSettings) -> None:
-    from ..training.model_folder import ModelFolder
-
-    capture = Path(arguments.capture)
-    folder = capture if capture.is_dir() else capture.parent
-    images = arguments.images or "images"
-    ModelFolder(arguments.output_dir).write_cfg_args(folder, images, settings)
+def _tell_of_triangulation(points: SparsePoints | None, arguments: argparse.Namespace) -> None:
+    """Before the meter begins to move."""
+    if points is None and not arguments.json:
+        text = "the capture has no points: triangulating some from its photos, a fifth of a second each"
+        print(f"drsplat: {text}", file=sys.stderr)

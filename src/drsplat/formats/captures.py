@@ -17,7 +17,14 @@ from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
 from .photo_files import find_photo, image_folder, listed, on_photo
-from .transforms import read_applied_transform, read_transforms
+from .point_ply import read_point_ply
+from .transforms import point_file, read_applied_transform, read_transforms
+
+CAMERA_FILES = (
+    ("transforms", "transforms.json"),
+    ("transforms", "transforms_train.json"),
+    ("cameras", "cameras.json"),
+)
 
 
 class SparsePoints(NamedTuple):
@@ -41,8 +48,9 @@ def read_views(
 ) -> list[View]:
     """The posed photos of a capture, sorted by name.
 
-    capture: a folder with a COLMAP model (see `colmap.find_model`), a transforms.json or a
-    cameras.json, looked for in this order; or one of these files, to choose another than the first.
+    capture: a folder with a COLMAP model (see `colmap.find_model`), a transforms.json, a
+    transforms_train.json (of which a transforms_test.json beside it is no part) or a cameras.json,
+    looked for in this order; or one of these files, to choose another than the first.
     images: the folder of the photos, absolute or inside the capture ("images_4"); default
     CAPTURE/images, else CAPTURE. Where photos have another size than the camera file says, K and
     size follow the photos.
@@ -69,25 +77,42 @@ def read_views(
 
 
 def read_sparse_points(
-    capture: str | Path, *, dataparser_transforms: str | Path | None = None
+    capture: str | Path,
+    *,
+    points: str | Path | None = None,
+    dataparser_transforms: str | Path | None = None,
 ) -> SparsePoints | None:
     """The points of a capture in the frame of its views, or None where it has none.
 
-    Arguments as for `read_views`; only COLMAP models have points.
+    Arguments as for `read_views`. COLMAP models have points, and a transforms.json may name some
+    (`ply_file_path`). points: a PLY to read instead, in the frame of the capture's own camera file.
 
-    Raises: InputError: there is no such capture. FormatError: a damaged file, points that are not
-    finite.
+    Warns: DrSplatWarning: the file that transforms.json names is missing.
+    Raises: InputError: there is no such capture, or no such file of points. FormatError: a damaged
+    file, points that are not finite.
     """
     with warnings.catch_warnings():  # read_views has them
         warnings.simplefilter("ignore", DrSplatWarning)
         source = _find_source(Path(capture))
-    if source.kind != "colmap" or not has_points(source.path):
-        return None
-    positions, colors = read_points(source.path)
-    if len(positions) == 0:
+    found = _points_of(source) if points is None else read_point_ply(points)
+    if found is None or len(found[0]) == 0:
         return None
     frame = _scene_frame(source, Path(capture), dataparser_transforms)
-    return SparsePoints(positions if frame is None else frame.points(positions), colors)
+    return SparsePoints(found[0] if frame is None else frame.points(found[0]), found[1])
+
+
+def _points_of(source: _Source) -> tuple[np.ndarray, np.ndarray] | None:
+    """In the frame of the camera file."""
+    if source.kind == "colmap" and has_points(source.path):
+        return read_points(source.path)
+    named = point_file(source.path) if source.kind == "transforms" else None
+    if named is None:
+        return None
+    if not named.is_file():
+        text = f"{source.path}: its ply_file_path, {named}, is missing: name one with points=FILE (--points)"
+        warnings.warn(text, DrSplatWarning, stacklevel=3)
+        return None
+    return read_point_ply(named)
 
 
 def _find_source(capture: Path) -> _Source:
@@ -97,13 +122,13 @@ def _find_source(capture: Path) -> _Source:
         raise InputError(f"{capture}: there is no such capture")
     model = find_model(capture)
     found = [] if model is None else [_Source("colmap", model)]
-    for kind, name in (("transforms", "transforms.json"), ("cameras", "cameras.json")):
-        if (capture / name).is_file():
-            found.append(_Source(kind, capture / name))
+    found += [
+        _Source(kind, capture / name) for kind, name in CAMERA_FILES if (capture / name).is_file()
+    ]
     if not found:
         raise InputError(
             f"{capture}: expected a COLMAP model (cameras and images in sparse/0, .bin or .txt), "
-            "a transforms.json or a cameras.json"
+            "a transforms.json, a transforms_train.json or a cameras.json"
         )
     if len(found) > 1:
         others = ", ".join(str(source.path) for source in found[1:])

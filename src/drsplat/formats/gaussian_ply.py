@@ -9,6 +9,7 @@ Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its 
 """
 
 import numpy as np
+from jaxtyping import Float32
 
 from ..errors import FormatError, InputError
 from ..gaussians import SH_COEFFICIENTS, Gaussians
@@ -77,7 +78,9 @@ def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
 
 
 def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """The Gaussians as pre-activation columns in the published order, without normals and extras.
+    """The Gaussians as pre-activation columns in the published order, normals among them, without other extras.
+
+    Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.
 
     Raises: InputError: values that could not be read back.
     """
@@ -88,12 +91,17 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
     log_scales = np.log(gaussians.scales)
     return {
         **dict(zip(MEANS, gaussians.means.T, strict=True)),
+        **{name: _normals(gaussians, name) for name in NORMALS},
         **dict(zip(DC, gaussians.sh[:, 0].T, strict=True)),
         **{f"f_rest_{i}": column for i, column in enumerate(rest)},
         "opacity": logit(gaussians.opacities),
         **dict(zip(SCALES, log_scales.T, strict=True)),
         **dict(zip(QUATS, gaussians.quats.T, strict=True)),
     }
+
+
+def _normals(gaussians: Gaussians, name: str) -> Float32[np.ndarray, " n"]:
+    return np.asarray(gaussians.extra.get(name, np.zeros(len(gaussians))), np.float32)
 
 
 def _refuse_unwritable(g: Gaussians) -> None:

@@ -175,10 +175,9 @@ def write_vertices(
         raise InputError(f"PLY columns must be of one length, got {sorted(lengths)}")
     count = lengths.pop()
     record = np.dtype([(name, _code(name, column)) for name, column in columns.items()])
-    header = [
+    header = [  # no comment: viewers of 3DGS take the third line for the count
         "ply",
         "format binary_little_endian 1.0",
-        "comment written by drsplat",
         f"element vertex {count}",
     ]
     header += [f"property {WRITTEN_TYPES[record[name].str[1:]]} {name}" for name in columns]

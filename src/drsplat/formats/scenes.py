@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -10,9 +11,9 @@ from jaxtyping import Shaped
 
 from ..contents import file_bytes
 from ..errors import FormatError, InputError
-from ..gaussians import Gaussians
+from ..gaussians import SH_COEFFICIENTS, Gaussians
 from .compressed_ply import is_compressed, parse_compressed_ply
-from .gaussian_ply import parse_gaussian_ply, vertex_columns
+from .gaussian_ply import NORMALS, parse_gaussian_ply, vertex_columns
 from .ply import write_vertices
 from .ply_header import read_header
 from .sog import parse_sog, read_unpacked_sog
@@ -102,20 +103,26 @@ def write_gaussians(
     gaussians: Gaussians,
     columns: Mapping[str, Shaped[np.ndarray, " n"]] = {},
     overwrite: bool = False,
+    sh_degree: int | None = None,
 ) -> None:
     """Write a 3DGS PLY, `gaussians.extra` and `columns` as further scalar properties, atomically.
+
+    Without further properties the file is what the viewer of 3DGS (SIBR) reads, rows of 62 floats, when it has
+    harmonics of degree 3. sh_degree: fills them up to this degree with zeros, which look the same.
 
     SuperSplat shows and splat-transform filters any such property (`-V relevancy,gt,0.5`). A column
     takes the place of an extra of the same name. Positions are stored exactly, so the fingerprint
     stays; the rest passes through a logarithm and back.
 
     Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
-    another length, type or name than a PLY can hold, or of a property that the format itself uses.
+    another length, type or name than a PLY can hold, or of a property that the format itself uses; a
+    `sh_degree` below that of the Gaussians or above 3.
     """
     if Path(path).suffix.lower() != ".ply":
         raise InputError(f"scenes are written as PLY: give {Path(path).name} the suffix .ply")
-    properties = vertex_columns(gaussians)
-    further = {**gaussians.extra, **columns}
+    properties = vertex_columns(gaussians if sh_degree is None else _filled(gaussians, sh_degree))
+    own = {name: column for name, column in gaussians.extra.items() if name not in NORMALS}
+    further = {**own, **columns}
     for name, column in further.items():
         if name in properties or name.startswith("f_rest_"):
             raise InputError(
@@ -126,3 +133,13 @@ def write_gaussians(
                 f"column '{name}': expected shape ({len(gaussians)},), got {column.shape}"
             )
     write_vertices(path, {**properties, **further}, overwrite)
+
+
+def _filled(gaussians: Gaussians, sh_degree: int) -> Gaussians:
+    """With zeros for the harmonics up to a degree."""
+    if not gaussians.sh_degree <= sh_degree < len(SH_COEFFICIENTS):
+        raise InputError(
+            f"sh_degree: expected {gaussians.sh_degree}, which the Gaussians have, to 3; got {sh_degree}"
+        )
+    missing = SH_COEFFICIENTS[sh_degree] - gaussians.sh.shape[1]
+    return replace(gaussians, sh=np.pad(gaussians.sh, ((0, 0), (0, missing), (0, 0))))

@@ -1,6 +1,7 @@
 """transforms.json of nerfstudio and instant-ngp -> views."""
 
 import math
+import os
 import re
 import warnings
 from collections import ChainMap
@@ -19,6 +20,7 @@ from .photo_files import find_photo, listed, on_photo, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
 
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+_MAX_PATH = 1024  # characters
 IMAGE_FOLDER = re.compile(r"images(_\d+)?")
 
 _OPENCV_FROM_OPENGL = np.array(
@@ -35,7 +37,8 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     cx, cy or camera_angle_x; w, h or the photo's size; k1, k2, p1, p2; camera_model) are of the
     frame, else of the file. file_path is relative to the file, with or without suffix; with
     `images` it is looked for there, less a leading "images/". Names of views are less that folder,
-    too.
+    too. Absolute paths are taken as they are; where nothing is there any more, as paths below the
+    folder that all of them share.
 
     Warns: DrSplatWarning: frames without photo are left out; the warning names them.
     Raises: FormatError: a damaged file, a pose that is not rigid, a lens that no pinhole stands
@@ -43,10 +46,12 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     """
     document = _document(path)
     views, missing = [], []
+    shared = _shared_folder(document)
     for index, frame in enumerate(document["frames"]):  # type: ignore[arg-type,var-annotated]
         where = f"{path}, frame {index}"
-        name = _file_path(frame, where)
-        photo = _find(path.parent, images, name)
+        given = _file_path(frame, where)
+        name = safe_name(_relative(given, path.parent, shared), where)
+        photo = _find(path.parent, images, name, Path(given) if shared is not None else None)
         if photo is None:
             missing.append(name)
         else:
@@ -64,6 +69,21 @@ def read_applied_transform(path: Path) -> SceneFrame:
         document.get("applied_scale", 1.0),
     )
     return scene_frame(transform, scale, f"{path}: applied")
+
+
+def point_file(path: Path) -> Path | None:
+    """The point cloud that a transforms.json names (`ply_file_path` of nerfstudio), in its frame.
+
+    Raises: FormatError: a name that leaves the folder.
+    """
+    named = _document(path).get("ply_file_path")
+    if named is None:
+        return None
+    if not isinstance(named, str):
+        raise FormatError(f"{path}: ply_file_path: expected a file's name, got {shown(named)}")
+    if _is_absolute(named):
+        return Path(named)
+    return path.parent / safe_name(named, f"{path}: ply_file_path")
 
 
 def _document(path: Path) -> dict[str, object]:
@@ -141,13 +161,45 @@ def _refuse_other_lenses(entry: Entry, where: str) -> None:
 def _file_path(frame: object, where: str) -> str:
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
         raise FormatError(f"{where}: expected an object with a file_path, got {shown(frame)}")
-    return safe_name(frame["file_path"], where)
+    path: str = frame["file_path"]
+    return path
 
 
-def _find(base: Path, images: Path | None, name: str) -> Path | None:
-    if images is None:
-        return find_photo(base, name)
-    return find_photo(images, _inner(name)) or find_photo(images, name)
+def _shared_folder(document: Mapping[str, object]) -> str | None:
+    """The folder of all photos whose paths are absolute; None where none is."""
+    frames: list[object] = document["frames"]  # type: ignore[assignment]
+    paths = [frame.get("file_path") for frame in frames if isinstance(frame, dict)]
+    folders = [os.path.dirname(str(path)) for path in paths if _is_absolute(path)]
+    return os.path.commonpath(folders) if folders else None
+
+
+def _is_absolute(path: object) -> bool:
+    """A plain absolute path: one with ".." in it is not taken, nor what no file system has."""
+    if not isinstance(path, str) or not path.isprintable() or len(path) > _MAX_PATH:
+        return False
+    return path.startswith("/") and ".." not in path.split("/")
+
+
+def _relative(path: str, base: Path, shared: str | None) -> str:
+    """What an absolute path is called: below the capture where it lies there, else below `shared`."""
+    if shared is None or not _is_absolute(path):
+        return path
+    inside = os.path.realpath(base)
+    start = inside if path.startswith(inside + "/") else shared
+    return os.path.relpath(path, start)
+
+
+def _find(base: Path, images: Path | None, name: str, given: Path | None) -> Path | None:
+    """given: the absolute path that the file may have."""
+    if images is not None:
+        return find_photo(images, _inner(name)) or find_photo(images, name)
+    if (
+        given is not None
+        and _is_absolute(str(given))
+        and (there := find_photo(given.parent, given.name))
+    ):
+        return there
+    return find_photo(base, name) or find_photo(base / "images", name)
 
 
 def _name(file_path: str, photo: Path) -> str:

@@ -1,7 +1,8 @@
 """Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU."""
 
 from .devices import train
-from .loop import Status, Training
+from .loop import Status
+from .result import Training
 from .settings import TrainingSettings
 
 __all__ = ["Status", "Training", "TrainingSettings", "train"]

@@ -4,18 +4,22 @@ A run that was killed and goes on ends with the same bits as one that was not.
 """
 
 import hashlib
+import json
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, MismatchError
+from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
 from ..formats.captures import SparsePoints
 from ..formats.tensors import check_tensors, read_tensors, write_tensors
 from ..views import View
 from .run import Run
+from .schedules import same_until
 
-VERSION = "1"
+VERSION = "2"
 _ROWS = {
     "means": "n axis", "log_scales": "n axis", "quats": "n four", "logits": "n",
     "sh": "n coefficient axis",
@@ -26,19 +30,36 @@ EXPECTED = {
     for name, dimensions in _ROWS.items()
 } | {"order.pending": ("int64", "pending")}
 OF_DENSITY = {f"density.{name}": ("float32", "n") for name in ("pull", "times_seen", "radii")}
-TEXTS = ("iteration", "rng", "seconds", "stage_seconds", "history", "settings", "capture")
+TEXTS = (
+    "iteration", "iterations", "rng", "seconds", "stage_seconds", "history", "start", "settings", "capture",
+)  # fmt: skip
 
 
 def capture_fingerprint(views: Sequence[View], points: SparsePoints | None) -> str:
-    """Of names, poses, cameras and points: what a run was started on, but for the photos' pixels."""
-    digest = hashlib.blake2b(digest_size=16)
+    """JSON of hashes: poses and cameras by name, the photos' files, and the points that were given.
+
+    Raises: InputError: a photo cannot be read.
+    """
+    poses, photos, start = (hashlib.blake2b(digest_size=16) for _ in range(3))
     for view in views:
-        digest.update(f"{view.name}\0{view.width}x{view.height} {view.distortion}\0".encode())
-        digest.update(view.K.tobytes() + view.cam_from_world.tobytes())
+        poses.update(f"{view.name}\0{view.width}x{view.height} {view.distortion}\0".encode())
+        poses.update(view.K.tobytes() + view.cam_from_world.tobytes())
+        photos.update(_photo_hash(view))
     if points is not None:
-        digest.update(np.ascontiguousarray(points.positions).tobytes())
-        digest.update(np.ascontiguousarray(points.colors).tobytes())
-    return digest.hexdigest()
+        start.update(np.ascontiguousarray(points.positions).tobytes())
+        start.update(np.ascontiguousarray(points.colors).tobytes())
+    named = {"poses": poses, "photos": photos, "points": start}
+    return json.dumps({name: digest.hexdigest() for name, digest in named.items()})
+
+
+def _photo_hash(view: View) -> bytes:
+    if view.image_path is None:
+        return b""
+    try:
+        with view.image_path.open("rb") as file:
+            return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).digest()
+    except OSError as error:
+        raise InputError(f"{view.image_path}: cannot be read: {error.strerror}") from error
 
 
 def save_checkpoint(path: Path, run: Run, capture: str) -> None:
@@ -48,13 +69,16 @@ def save_checkpoint(path: Path, run: Run, capture: str) -> None:
     """
     arrays, texts = run.state()
     texts |= {"version": VERSION, "settings": run.settings.fingerprint, "capture": capture}
+    texts["iterations"] = str(run.settings.iterations)
     write_tensors(path, arrays, texts, overwrite=True)
 
 
 def load_checkpoint(path: Path, run: Run, capture: str) -> None:
     """Bring a fresh run of the same settings on the same capture to where the checkpoint was taken.
 
-    Raises: FormatError: a damaged file. MismatchError: it is of other settings or another capture.
+    The number of iterations may be another one, unless so many are done.
+
+    Raises: FormatError: a damaged file. MismatchError: of other settings, poses, photos or points.
     """
     try:
         arrays, texts = read_tensors(path)
@@ -64,12 +88,12 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
         raise FormatError(
             f"{path}: expected a checkpoint of version {VERSION}: remove it to start anew"
         )
-    for name, given in (("settings", run.settings.fingerprint), ("capture", capture)):
-        if texts[name] != given:
-            raise MismatchError(
-                f"{path} is of an unfinished run with other {name}: go on with the same ones, name "
-                "another output folder, or start anew with overwrite=True"
-            )
+    changed = _changed(texts, run, capture)
+    if changed:
+        raise MismatchError(
+            f"{path} is of a run with other {' and '.join(changed)}: go on with the same ones, name another "
+            "output folder, or start anew with overwrite=True"
+        )
     is_default = run.settings.strategy == "default"
     check_tensors(arrays, EXPECTED | (OF_DENSITY if is_default else {}), str(path))
     try:
@@ -77,6 +101,39 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
         run.restore(arrays, texts)
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError(f"{path}: damaged: {error}: remove it to start anew") from error
+    _check_length(path, run, int(texts["iterations"]))
+
+
+def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
+    """What differs: settings, poses, photos, points."""
+    names = [] if texts["settings"] == run.settings.fingerprint else ["settings"]
+    if texts["capture"] == capture:
+        return names
+    try:
+        before, now = json.loads(texts["capture"]), json.loads(capture)
+        return names + [name for name in now if before.get(name) != now[name]]
+    except (ValueError, AttributeError):
+        return [*names, "inputs"]
+
+
+def _check_length(path: Path, run: Run, planned: int) -> None:
+    """planned: iterations of the run that the checkpoint is of; `run` may have others, but not fewer than it has done.
+
+    Raises: MismatchError: it has done as many already.
+    Warns: DrSplatWarning: a run planned for so many would be another by now.
+    """
+    if run.iteration >= run.settings.iterations:
+        raise MismatchError(
+            f"{path}: the run has done {run.iteration:,} iterations already, {run.settings.iterations:,} are asked "
+            "for: ask for more, or start anew with overwrite=True"
+        )
+    if not same_until(replace(run.settings, iterations=planned), run.settings, run.iteration):
+        warnings.warn(
+            f"{path}: the run was planned for {planned:,} iterations and left out an opacity reset near its end: the "
+            f"scene will not be the one of a run planned for {run.settings.iterations:,}; --overwrite makes that one",
+            DrSplatWarning,
+            stacklevel=4,
+        )
 
 
 def _check_values(arrays: Mapping[str, np.ndarray], texts: Mapping[str, str], run: Run) -> None:
@@ -87,5 +144,5 @@ def _check_values(arrays: Mapping[str, np.ndarray], texts: Mapping[str, str], ru
     pending = arrays["order.pending"]
     if len(pending) and not (pending.min() >= 0 and pending.max() < len(run.views)):
         raise ValueError(f"a view beyond the {len(run.views)} there are")
-    if not 0 < int(texts["iteration"]) <= run.settings.iterations:
+    if not 0 <= int(texts["iteration"]) < int(texts["iterations"]):
         raise ValueError(f"iteration {texts['iteration']}")

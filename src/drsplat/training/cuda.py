@@ -11,7 +11,8 @@ from typing import Any
 from ..errors import MissingExtraError
 from ..formats.captures import SparsePoints
 from ..views import View
-from .loop import CHECKPOINT_EVERY, Status, Training
+from .loop import CHECKPOINT_EVERY, Status
+from .result import Training
 from .settings import TrainingSettings
 
 INSTALL = 'pip install "drsplat[cuda]"'

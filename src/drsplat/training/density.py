@@ -42,14 +42,21 @@ class AdaptiveDensity:
     def penalize(self, optimizer: Optimizer, gradients: Gradients) -> None:
         """The original method penalises nothing but the picture."""
 
+    def before_step(self, optimizer: Optimizer, iteration: int) -> None:
+        """Reset, where the schedule says so of the iteration before this one.
+
+        So what is seen between two iterations (scenes that are saved, measures, checkpoints) is as it was trained,
+        not the moment when hardly anything is visible.
+        """
+        if resets_opacity(self.settings, iteration - 1):
+            reset_opacity(optimizer, self.settings.reset_opacity)
+
     def after_step(
         self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float
     ) -> None:
-        """Refine and reset, where the schedule says so."""
+        """Refine, where the schedule says so."""
         if refines(self.settings, iteration):
             self._refine(optimizer, iteration, rng)
-        if resets_opacity(self.settings, iteration):
-            reset_opacity(optimizer, self.settings.reset_opacity)
 
     def _refine(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator) -> None:
         small, large = self._chosen(optimizer)

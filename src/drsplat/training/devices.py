@@ -9,7 +9,8 @@ from ..errors import InputError, MissingExtraError
 from ..formats.captures import SparsePoints
 from ..views import View
 from . import loop
-from .loop import CHECKPOINT_EVERY, Status, Training
+from .loop import CHECKPOINT_EVERY, Status
+from .result import Training
 from .settings import TrainingSettings
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -31,19 +32,24 @@ def train(
     """Optimise a scene of Gaussians until it looks like the photos.
 
     views: posed photos, at the size to train at (`read_views(max_side=...)`, `View.resized`).
-    output_dir: written as `training.model_folder` says. An unfinished run of the same settings and
-    views that is in it goes on by itself, on the CPU to the bit as if it had never stopped; None
-    keeps everything in memory.
-    points: where to start (`read_sparse_points`); None is random points about the cameras.
+    output_dir: written as `training.model_folder` says. A run of the same settings, views, photos and
+    points that is in it goes on by itself, on the CPU to the bit as if it had never stopped; so does a
+    finished one when more iterations are asked for. None keeps everything in memory.
+    points: where to start (`read_sparse_points`); None triangulates some from the photos.
     device: "auto" is CUDA where gsplat and a GPU are at hand, else the CPU.
-    save_at: iterations after which the scene is written as well. checkpoint_every: iterations, and at
+    save_at: iterations after which the scene is written as well, before an opacity reset that is due
+    then. checkpoint_every: iterations, and at
     the latest every two minutes. report: called after every iteration.
 
-    On the CPU the result is the same to the bit for any number of threads.
+    On the CPU the result is the same to the bit for any number of threads. Ctrl-C ends it between two
+    iterations with a KeyboardInterrupt that says how to go on.
+
+    Warns: DrSplatWarning: few points could be triangulated, poses that do not fit the photos, held-out
+    photos far below those trained on.
 
     Raises: InputError: views without photos, fewer than two to train on, all cameras in one place,
-    points that are not finite or too few, a folder that holds something else, a full disk.
-    MismatchError: the folder holds an unfinished run of other settings or views. FormatError: a
+    points that are not finite or too few, a folder that holds something else or that another process
+    trains in, a full disk. MismatchError: the folder holds a run of other settings or inputs. FormatError: a
     damaged photo. MissingExtraError: device "cuda" without gsplat or a GPU. DrSplatError: the
     optimisation diverged.
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".

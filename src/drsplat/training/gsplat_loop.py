@@ -12,13 +12,16 @@ import torch
 from ..errors import DrSplatError, InputError
 from ..formats.captures import SparsePoints
 from ..views import View
-from .checkpoint import capture_fingerprint
 from .gsplat_run import DeviceRun, Drawn, Engine
 from .gsplat_strategy import require_what_gsplat_can
-from .loop import CHECKPOINT_EVERY, PSNR_EVERY, PSNR_MEMORY, Status, Training, _Keeper
+from .interrupting import deferred_interrupt
+from .keeper import Keeper, beginning
+from .loop import CHECKPOINT_EVERY, PSNR_EVERY, PSNR_MEMORY, Status
+from .model_folder import model_folder
 from .optimizer import Optimizer
+from .result import Training
 from .settings import TrainingSettings
-from .start import first_gaussians, scene_extent, split_views, start_points
+from .start import first_gaussians, scene_extent, split_views
 
 
 def train(
@@ -47,25 +50,30 @@ def train(
         raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
     require_what_gsplat_can(settings)
     split = split_views(views, settings.test_every)
-    rng = np.random.default_rng(settings.seed)
-    start = start_points(points, split.train, settings, rng)
-    optimizer = Optimizer(first_gaussians(start, settings))
-    run = DeviceRun(split.train, settings, scene_extent(split.train), optimizer, rng, engine=engine)
-    keeper = _Keeper(run, split.test, output_dir, save_at, checkpoint_every, threads)
-    capture = capture_fingerprint([*split.train, *split.test], points)
-    keeper.begin(capture, overwrite, lambda folder: folder.write_start(views, start, settings))
-    with _full_precision(), _memory_explained(run):
-        _optimise(run, keeper, report)
-    return keeper.finish()
+    extent, rng = scene_extent(split.train), np.random.default_rng(settings.seed)
+    with model_folder(output_dir, overwrite) as folder:
+        start = beginning(folder, points, split.train, settings, rng)
+        optimizer = Optimizer(first_gaussians(start.points, settings))
+        run = DeviceRun(split.train, settings, extent, optimizer, rng, engine=engine)
+        keeper = Keeper(run, split, folder, save_at, checkpoint_every, threads)
+        keeper.begin(points, start)
+        with _full_precision(), _memory_explained(run), deferred_interrupt() as interrupted:
+            _optimise(run, keeper, report, interrupted)
+        return keeper.finish()
 
 
-def _optimise(run: DeviceRun, keeper: _Keeper, report: Callable[[Status], None] | None) -> None:
+def _optimise(
+    run: DeviceRun,
+    keeper: Keeper,
+    report: Callable[[Status], None] | None,
+    interrupted: Callable[[], bool],
+) -> None:
     psnr = math.nan
     while run.iteration < run.settings.iterations:
         begin = time.perf_counter()
         drawn = run.advance()
         run.seconds += time.perf_counter() - begin
-        keeper.after_step()
+        keeper.after_step(interrupted())
         if report is None:
             continue
         if run.iteration % PSNR_EVERY == 0:

@@ -94,6 +94,7 @@ class DeviceRun(Run):
         self._since = time.perf_counter()
         self.iteration += 1
         self._copy = None
+        self.control.before_step(self.iteration)
         # a stream of its own for each iteration: a run that goes on needs no state of it
         torch.manual_seed((self.settings.seed << 32 | self.iteration) % 2**63)
         index = self.order.next(self.rng)

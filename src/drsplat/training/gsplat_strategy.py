@@ -84,6 +84,11 @@ class DefaultControl:
     def penalty(self) -> float:
         return 0.0
 
+    def before_step(self, iteration: int) -> None:
+        """As `density.AdaptiveDensity.before_step`."""
+        if resets_opacity(self.settings, iteration - 1):
+            self.scene.reset_opacity(self.settings.reset_opacity)
+
     def before_backward(self, seen: dict[str, Any], iteration: int) -> None:
         tensors, adams = self.scene.tensors, self.scene.adams
         self.strategy.step_pre_backward(tensors, adams, self.state, iteration, seen)
@@ -96,8 +101,6 @@ class DefaultControl:
             self.strategy.grow_grad2d = self._threshold()
             # observed above, so now nobody is seen
             self._call(iteration, seen | {"radii": torch.zeros_like(seen["radii"])})
-        if resets_opacity(self.settings, iteration):
-            self.scene.reset_opacity(self.settings.reset_opacity)
 
     def _call(self, step: int, seen: dict[str, Any]) -> None:
         tensors, adams = self.scene.tensors, self.scene.adams
@@ -145,6 +148,9 @@ class MonteCarloControl:
         s, tensors = self.settings, self.scene.tensors
         opacity = torch.sigmoid(tensors["opacities"]).mean()
         return s.opacity_penalty * opacity + s.scale_penalty * torch.exp(tensors["scales"]).mean()
+
+    def before_step(self, iteration: int) -> None:
+        """No opacity is reset."""
 
     def before_backward(self, seen: dict[str, Any], iteration: int) -> None:
         """Nothing to keep."""

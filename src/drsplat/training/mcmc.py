@@ -41,6 +41,9 @@ class MonteCarlo:
         weight = np.float32(self.settings.scale_penalty / (3 * count))
         gradients.log_scales[:] += weight * np.exp(parameters.log_scales)
 
+    def before_step(self, optimizer: Optimizer, iteration: int) -> None:
+        """No opacity is reset."""
+
     def after_step(
         self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float
     ) -> None:

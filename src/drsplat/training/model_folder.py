@@ -7,7 +7,7 @@
     settings.json                             every hyper-parameter
     test/NAME.png                             held-out photo, rendering, 4 x difference
     results.json                              the measures; written last
-    checkpoint.safetensors                    while it is unfinished
+    checkpoint.safetensors                    where an unfinished or a longer run goes on
 
 Each file appears whole or not at all.
 """
@@ -16,7 +16,8 @@ import json
 import re
 import shutil
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ import numpy as np
 from ..errors import InputError
 from ..formats.cameras_json import write_cameras_json
 from ..formats.captures import SparsePoints
+from ..formats.claiming import LOCK, claimed_folder
 from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
@@ -35,11 +37,29 @@ from .settings import TrainingSettings
 _LEFT_BEHIND = re.compile(r"\.[0-9a-f]{16}\.tmp")  # by a run that was killed while it wrote
 
 
+@contextmanager
+def model_folder(path: str | Path | None, overwrite: bool) -> Iterator["ModelFolder | None"]:
+    """The folder, ready, and while the block runs nobody else's; None for None.
+
+    Raises: InputError: as `ModelFolder.prepare`; another process trains in it.
+    """
+    if path is None:
+        yield None
+        return
+    folder = ModelFolder(path)
+    with claimed_folder(folder.path):
+        folder.prepare(overwrite)
+        yield folder
+
+
 class ModelFolder:
-    """One folder; nothing is written before `prepare`."""
+    """One folder; nothing is written before `prepare`, which says whether a run in it goes on."""
+
+    goes_on = False
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.start = self.path / "input.ply"
         self.checkpoint = self.path / "checkpoint.safetensors"
         self.results = self.path / "results.json"
         self.test_pictures = self.path / "test"
@@ -47,29 +67,25 @@ class ModelFolder:
     def scene(self, iteration: int) -> Path:
         return self.path / "point_cloud" / f"iteration_{iteration}" / "point_cloud.ply"
 
-    def prepare(self, overwrite: bool) -> bool:
-        """Make the folder, or take over one; True when an unfinished run is in it to go on with.
+    def prepare(self, overwrite: bool) -> None:
+        """Take the folder over; a run that is in it goes on, unless `overwrite`.
 
-        Raises: InputError: it holds anything else and not `overwrite`, or cannot be made.
+        Raises: InputError: it holds anything else and not `overwrite`.
         """
         if overwrite:
             self._clear()
-        if self.path.exists() and not self.path.is_dir():
-            raise InputError(f"{self.path} is a file: give the name of a folder")
-        unfinished = self.checkpoint.is_file()
-        if self.path.is_dir() and not (overwrite or unfinished or self._is_fresh()):
+        self.goes_on = self.checkpoint.is_file()
+        if not (overwrite or self.goes_on or self._is_fresh()):
             raise InputError(
-                f"{self.path} is not empty and holds no unfinished run: pass overwrite=True "
+                f"{self.path} is not empty and holds no run to go on with: pass overwrite=True "
                 "to replace the model in it, or name another output folder"
             )
-        self.path.mkdir(parents=True, exist_ok=True)
         for name in filter(_LEFT_BEHIND.fullmatch, [file.name for file in self.path.iterdir()]):
             (self.path / name).unlink(missing_ok=True)
-        return unfinished
 
     def _is_fresh(self) -> bool:
         """Nothing in it but what a run writes before its first checkpoint."""
-        early = {"cameras.json", "cfg_args", "settings.json", "input.ply"}
+        early = {"cameras.json", "cfg_args", "settings.json", "input.ply", LOCK}
         return all(
             file.name in early or _LEFT_BEHIND.fullmatch(file.name) for file in self.path.iterdir()
         )
@@ -84,18 +100,17 @@ class ModelFolder:
                 file.parent.rmdir()
         shutil.rmtree(self.test_pictures, ignore_errors=True)
 
-    def write_start(
-        self, views: Sequence[View], points: SparsePoints, settings: TrainingSettings
-    ) -> None:
-        """cameras.json, input.ply and settings.json."""
+    def write_start(self, views: Sequence[View], points: SparsePoints) -> None:
+        """cameras.json and input.ply. views: with photos."""
         # trained on photos whose lens was undone, so the cameras have none
         undistorted = [replace(view, distortion=None) for view in views]
         write_cameras_json(self.path / "cameras.json", undistorted, overwrite=True)
-        write_vertices(self.path / "input.ply", _point_columns(points), overwrite=True)
-        self.write_json("settings.json", asdict(settings))
+        write_vertices(self.start, _point_columns(points), overwrite=True)
 
-    def write_cfg_args(self, source: Path, images: str, settings: TrainingSettings) -> None:
-        """The arguments of 3DGS that other tools read back, as it writes them."""
+    def write_settings(self, views: Sequence[View], settings: TrainingSettings) -> None:
+        """settings.json, and cfg_args: the arguments of 3DGS that other tools read back, as it writes them."""
+        self.write_json("settings.json", asdict(settings))
+        source, images = _source_and_images(views[0])
         arguments = Namespace(
             data_device="cpu",
             eval=settings.test_every > 0,
@@ -118,6 +133,17 @@ class ModelFolder:
     def write_json(self, name: str, document: object) -> None:
         with replacing(self.path / name, overwrite=True) as file:
             file.write(json.dumps(document, indent=1).encode())
+
+
+def _source_and_images(view: View) -> tuple[Path, str]:
+    """The capture's folder and that of its photos in it, by where a view's photo is."""
+    path = view.image_path or Path(view.name)
+    folder = path.parent
+    if path.parts[-len(Path(view.name).parts) :] == Path(view.name).parts:
+        folder = path.parents[len(Path(view.name).parts) - 1]
+    if folder.name.startswith("images"):
+        return folder.parent, folder.name
+    return folder, "."
 
 
 def _point_columns(points: SparsePoints) -> dict[str, np.ndarray]:

@@ -51,6 +51,7 @@ class Run:
         self.iteration = 0
         self.seconds = 0.0
         self.history: list[dict[str, object]] = []
+        self.start: dict[str, int] = {}
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)
         self._since = time.perf_counter()
 
@@ -61,6 +62,7 @@ class Run:
         """
         self._since = time.perf_counter()
         self.iteration += 1
+        self.density.before_step(self.optimizer, self.iteration)
         index = self.order.next(self.rng)
         photo = self.photos[index]
         target = photo.colors()
@@ -137,6 +139,7 @@ class Run:
             "seconds": repr(self.seconds),
             "stage_seconds": json.dumps(self.stage_seconds),
             "history": json.dumps(self.history),
+            "start": json.dumps(self.start),
         }
         return arrays, texts
 
@@ -149,3 +152,4 @@ class Run:
         self.iteration, self.seconds = int(texts["iteration"]), float(texts["seconds"])
         self.stage_seconds = json.loads(texts["stage_seconds"])
         self.history = json.loads(texts["history"])
+        self.start = json.loads(texts["start"])

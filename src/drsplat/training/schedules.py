@@ -30,12 +30,21 @@ def refines(settings: TrainingSettings, iteration: int) -> bool:
 
 
 def resets_opacity(settings: TrainingSettings, iteration: int) -> bool:
-    """Of adaptive density control only; a white background has one more, when refinement starts.
+    """After this iteration, before the next. Of adaptive density control only; a white background has one more, when refinement starts.
 
     Source: 3DGS Sec. 5.2; its published defaults for the white one.
     """
     last = min(settings.last_refinement - 1, settings.iterations - settings.reset_recovery)
-    if iteration > last:
+    if not 0 < iteration <= last:
         return False
     first = settings.background == "white" and iteration == settings.refine_from
     return first or iteration % settings.reset_every == 0
+
+
+def same_until(one: TrainingSettings, other: TrainingSettings, iteration: int) -> bool:
+    """Whether runs of these settings, which differ in their length alone, are one run up to here.
+
+    They are not where the shorter one left out an opacity reset that it was too short to recover from.
+    """
+    resets = range(1, iteration)  # the one of `iteration` itself is still to come
+    return all(resets_opacity(one, i) == resets_opacity(other, i) for i in resets)

@@ -15,7 +15,11 @@ from ..errors import InputError
 
 STRATEGIES = ("default", "mcmc")
 BACKGROUNDS = ("black", "white", "random")
-NOT_OF_THE_RESULT = ("evaluate_every", "photo_memory_bytes")  # change no bit of it
+NOT_OF_AN_ITERATION = (
+    "evaluate_every",
+    "photo_memory_bytes",
+    "iterations",
+)  # `iterations` alone may grow
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class TrainingSettings:
     # where Gaussians start
     start_opacity: float | None = None  # B: 0.1; C: 0.5 with mcmc
     start_scale: float | None = None  # A: 1 distance to the neighbours; C: 0.1 with mcmc
-    random_points: int = 100_000  # B: where the capture has no points
+    random_points: int = 100_000  # B: where the capture has no points and few are triangulated
 
     # how their number changes; to 15,000 and with resets by default, to 25,000 with mcmc
     refine_from: int = 500  # A, C
@@ -141,5 +145,5 @@ class TrainingSettings:
     @property
     def fingerprint(self) -> str:
         """JSON of what decides the result of an iteration: a run may go on only with the same."""
-        named = {k: v for k, v in asdict(self).items() if k not in NOT_OF_THE_RESULT}
+        named = {k: v for k, v in asdict(self).items() if k not in NOT_OF_AN_ITERATION}
         return json.dumps(named, sort_keys=True)

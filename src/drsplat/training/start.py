@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
@@ -82,59 +81,6 @@ def scene_extent(views: Sequence[View]) -> float:
             "the poses were read from the right file"
         )
     return 1.1 * farthest
-
-
-def start_points(
-    points: SparsePoints | None,
-    views: Sequence[View],
-    settings: TrainingSettings,
-    rng: np.random.Generator,
-) -> SparsePoints:
-    """The given points, thinned to the budget, or else random ones about the cameras.
-
-    Raises: InputError: points that are not finite, or too few of them.
-    """
-    if points is None or len(points.positions) == 0:
-        return _random_points(views, settings, rng)
-    _check_points(points)
-    limit = settings.max_gaussians
-    if limit is None or len(points.positions) <= limit:
-        return points
-    kept = np.sort(rng.choice(len(points.positions), max(limit, 1), replace=False))
-    return SparsePoints(points.positions[kept], points.colors[kept])
-
-
-def _check_points(points: SparsePoints) -> None:
-    count = len(points.positions)
-    if points.positions.shape != (count, 3) or points.colors.shape != (count, 3):
-        raise InputError(
-            f"points: expected positions and colors (n, 3), got {points.positions.shape} and "
-            f"{points.colors.shape}"
-        )
-    finite: Bool[np.ndarray, " n"] = np.isfinite(points.positions).all(axis=1)
-    if not finite.all():
-        raise InputError(
-            f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
-            f"{int(np.argmin(finite))}: remove them, or pass no points to start from random ones"
-        )
-    if count <= NEIGHBOURS:
-        raise InputError(
-            f"{count} points are too few: sizes come from the {NEIGHBOURS} nearest neighbours. Pass "
-            "no points to start from random ones, or pose the photos again"
-        )
-
-
-def _random_points(
-    views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator
-) -> SparsePoints:
-    """Grey points, uniform in the cube about the mean of the cameras that holds them all."""
-    centers = np.array([view.center for view in views])
-    count = settings.random_points
-    if settings.max_gaussians is not None:
-        count = min(count, settings.max_gaussians)
-    half = scene_extent(views)
-    positions = centers.mean(axis=0) + rng.uniform(-half, half, (max(count, NEIGHBOURS + 1), 3))
-    return SparsePoints(positions, np.full(positions.shape, 128, np.uint8))
 
 
 def first_gaussians(points: SparsePoints, settings: TrainingSettings) -> SceneParameters:

@@ -1,0 +1,171 @@
+"""Everything about a run that is not a step: its files, how it goes on, and its measures."""
+
+import time
+import warnings
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DrSplatWarning, InputError
+from ..formats.captures import SparsePoints
+from ..formats.point_ply import read_point_ply
+from ..views import View
+from .checkpoint import capture_fingerprint, load_checkpoint, save_checkpoint
+from .evaluation import Evaluation, evaluate
+from .model_folder import ModelFolder
+from .result import Training
+from .run import Run
+from .settings import TrainingSettings
+from .start import Split
+from .start_points import Start, start_points
+from .training_photos import TrainingPhotos
+
+CHECKPOINT_SECONDS = 120.0
+MOST_TRAIN_SCORED = 16  # photos
+
+
+def beginning(
+    folder: ModelFolder | None,
+    points: SparsePoints | None,
+    views: Sequence[View],
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+) -> Start:
+    """`start_points`, or what the run in the folder started from, which need not be found again.
+
+    Raises: as `start_points`.
+    """
+    if folder is not None and folder.goes_on and folder.start.is_file():
+        return Start(SparsePoints(*read_point_ply(folder.start)))
+    return start_points(points, views, settings, rng)
+
+
+class Keeper:
+    """One sitting of a run, with its folder or without one."""
+
+    def __init__(
+        self,
+        run: Run,
+        split: Split,
+        folder: ModelFolder | None,
+        save_at: Collection[int],
+        checkpoint_every: int,
+        threads: int,
+    ) -> None:
+        self.run, self.split, self.folder, self.threads = run, split, folder, threads
+        self.save_at, self.checkpoint_every = save_at, checkpoint_every
+        self.test_photos = TrainingPhotos(split.test, run.settings.photo_memory_bytes)
+        self.capture = ""
+        self.saved = time.monotonic()
+
+    def begin(self, points: SparsePoints | None, start: Start) -> None:
+        """Go on with what is in the folder, or write what a run begins with."""
+        run, folder = self.run, self.folder
+        run.start = start.plain()
+        if folder is None:
+            return
+        views = sorted([*self.split.train, *self.split.test], key=lambda view: view.name)
+        self.capture = capture_fingerprint(views, points)
+        if folder.goes_on:
+            load_checkpoint(folder.checkpoint, run, self.capture)
+            folder.results.unlink(missing_ok=True)  # until there are those of this length
+            folder.write_settings(views, run.settings)
+        else:
+            folder.write_start(views, start.points)
+            folder.write_settings(views, run.settings)
+            self._checkpoint()  # whatever is written from here on can be gone on with
+
+    def after_step(self, interrupted: bool) -> None:
+        """Raises: KeyboardInterrupt: `interrupted`; what is done so far is in the checkpoint."""
+        run, settings = self.run, self.run.settings
+        if run.iteration == settings.iterations:
+            return
+        if settings.evaluate_every and run.iteration % settings.evaluate_every == 0:
+            self._note()
+        if self.folder is not None:
+            self._keep(self.folder, interrupted)
+        if interrupted:
+            raise KeyboardInterrupt(self._how_to_go_on())
+
+    def _keep(self, folder: ModelFolder, interrupted: bool) -> None:
+        run = self.run
+        if run.iteration in self.save_at:
+            folder.write_scene(run.iteration, run.optimizer.gaussians())
+        late = time.monotonic() - self.saved > CHECKPOINT_SECONDS
+        # from the last but one, a longer run goes on as if it had been planned so
+        last = run.iteration == run.settings.iterations - 1
+        if late or last or interrupted or run.iteration % self.checkpoint_every == 0:
+            self._checkpoint()
+
+    def _checkpoint(self) -> None:
+        if self.folder is None:
+            raise InputError("a run without a folder keeps no checkpoint")
+        save_checkpoint(self.folder.checkpoint, self.run, self.capture)
+        self.saved = time.monotonic()
+
+    def _how_to_go_on(self) -> str:
+        at = f"after iteration {self.run.iteration:,} of {self.run.settings.iterations:,}"
+        if self.folder is None:
+            return at
+        return f"{at}, which {self.folder.checkpoint} holds: the same command, without --overwrite, goes on from there"
+
+    def _note(self) -> None:
+        scores = self._tested(None)
+        if scores is not None:
+            entry: dict[str, object] = {
+                "iteration": self.run.iteration,
+                "psnr_test": scores.psnr,
+                "ssim_test": scores.ssim,
+                "num_gaussians": len(self.run.optimizer),
+                "seconds": self.run.seconds,
+            }
+            self.run.history.append(entry)
+
+    def _tested(self, pictures: Path | None) -> Evaluation | None:
+        run = self.run
+        return evaluate(
+            run.optimizer.parameters, self.split.test, self.test_photos, run.settings,
+            pictures=pictures, threads=self.threads,
+        )  # fmt: skip
+
+    def _psnr_train(self, count: int) -> float:
+        """Of so many of the photos that it was trained on, evenly chosen."""
+        views = self.split.train
+        chosen = np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)
+        some = [views[index] for index in chosen]
+        photos = TrainingPhotos(some, 0)
+        scores = evaluate(
+            self.run.optimizer.parameters, some, photos, self.run.settings, threads=self.threads
+        )
+        return scores.psnr if scores else float("nan")
+
+    def finish(self) -> Training:
+        """Measure, write the scene and, last, the results. The checkpoint stays, for a longer run."""
+        run, folder = self.run, self.folder
+        gaussians = run.optimizer.gaussians()
+        if folder is not None:
+            folder.write_scene(run.settings.iterations, gaussians)
+        evaluation = self._tested(folder.test_pictures if folder else None)
+        train = self._psnr_train(min(max(len(self.split.test), 1), MOST_TRAIN_SCORED))
+        training = Training(
+            gaussians, run.settings, evaluation, run.seconds, run.stage_seconds, run.history, train, run.start,
+        )  # fmt: skip
+        _tell_of_fog(training)
+        if folder is not None:
+            details = {"history": run.history, "test": evaluation.plain() if evaluation else None}
+            folder.write_json("results.json", training.measures() | details)
+        return training
+
+
+def _tell_of_fog(training: Training) -> None:
+    test = training.evaluation
+    if test is None or not training.held_out_far_below:
+        return
+    warnings.warn(
+        f"held-out photos are rendered at {test.psnr:.1f} dB, those trained on at {training.psnr_train:.1f}: the scene "
+        "looks right only from where it was photographed, as fog does, and searching it will disappoint. More photos "
+        "from places in between help, as do sharper ones, right poses, and points to start from (--points)",
+        DrSplatWarning,
+        stacklevel=4,
+    )

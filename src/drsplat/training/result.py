@@ -1,0 +1,49 @@
+"""What a run has made."""
+
+from dataclasses import dataclass
+
+from ..gaussians import Gaussians
+from .evaluation import Evaluation
+from .settings import TrainingSettings
+
+FAR_BELOW = 10.0  # dB; captures that were covered well lose 3 on photos that were held out, sparse ones up to 8
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """What a run has made.
+
+    evaluation: of the held-out photos; None when there are none. psnr_train: mean over as many of the photos that
+    it was trained on, in dB. seconds: of optimisation, over all sittings. stage_seconds: the same by stage.
+    history: evaluations on the way. start: points that it started from, by where they came from.
+    """
+
+    gaussians: Gaussians
+    settings: TrainingSettings
+    evaluation: Evaluation | None
+    seconds: float
+    stage_seconds: dict[str, float]
+    history: list[dict[str, object]]
+    psnr_train: float
+    start: dict[str, int]
+
+    @property
+    def held_out_far_below(self) -> bool:
+        """Whether photos that were held out are rendered so much worse that the scene is fog from elsewhere."""
+        test = self.evaluation
+        return test is not None and self.psnr_train - test.psnr > FAR_BELOW
+
+    def measures(self) -> dict[str, object]:
+        """The headline, for JSON."""
+        return {
+            "psnr_test": self.evaluation.psnr if self.evaluation else None,
+            "psnr_train": self.psnr_train,
+            "held_out_far_below": self.held_out_far_below,
+            "ssim_test": self.evaluation.ssim if self.evaluation else None,
+            "num_gaussians": len(self.gaussians),
+            "iterations": self.settings.iterations,
+            "seconds": self.seconds,
+            "num_test_views": len(self.evaluation.views) if self.evaluation else 0,
+            "stage_seconds": self.stage_seconds,
+            "start": self.start,
+        }

@@ -1,0 +1,9 @@
+"""Posed photos -> points: what stands where several of them show the same thing.
+
+A capture of a phone has poses and no points. SIFT finds places that look alike, the poses say which of them can
+be one place, and rays through the same place meet in a point.
+"""
+
+from .structure import Triangulation, triangulate
+
+__all__ = ["Triangulation", "triangulate"]

@@ -1,0 +1,75 @@
+"""Places of a photo that can be found again in another one."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from skimage.color import rgb2gray
+from skimage.feature import SIFT
+
+from ..errors import InputError
+from ..lens import undistort_points
+from ..photos import load_image, photo_size
+from ..views import View
+
+LONGER_SIDE = 640  # pixels; more cost more and triangulate no better what 3DGS starts from
+MOST = 1000  # of a photo, those of the largest scale first
+LEAST_SIDE = 24  # pixels; SIFT has no octave on less
+CONTRAST = (
+    0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
+)
+
+
+class Keypoints(NamedTuple):
+    """pixels: on the view's pinhole, lens undone, at the view's own size. descriptors: of SIFT."""
+
+    pixels: Float64[np.ndarray, "n 2"]
+    colors: UInt8[np.ndarray, "n 3"]
+    descriptors: UInt8[np.ndarray, "n 128"]
+
+
+def keypoints(view: View) -> Keypoints:
+    """SIFT on the photo as stored: undoing the lens first would add the photo's border as an edge.
+
+    Raises: InputError, FormatError: as `load_image`.
+    Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints" (2004).
+    """
+    photo = load_image(stored := _shrunk(replace(view, distortion=None)))
+    sift = _detected(photo)
+    if sift is None:
+        return Keypoints(np.empty((0, 2)), np.empty((0, 3), np.uint8), np.empty((0, 128), np.uint8))
+    rows, columns = np.rint(sift.positions).astype(np.intp).T
+    on_photo = sift.positions[:, ::-1].astype(np.float64) + 0.5  # centres are at half integers
+    scale = (view.width / stored.width, view.height / stored.height)
+    pixels = undistort_points(view, on_photo * scale)
+    kept = _largest(sift.sigmas, np.isfinite(pixels).all(axis=1))
+    return Keypoints(pixels[kept], photo[rows, columns][kept], sift.descriptors[kept])
+
+
+def _shrunk(view: View) -> View:
+    """The view on its photo's own raster, or a smaller one."""
+    if view.image_path is None:
+        raise InputError(f"view '{view.name}' has no photo: pass images=FOLDER to read_views")
+    width, height = photo_size(view.image_path)
+    scale = min(1.0, LONGER_SIDE / max(width, height))
+    return view.resized(max(1, round(width * scale)), max(1, round(height * scale)))
+
+
+@np.errstate(all="ignore")  # a patch without gradients divides by their sum
+def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
+    """A SIFT with what it found; None where the photo has no texture."""
+    if min(photo.shape[:2]) < LEAST_SIDE:
+        return None
+    sift: Any = SIFT(upsampling=1, c_dog=CONTRAST)  # type: ignore[no-untyped-call]
+    try:
+        sift.detect_and_extract(rgb2gray(photo).astype(np.float32))
+    except (RuntimeError, ValueError):  # how scikit-image says that there is none
+        return None
+    return sift
+
+
+def _largest(sigmas: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Indices of the `MOST` usable ones of largest scale, which are found again most often."""
+    order = np.argsort(-sigmas, kind="stable")
+    return np.sort(order[usable[order]][:MOST])

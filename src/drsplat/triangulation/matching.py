@@ -1,0 +1,82 @@
+"""Keypoints of two photos that may show one place: alike, and on each other's epipolar line."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Integer
+
+from ..views import View
+from .keypoints import Keypoints
+
+RATIO = 0.8  # Lowe's: the second best is farther by this
+EPIPOLAR = 1 / 320  # of the photo's longer side; 2 pixels of 640
+
+
+class Matches(NamedTuple):
+    """pairs: indices into both photos' keypoints. alike: how many there were before the poses were asked."""
+
+    pairs: Integer[np.ndarray, "m 2"]
+    alike: int
+
+
+def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
+    """Mutually nearest descriptors, of which those remain that the poses allow."""
+    pairs = _alike(a, b)
+    fits = _fits(first, a.pixels[pairs[:, 0]], second, b.pixels[pairs[:, 1]])
+    return Matches(pairs[fits], len(pairs))
+
+
+def _alike(a: Keypoints, b: Keypoints) -> Integer[np.ndarray, "m 2"]:
+    """Source: Lowe 2004, Sec. 7.1, in both directions."""
+    if len(a.descriptors) < 2 or len(b.descriptors) < 2:
+        return np.empty((0, 2), np.int64)
+    distances2 = _distances2(a, b)
+    forward, backward = _nearest(distances2), _nearest(distances2.T)
+    mutual = (forward >= 0) & (backward[forward] == np.arange(len(forward)))
+    return np.stack([np.flatnonzero(mutual), forward[mutual]], axis=1)
+
+
+def _distances2(a: Keypoints, b: Keypoints) -> np.ndarray:
+    """Of whole numbers below 2^24, so that float32 is exact and any order of adding gives the same bits."""
+    left, right = a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)
+    squares: np.ndarray = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * (left @ right.T)
+    return squares
+
+
+def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
+    """Of each row; -1 where the second is about as near."""
+    rows = np.arange(len(distances2))
+    best, second = np.argpartition(distances2, 1, axis=1)[:, :2].T
+    clear = distances2[rows, best] < RATIO**2 * distances2[rows, second]
+    return np.where(clear, best, -1)
+
+
+def _fits(
+    first: View,
+    x: Float64[np.ndarray, "m 2"],
+    second: View,
+    y: Float64[np.ndarray, "m 2"],
+) -> Bool[np.ndarray, " m"]:
+    """Whether each lies on the other's epipolar line, to `EPIPOLAR` of the photo."""
+    fundamental = fundamental_matrix(first, second)
+    homogeneous = [np.concatenate([points, np.ones((len(points), 1))], axis=1) for points in (x, y)]
+    in_second, in_first = homogeneous[0] @ fundamental.T, homogeneous[1] @ fundamental
+    off = np.abs((homogeneous[1] * in_second).sum(axis=1))
+    fits = np.ones(len(x), bool)
+    for lines, view in ((in_second, second), (in_first, first)):
+        reach = EPIPOLAR * max(view.width, view.height)
+        fits &= off <= reach * np.linalg.norm(lines[:, :2], axis=1)
+    return fits
+
+
+def fundamental_matrix(first: View, second: View) -> Float64[np.ndarray, "3 3"]:
+    """F with y^T F x = 0 for pixels x of the first and y of the second that show one point.
+
+    Source: Hartley and Zisserman, "Multiple View Geometry" (2004), Eq. 9.2.
+    """
+    relative = second.cam_from_world[:3, :3] @ first.cam_from_world[:3, :3].T
+    x, y, z = second.cam_from_world[:3, :3] @ (first.center - second.center)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    essential = cross @ relative
+    inverses = [np.linalg.inv(view.K) for view in (first, second)]
+    return np.asarray(inverses[1].T @ essential @ inverses[0])

@@ -1,0 +1,115 @@
+"""One writer at a time: held by processes, not by files, and gone with them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from command_line import error_of
+from drsplat.errors import InputError
+from drsplat.formats.claiming import claimed_folder, claimed_output
+
+HOLD = """
+import sys, time
+from drsplat.formats.claiming import claimed_folder, claimed_output
+with (claimed_folder if sys.argv[1] == "folder" else claimed_output)(sys.argv[2]):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+kinds = pytest.mark.parametrize(
+    ("kind", "claim", "lock"),
+    [("folder", claimed_folder, "out/.lock"), ("output", claimed_output, ".out.lock")],
+)
+
+
+@kinds
+def test_another_process_is_refused_until_this_one_is_killed(kind, claim, lock, tmp_path):
+    command = [sys.executable, "-c", HOLD, kind, str(tmp_path / "out")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        said = f"out is being written by process {holder.pid} on "
+        with pytest.raises(InputError, match=said), claim(tmp_path / "out"):
+            pass
+        holder.send_signal(signal.SIGKILL)
+    assert (tmp_path / lock).is_file()  # stale: it holds nobody up
+    with claim(tmp_path / "out"):
+        assert json.loads((tmp_path / lock).read_text())["pid"] == os.getpid()
+    assert not (tmp_path / lock).exists()
+
+
+@kinds
+def test_it_is_let_go_of_when_the_block_ends_badly(kind, claim, lock, tmp_path):
+    with pytest.raises(ZeroDivisionError), claim(tmp_path / "out"):
+        raise ZeroDivisionError
+    assert not (tmp_path / lock).exists()
+    with (
+        claim(tmp_path / "out"),
+        pytest.raises(InputError, match="is being written"),
+        claim(tmp_path / "out"),
+    ):
+        pass
+
+
+def test_a_lock_that_was_removed_is_not_held(tmp_path, monkeypatch):
+    """Who waited for a file that its owner has unlinked would hold nothing."""
+    from drsplat.formats import claiming
+
+    original, times = claiming.fcntl.flock, []
+
+    def unlinked_meanwhile(file, how):
+        original(file, how)
+        times.append(how)
+        if len(times) == 1:
+            (tmp_path / ".out.lock").unlink()
+
+    monkeypatch.setattr(claiming.fcntl, "flock", unlinked_meanwhile)
+    with claimed_output(tmp_path / "out"):
+        assert len(times) == 2
+        assert (tmp_path / ".out.lock").is_file()
+
+
+def test_what_cannot_be_claimed_is_said(tmp_path):
+    with pytest.raises(InputError, match="there is no folder"), claimed_output(tmp_path / "a/b"):
+        pass
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is a file"), claimed_folder(tmp_path / "file"):
+        pass
+    (tmp_path / ".out.lock").write_bytes(b"\xff nonsense")
+    with (
+        claimed_output(tmp_path / "out"),
+        pytest.raises(InputError, match="is being written"),
+        claimed_output(tmp_path / "out"),
+    ):
+        pass
+
+
+def test_two_registrations_do_not_share_an_output(tmp_path: Path, capsys):
+    with claimed_output(tmp_path / "x.field"):
+        said = error_of(capsys, "register", "scene.ply", "capture", "--features", "f", "-o", tmp_path / "x.field")  # fmt: skip
+    assert f"x.field is being written by process {os.getpid()}" in said
+
+
+def test_two_runs_do_not_embed_into_one_folder(tmp_path: Path, capsys):
+    from PIL import Image
+
+    (tmp_path / "images").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "images/a.png")
+    camera = {"fl_x": 60, "w": 64, "h": 48}
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    frames = [{"file_path": "images/a.png", "transform_matrix": pose}]
+    (tmp_path / "transforms.json").write_text(json.dumps(camera | {"frames": frames}))
+    with claimed_folder(tmp_path / "out"):
+        options = (
+            "--segmenter",
+            "graph",
+            "--encoder",
+            "drsplat-mini",
+            "--output",
+            tmp_path / "out",
+        )
+        said = error_of(capsys, "embed", tmp_path, *options)
+    assert "is being written by process" in said
