@@ -48,8 +48,7 @@ class ColumnMaker:
         stored = features.resized(view.width, view.height).segment_ids
         segment_ids = undistort_ids(view, stored)
         key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
-        name = hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()
-        path = self.folder / f"{name}.columns.safetensors"
+        path = self.folder / part_name(view.name)
         if not _is_finished(path, key):
             triples = self.sampling.triples(self.splats, view, segment_ids, self.threads)
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -64,6 +63,12 @@ class ColumnMaker:
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"
         return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
+
+
+def part_name(view_name: str) -> str:
+    """Of the file of a view's columns."""
+    digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
+    return f"{digest}.columns.safetensors"
 
 
 def _digest(*arrays: np.ndarray, salt: str = "") -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,7 +136,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     features = read_features(arguments.features, level=arguments.level, encoder=encoder)
     watch.lap("read")
     parts = Path(arguments.parts or f"{output}.parts")
-    before = _finished(parts)
+    names = [view.name for view in views]
+    before = _finished(parts, names)
     registration = register(
         gaussians, views, features, sampling=sampling, parts=parts, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
@@ -147,7 +149,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)
     watch.lap("save")
-    reused = len(before.items() & _finished(parts).items())
+    reused = len(before.items() & _finished(parts, names).items())
     if arguments.parts is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
@@ -214,9 +216,12 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _finished(parts: Path) -> dict[str, int]:
+def _finished(parts: Path, names: Iterable[str]) -> dict[str, int]:
     """Time of writing of each finished view's file."""
-    return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.safetensors")}
+    from ..columns import part_name
+
+    files = (parts / part_name(name) for name in names)
+    return {file.name: file.stat().st_mtime_ns for file in files if file.is_file()}
 
 
 def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":

@@ -11,6 +11,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from ..features import ViewFeatures
 from ..segments import LEVELS
+from ..terminal import counted
 from .embedding_record import embedded_by
 from .npy import map_npy, write_npy
 from .photo_files import listed, safe_name
@@ -18,7 +19,7 @@ from .photo_files import listed, safe_name
 _MAPS, _EMBEDDINGS = "_s.npy", "_f.npy"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LevelFeatures(ViewFeatures):
     """The segments of one level of one photo, numbered 0..S-1.
 
@@ -51,6 +52,11 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
                 f"{encoder.name} have "
                 f"{encoder.dim}: name the encoder that made them"
             )
+
+    def __repr__(self) -> str:
+        by = "unknown" if self.encoder is None else self.encoder.name
+        level, photos = LEVELS[self.level], counted(len(self), "photo")
+        return f"FeatureFolder('{self.directory}', {photos}, {level}, {self.dim}-d by {by})"
 
     def key(self, name: str) -> str | None:
         """The key that the name of a view finds, or None."""
