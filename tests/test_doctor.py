@@ -1,9 +1,10 @@
 """`drsplat doctor`: what it says of machines that lack things."""
 
 import json
+import re
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import requires, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,20 @@ def test_this_machine_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     models = answer["can"][MODELS]
     assert models["ready"] == (has_torch and find_spec("transformers") is not None)
     assert models["ready"] or "drsplat[models]" in models["cure"]
+
+
+@pytest.mark.parametrize("name", doctor.SERVERS)
+def test_extras_that_are_missing_have_their_cure(installed: set[str], name: str) -> None:
+    extra, modules = doctor.SERVERS[name]
+    wanted = [one for one in requires("drsplat") or [] if f'extra == "{extra}"' in one]
+    assert {re.split(r"[<>=;\s]", one)[0].replace("-", "_") for one in wanted} == set(modules)
+    assert {module.replace("_", "-") for module in modules} <= set(doctor.PACKAGES)
+    missing = doctor.abilities(FINE)[name]
+    assert not missing["ready"]
+    assert missing["reason"] == f"not installed: {', '.join(modules)}"
+    assert missing["cure"] == f'pip install "drsplat[{extra}]"'
+    installed.update(modules)
+    assert doctor.abilities(FINE)[name]["ready"]
 
 
 @pytest.mark.skipif(not has_torch, reason="needs torch")

@@ -525,8 +525,8 @@ def told(capsys, monkeypatch, *, terminal: bool, quiet: bool = False, patience: 
 
 def test_a_log_gets_lines(capsys, monkeypatch):
     lines = told(capsys, monkeypatch, terminal=False).splitlines()
-    assert lines[-1].startswith("training 103/300  loss 0.1")
-    assert lines[-1].endswith("min left")
+    assert lines[-1].startswith("training: 103/300, loss 0.1, ")
+    assert lines[-1].endswith(" left")
 
 
 def test_a_terminal_gets_a_bar(capsys, monkeypatch):

@@ -52,8 +52,7 @@ class ColumnMaker:
         stored = features.resized(view.width, view.height).segment_ids
         segment_ids = undistort_ids(view, stored)
         key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
-        name = hashlib.blake2b(view.name.encode(), digest_size=12).hexdigest()
-        path = self.folder / f"{name}.columns.safetensors"
+        path = self.folder / part_name(view.name)
         if not _is_finished(path, key):
             triples = self.sampling.triples(self.splats, view, segment_ids, self.threads)
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -77,6 +76,12 @@ def _refuse_another_shape(view: View, features: ViewFeatures) -> None:
             f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
             "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
         )
+
+
+def part_name(view_name: str) -> str:
+    """Of the file of a view's columns."""
+    digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
+    return f"{digest}.columns.safetensors"
 
 
 def _digest(*arrays: np.ndarray, salt: str = "") -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from .errors import InputError
+from .terminal import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,10 @@ class ViewFeatures:
             raise InputError(
                 "embeddings must be finite unit vectors: divide each row by its L2 norm"
             )
+
+    def __repr__(self) -> str:
+        (count, dim), (height, width) = self.embeddings.shape, self.segment_ids.shape
+        return f"{type(self).__name__}({counted(count, 'mask')} on {width}x{height}, {dim}-d)"
 
     def resized(self, width: int, height: int) -> "ViewFeatures":
         """The map on another raster, by nearest pixel centre."""

@@ -50,6 +50,9 @@ class Gaussians:
             if len(column) != n:
                 raise InputError(f"extra column '{name}': expected {n} values, got {len(column)}")
 
+    def __repr__(self) -> str:
+        return f"Gaussians({len(self):,}, harmonics of degree {self.sh_degree}, {self.fingerprint})"
+
     def __len__(self) -> int:
         return len(self.means)
 

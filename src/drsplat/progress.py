@@ -7,56 +7,26 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
+from .terminal import plain
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 T = TypeVar("T")
 PATIENCE_S = 2.0
-LINE_EVERY_S = 60.0
+LINE_EVERY_S = 10.0
 
 
 def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Iterator[T]:
-    """The items, with a bar on stderr that has count, rate and time to go.
-
-    Nothing is shown where stderr is no terminal, where `quiet`, and in the first two seconds.
-    """
-    if quiet or not sys.stderr.isatty():
-        yield from items
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}/s"),
-        TimeRemainingColumn(),
-    )
-    progress, start = (
-        Progress(*columns, console=Console(stderr=True), transient=True),
-        time.monotonic(),
-    )
-    task = progress.add_task(description, total=len(items), rate="")
-    try:
-        for count, item in enumerate(items):
-            elapsed = time.monotonic() - start
-            if elapsed > PATIENCE_S:
-                progress.start()  # does nothing when it runs already
-                progress.update(task, completed=count, rate=f"{count / elapsed:.1f}")
+    """The items, with the progress of a `Meter`."""
+    with Meter(description, len(items), quiet=quiet) as meter:
+        for done, item in enumerate(items, 1):
             yield item
-    finally:
-        progress.stop()
+            meter.update(done, item if isinstance(item, str) else "")
 
 
 class Meter:
-    """Progress of one long job, with what it has to say: a bar on a terminal, else a line a minute.
+    """Progress of one long job, with what it has to say: a bar on a terminal, else a line now and then.
 
     All on stderr; nothing where `quiet`, and nothing in the first two seconds.
     """
@@ -92,15 +62,23 @@ class Meter:
         elif time.monotonic() - self._told > LINE_EVERY_S:
             self._told = time.monotonic()
             left = elapsed / (done - self._first) * (self._total - done)
-            line = f"{self._description} {done}/{self._total}  {text}  {rate}/s, {left / 60:.0f} min left"
-            print(line, file=sys.stderr, flush=True)
+            parts = f"{done}/{self._total}", plain(text), f"{rate}/s", f"{_duration(left)} left"
+            print(
+                f"{self._description}: {', '.join(filter(None, parts))}",
+                file=sys.stderr,
+                flush=True,
+            )
 
     def _show(self, done: int, text: str, rate: str) -> None:
         if self._bar is None:
             self._bar = _job_bar()
             self._bar.add_task(self._description, total=self._total, rate=rate, text=text)
             self._bar.start()
-        self._bar.update(self._bar.task_ids[0], completed=done, rate=rate, text=text)
+        self._bar.update(self._bar.task_ids[0], completed=done, rate=rate, text=plain(text))
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
 def _job_bar() -> "Progress":

@@ -28,6 +28,7 @@ from .features import ViewFeatures
 from .field import LanguageField, build_field
 from .gaussians import Gaussians
 from .kernels import splat_arrays
+from .terminal import counted
 from .views import View
 
 if TYPE_CHECKING:
@@ -49,6 +50,14 @@ class Registration:
     scene: str
     encoder: EncoderIdentity
     sampling: Sampling | None = None
+
+    def __repr__(self) -> str:
+        count, masks = self.weights.shape
+        views = counted(len(self.segments.view_names), "view")
+        return (
+            f"Registration({counted(count, 'Gaussian')} x {counted(masks, 'mask')} of {views}, "
+            f"{counted(self.weights.nnz, 'weight')}, {self.encoder.dim}-d by {self.encoder.name})"
+        )
 
     @classmethod
     def from_field(cls, field: LanguageField) -> "Registration":

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from .errors import InputError
 from .field import LanguageField
 from .gaussians import Gaussians
+from .terminal import counted
 
 NO_CLASS = -1
 NEIGHBOURS = 8
@@ -36,6 +37,10 @@ class Instance:
     extent: Float64[np.ndarray, " 3"]
     score: float
     gaussian_ids: Int64[np.ndarray, " m"]
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.center)
+        return f"Instance({counted(len(self), 'Gaussian')} at ({place}), score {self.score:.3f})"
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)

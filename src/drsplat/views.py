@@ -49,6 +49,10 @@ class View:
                 f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)"
             )
 
+    def __repr__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.center)
+        return f"View('{self.name}', {self.width}x{self.height} at ({place}))"
+
     @property
     def center(self) -> Float64[np.ndarray, " 3"]:
         """Camera centre in world coordinates."""

@@ -26,6 +26,7 @@ from ..rendering import render
 from ..search import feature_at, gaussian_at
 from ..support import supporting_masks
 from ..tasks import Instance, locate, segment
+from ..terminal import counted
 from ..views import View
 from .answering import Asked, Asking, Background
 from .defaults import MIN_GAUSSIANS
@@ -76,6 +77,9 @@ class AskableScene:
     views: tuple[View, ...]
     source: Callable[[], Encoder]
     threads: int = 0
+
+    def __repr__(self) -> str:
+        return f"AskableScene('{self.name}', {self.gaussians}, {self.field}, {counted(len(self.views), 'view')})"
 
     def __post_init__(self) -> None:
         self.field.check_scene(self.gaussians)

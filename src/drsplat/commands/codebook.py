@@ -7,8 +7,8 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .embed import ENCODER, ENCODER_HELP, add_device, image_encoder, metered
-from .options import add_overwrite, count, count_or_all, new_output, whole, words
+from .embed import ENCODER, ENCODER_HELP, add_device, image_encoder
+from .options import add_overwrite, count, count_or_all, new_output, tracker, whole, words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -135,7 +135,7 @@ def _embedded(
         read_annotations(arguments.lvis), arguments.images, arguments.limit, arguments.seed
     )
     encoder = image_encoder(arguments)
-    embedded = embed_patches(source, encoder, parts, metered(arguments))
+    embedded = embed_patches(source, encoder, parts, tracker(arguments))
     facts = {
         "num_embeddings": len(embedded.embeddings),
         "num_photos": len(source.photos),
@@ -171,7 +171,6 @@ def _trained(
 
     from .. import train_codebook
     from ..codes.codebook import TRAINING_POINTS
-    from .options import tracker
 
     name = arguments.features or arguments.lvis
     order = np.random.default_rng(arguments.seed).permutation(len(rows))

@@ -10,7 +10,8 @@ SUMMARY = "search a small scene that ships: mask its photos, embed, register, as
 EXAMPLES = """\
   drsplat demo
   drsplat demo --output-dir room --overwrite --json
-  drsplat query drsplat-demo/room.field "red vase" --scene drsplat-demo/scene.compressed.ply    (afterwards)"""
+  drsplat locate drsplat-demo "red vase"        (afterwards)
+  drsplat view drsplat-demo                     (afterwards, in a browser)"""
 CAPTION = (
     "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are built in, "
     "small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
@@ -76,7 +77,8 @@ def show(answer: dict[str, Any]) -> None:
         f"{seconds:.1f} s, {memory} at most."
     )
     print(f"Look at {answer['page']} or {answer['overview']}, then ask yourself:")
-    print(f'  drsplat query {answer["field"]} "red vase" --scene {answer["scene"]}')
+    print(f'  drsplat locate {answer["output_dir"]} "red vase"')
+    print(f"  drsplat view {answer['output_dir']}        (in a browser)")
     Console(highlight=False, markup=False).print(f"\n{answer['caption']}", style="dim")
 
 

@@ -23,9 +23,19 @@ PACKAGES = {
     "numpy": "core", "scipy": "core", "pillow": "core", "safetensors": "core", "zstandard": "core",
     "rich": "core", "jaxtyping": "core", "torch": "models, cuda", "transformers": "models",
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1", "torchvision": "not needed",
-    "gsplat": "cuda", "faiss-cpu": "not needed",
+    "gsplat": "cuda", "viser": "viewer", "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve",
+    "mcp": "mcp", "faiss-cpu": "not needed",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
+SERVERS = {
+    "see and ask scenes in a browser (drsplat view)": ("viewer", ("viser",)),
+    "serve scenes over HTTP (drsplat serve)": (
+        "serve",
+        ("fastapi", "uvicorn", "prometheus_client"),
+    ),
+    "scenes for language models (drsplat mcp)": ("mcp", ("mcp",)),
+}
+"""What needs an extra, and the modules of it."""
 MODELS = {
     "laion/CLIP-ViT-B-16-laion2B-s34B-b88K": "embeddings and words",
     "facebook/sam-vit-huge": "masks, on a GPU",
@@ -94,7 +104,15 @@ def abilities(facts: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "register, query, render, train on the CPU": _ability(None, None),
         "train on a CUDA GPU": _ability(_no_cuda_training(facts), None),
         "masks and embeddings of real models (SAM, CLIP)": _ability(*_no_models(facts)),
+        **{name: _ability(*_no_extra(*needed)) for name, needed in SERVERS.items()},
     }
+
+
+def _no_extra(extra: str, modules: tuple[str, ...]) -> tuple[str | None, str | None]:
+    absent = [name for name in modules if not _is_installed(name)]
+    if not absent:
+        return None, None
+    return f"not installed: {', '.join(absent)}", f'pip install "drsplat[{extra}]"'
 
 
 def _ability(reason: str | None, cure: str | None) -> dict[str, Any]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from .options import add_capture_options, add_overwrite, count, up_to, views_of, words
+from .leaving_out import add_without, left_out
+from .options import add_capture_options, add_overwrite, count, tracker, up_to, views_of, words
 
 if TYPE_CHECKING:
     from ..adapters.point_masks import PointMaskSettings
-    from ..codes import Track
     from ..encoders import ImageEncoder
     from ..segments import Segmenter
 
@@ -31,7 +30,6 @@ ENCODER_HELP = (
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 MOST_POINTS = 1024  # on a side
-T = TypeVar("T")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="scale taller photos down to this, as LangSplat does (default: 1080)",
     )  # fmt: skip
     add_capture_options(parser)
+    add_without(parser)
 
 
 def add_device(parser: argparse._ActionsContainer) -> None:
@@ -92,6 +91,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     watch = Stopwatch()
     views = views_of(arguments, arguments.capture)
+    without = left_out([view.name for view in views], arguments.without)
+    views = [view for view in views if view.name not in without]
     output = _output_folder(arguments)
     segmenter = _segmenter(arguments)
     encoder = image_encoder(arguments)
@@ -99,13 +100,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     report = embed(
         views, output, segmenter, encoder,
         max_height=arguments.max_height, overwrite=arguments.overwrite,
-        form="langsplat" if arguments.langsplat else "compact", track=metered(arguments),
+        form="langsplat" if arguments.langsplat else "compact", track=tracker(arguments),
     )  # fmt: skip
     watch.lap("embed")
     made = report.photos - report.reused
     return {
         "output": str(output),
         "photos": report.photos,
+        "left_out": sorted(without),
         "reused": report.reused,
         "redone": report.redone,
         "changes": list(report.changes),
@@ -145,20 +147,6 @@ def _output_folder(arguments: argparse.Namespace) -> Path:
     if arguments.output:
         return Path(arguments.output)
     return capture_folder(Path(arguments.capture)) / "language_features"
-
-
-def metered(arguments: argparse.Namespace) -> Track:
-    """A bar on a terminal; elsewhere a line a minute, because this takes hours on a CPU."""
-
-    def follow(items: Sequence[T], description: str, /) -> Iterable[T]:
-        with Meter(description, len(items), quiet=arguments.json) as meter:
-            for done, item in enumerate(items, 1):
-                yield item
-                meter.update(done, item if isinstance(item, str) else "")
-
-    from ..progress import Meter
-
-    return follow
 
 
 def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:

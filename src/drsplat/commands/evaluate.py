@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .leaving_out import add_without, left_out
 from .options import (
     add_overwrite,
     add_query_encoders,
@@ -19,6 +20,7 @@ from .options import (
 
 if TYPE_CHECKING:
     from ..encoders import Encoder
+    from ..evaluation.lerf_ovs import LerfScene
     from ..evaluation.report import Figure
     from ..evaluation.scannet import ScannetScene
     from ..evaluation.scorers import Scorer
@@ -102,6 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--score-only", action="store_true", help="score the predictions that are in REPORT already"
     )
     add_query_encoders(parser)
+    add_without(parser)
     add_overwrite(parser)
 
 
@@ -137,6 +140,8 @@ def _check(arguments: argparse.Namespace) -> None:
     count, report = len(arguments.scene), Path(arguments.report)
     if not arguments.score_only and bool(arguments.field) == bool(arguments.features):
         raise InputError("give --field or --features for each scene, and not both")
+    if arguments.without and arguments.protocol != "lerf-ovs":
+        raise InputError("--without is for lerf-ovs: the truth of the others is not in photos")
     for option in ("name", "field", "features"):
         given = getattr(arguments, option)
         if given and len(given) != count:
@@ -160,7 +165,7 @@ def _lerf(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], 
 
     scenes, figures, files = [], [], []
     for index, name in enumerate(_names(arguments, "label")):
-        scene = lerf_ovs.read_lerf_scene(Path(arguments.data), name)
+        scene = _kept(lerf_ovs.read_lerf_scene(Path(arguments.data), name), arguments.without)
         scenes.append(scene)
         files += sorted((Path(arguments.data) / "label" / name).glob("*.json"))
         if arguments.score_only:
@@ -174,6 +179,14 @@ def _lerf(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], 
         )  # fmt: skip
         figures += lerf_figures(scene, gaussians, scorer, arguments.figures, threads=threads)
     return {**lerf_ovs.score(scenes, folder), "files": _hashes(arguments, files)}, figures
+
+
+def _kept(scene: LerfScene, without: str | None) -> LerfScene:
+    """Without the labelled photos that are left out."""
+    from dataclasses import replace
+
+    out = left_out([frame.name for frame in scene.frames], without)
+    return replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in out))
 
 
 def _scannet(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], list[Figure]]:

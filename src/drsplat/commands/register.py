@@ -2,10 +2,12 @@
 
 import argparse
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .code_facts import code_facts
+from .leaving_out import add_without, left_out
 from .options import (
     LEVEL_HELP,
     add_capture_options,
@@ -91,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
     )  # fmt: skip
     add_capture_options(parser)
+    add_without(parser)
 
 
 def _add_code(method: argparse._ArgumentGroup) -> None:
@@ -134,12 +137,15 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     sampling = _sampling(arguments, how)
     gaussians = read_gaussians(arguments.scene)
     views = views_of(arguments, arguments.capture)
+    without = left_out([view.name for view in views], arguments.without)
+    views = [view for view in views if view.name not in without]
     codebook = _codebook(arguments)
     encoder = _encoder(arguments, codebook)
     features = read_features(arguments.features, level=arguments.level, encoder=encoder)
     watch.lap("read")
     parts = Path(arguments.parts or f"{output}.parts")
-    before = _finished(parts)
+    names = [view.name for view in views]
+    before = _finished(parts, names)
     registration = register(
         gaussians, views, features, sampling=sampling, parts=parts, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
@@ -151,7 +157,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)
     watch.lap("save")
-    reused = len(before.items() & _finished(parts).items())
+    reused = len(before.items() & _finished(parts, names).items())
     if arguments.parts is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
@@ -160,6 +166,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         "num_registered": len(field),
         "num_views": len(registration.segments.view_names),
         "num_views_reused": reused,
+        "left_out": sorted(without),
         "num_segments": len(registration.segments),
         "num_weights": int(registration.weights.nnz),
         "dim": field.encoder.dim,
@@ -199,13 +206,14 @@ def show(answer: dict[str, Any]) -> None:
     reused = (
         f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
     )
+    out = f", {said(len(answer['left_out']))} left out" if answer["left_out"] else ""
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     registered = answer["num_registered"] / max(1, answer["num_gaussians"])
     show_facts(
         f"registered: {answer['field']}",
         {
             "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({registered:.1%})",
-            "views": f"{said(answer['num_views'])}{reused}",
+            "views": f"{said(answer['num_views'])}{reused}{out}",
             "masks": f"{said(answer['num_segments'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
@@ -216,9 +224,12 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _finished(parts: Path) -> dict[str, int]:
+def _finished(parts: Path, names: Iterable[str]) -> dict[str, int]:
     """Time of writing of each finished view's file."""
-    return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.safetensors")}
+    from ..columns import part_name
+
+    files = (parts / part_name(name) for name in names)
+    return {file.name: file.stat().st_mtime_ns for file in files if file.is_file()}
 
 
 def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":

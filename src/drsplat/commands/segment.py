@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .answers import Ask, AskedOf
+from .leaving_out import lines_of
 from .options import add_query_encoders, words
 from .query_options import (
     FIELD_HELP,
@@ -100,7 +100,7 @@ def _classes(arguments: argparse.Namespace) -> list[str]:
     if (arguments.classes is None) == (arguments.classes_file is None):
         raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')
     if arguments.classes is None:
-        given = _read(arguments.classes_file).splitlines()
+        given = lines_of(arguments.classes_file, "one class")
     else:
         given = arguments.classes.split(",")
     names = [name.strip() for name in given if name.strip()]
@@ -109,17 +109,6 @@ def _classes(arguments: argparse.Namespace) -> list[str]:
             f"expected one or more different classes, got {', '.join(names) or 'none'}"
         )
     return names
-
-
-def _read(path: str) -> str:
-    from ..errors import FormatError, InputError
-
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file")
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: expected text in UTF-8, one class on a line: {error}") from None
 
 
 def _ask(arguments: argparse.Namespace) -> Ask:

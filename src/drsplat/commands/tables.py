@@ -36,10 +36,10 @@ def show_table(
     for row in rows:
         table.add_row(*row)
     print(title)
-    console, boundless = Console(), Console(width=BOUNDLESS)
+    console, boundless = Console(), Console(width=BOUNDLESS, height=1)
     folded = console.is_terminal and not headed
     width = console.width if folded else boundless.measure(table).maximum
-    Console(width=width, highlight=False, markup=False, emoji=False).print(table)
+    Console(width=width, height=1, highlight=False, markup=False, emoji=False).print(table)
 
 
 def said(value: object) -> str:

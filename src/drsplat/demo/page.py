@@ -36,7 +36,7 @@ def write_page(
 and what was meant is the same in {len(story.held_out)} photos that neither the scene nor the answers were made from,
 or there is no such thing and nothing was found. A red bar is a miss.</p>
 <div class="answers">{"".join(shown)}</div>
-<p>Ask yourself: <code>drsplat query room.field "red vase" --scene scene.compressed.ply</code></p>
+<p>Ask yourself: <code>drsplat locate . "red vase"</code>, or in a browser: <code>drsplat view .</code></p>
 <p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder that
 knows this kind of room only.</small></p>
 </html>

@@ -17,6 +17,7 @@ from ..errors import InputError, MismatchError
 from ..evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..gaussians import Gaussians
+from ..terminal import counted
 
 FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
@@ -63,6 +64,10 @@ class LanguageField:
     evidence: Evidence | None = None
     negatives: Negatives | None = None
     aggregator: AggregatorRecord = MEAN_RECORD
+
+    def __repr__(self) -> str:
+        rows = f"{len(self):,} of {counted(self.num_gaussians, 'Gaussian')}"
+        return f"LanguageField({rows}, {self.encoder.dim}-d by {self.encoder.name}, code {self.code.kind})"
 
     def __post_init__(self) -> None:
         ids, rows = self.gaussian_ids, len(self.gaussian_ids)

@@ -14,6 +14,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
 from ..features import ViewFeatures
 from ..segments import LEVELS
+from ..terminal import counted
 from .compact_features import CompactFile, read_compact, write_compact
 from .embedding_record import embedded_by
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
@@ -36,7 +37,7 @@ class _Pair(NamedTuple):
         return tuple(range(len(LEVELS))) if map_npy(self.maps).ndim == 3 else (0,)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LevelFeatures(ViewFeatures):
     """The segments of one level of one photo, numbered 0..S-1.
 
@@ -69,6 +70,11 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
                 f"{encoder.name} have "
                 f"{encoder.dim}: name the encoder that made them"
             )
+
+    def __repr__(self) -> str:
+        by = "unknown" if self.encoder is None else self.encoder.name
+        level, photos = LEVELS[self.level], counted(len(self), "photo")
+        return f"FeatureFolder('{self.directory}', {photos}, {level}, {self.dim}-d by {by})"
 
     def key(self, name: str) -> str | None:
         """The key that the name of a view finds, or None."""

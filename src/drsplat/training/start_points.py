@@ -127,7 +127,7 @@ def _check_points(points: SparsePoints) -> None:
     if not finite.all():
         raise InputError(
             f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
-            f"{int(np.argmin(finite))}: remove them, or pass points=None to triangulate others"
+            f"{int(np.argmin(finite))}: remove them, or pass no points to triangulate others"
         )
     if count <= NEIGHBOURS:
         raise InputError(

@@ -12,6 +12,7 @@ from ..asking import AskableScene, Classes, Question
 from ..errors import InputError
 from ..gaussians import Gaussians
 from ..palette import class_colors
+from ..terminal import counted
 from . import painting, results
 from .naming import This, this_is
 from .picking import hit_by_ray
@@ -48,6 +49,9 @@ class Session:
     hidden: Bool[np.ndarray, " n"] = field(init=False)
     repainted: Bool[np.ndarray, " n"] = field(init=False)
     _base: Float32[np.ndarray, "n 3"] = field(init=False)
+
+    def __repr__(self) -> str:
+        return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
 
     def __post_init__(self) -> None:
         count = len(self.scene.gaussians)

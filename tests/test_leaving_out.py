@@ -1,0 +1,89 @@
+"""--without: photos that are kept for measuring."""
+
+from pathlib import Path
+
+import pytest
+
+import drsplat as ds
+from command_line import Capture, answer_of, error_of
+from drsplat.commands.leaving_out import left_out
+from drsplat.errors import InputError
+from toy_capture import write_toy_capture
+
+NAMES = [f"room/photo_{n:02}.png" for n in range(10)]
+
+
+def test_every_nth_is_that_of_training() -> None:
+    assert left_out(NAMES[::-1], "every:4") == {NAMES[0], NAMES[4], NAMES[8]}
+    assert left_out(NAMES, None) == set()
+
+
+def test_names_are_taken_with_and_without_suffix(tmp_path: Path) -> None:
+    file = tmp_path / "labelled.txt"
+    file.write_text("room/photo_03\n\nroom/photo_07.png\n")
+    assert left_out(NAMES, str(file)) == {NAMES[3], NAMES[7]}
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [("room/photo_99\nroom/photo_01", "no photo has these names: room/photo_99"), ("", "leaves out 0 of 10")],
+)  # fmt: skip
+def test_unknown_names_are_errors(content: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "labelled.txt"
+    file.write_text(content)
+    with pytest.raises(InputError, match=said):
+        left_out(NAMES, str(file))
+
+
+@pytest.mark.parametrize("step", ["0", "1", "-3", "x", "", "9" * 50])
+def test_a_step_that_leaves_nothing_is_an_error(step: str) -> None:
+    with pytest.raises(InputError, match="whole number from 2"):
+        left_out(NAMES, f"every:{step}")
+
+
+def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Capture) -> None:
+    room = write_toy_capture(tmp_path)
+    capture, output = room / "capture", room / "a.field"
+    register = [
+        "register",
+        room / "scene.ply",
+        capture,
+        "--features",
+        capture / "language_features",
+    ]
+    parts = ["--parts", room / "parts", "--output", output]
+    answer_of(capsys, *register, *parts)
+    answer = answer_of(capsys, *register, *parts, "--without", "every:2", "--overwrite")
+    assert answer["left_out"] == ["photo_0.png", "photo_2.png"]
+    assert (answer["num_views"], answer["num_views_reused"]) == (2, 2)
+    field = ds.load_field(output)
+    assert field.evidence is not None
+    assert field.evidence.segments.view_names == ("photo_1.png", "photo_3.png")
+    models = ["--segmenter", "graph", "--encoder", "drsplat-mini", "--output", room / "made"]
+    answer = answer_of(capsys, "embed", capture, *models, "--without", "every:3")
+    assert (answer["photos"], answer["left_out"]) == (2, ["photo_0.png", "photo_3.png"])
+    assert sorted(ds.read_features(room / "made")) == ["photo_1", "photo_2"]
+    assert "no photo has" in error_of(
+        capsys, *register, "-o", room / "b.field", "--without", _names(room)
+    )
+
+
+def _names(room: Path) -> Path:
+    file = room / "names.txt"
+    file.write_text("photo_9\n")
+    return file
+
+
+def test_only_photos_can_be_left_out_of_an_evaluation(tmp_path: Path, capsys: Capture) -> None:
+    argv = [
+        "evaluate",
+        "voxel",
+        tmp_path,
+        "--scene",
+        "s",
+        "--field",
+        "f",
+        "--report",
+        tmp_path / "r",
+    ]
+    assert "--without is for lerf-ovs" in error_of(capsys, *argv, "--without", "every:2")

@@ -1,0 +1,167 @@
+"""What reaches a terminal: nothing that it obeys, and nothing cut."""
+
+import io
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from command_line import Capture, answer_of, error_of, text_of
+from drsplat.cli import main, spelled
+from drsplat.commands.tables import show_facts, show_table
+from drsplat.progress import Meter
+from drsplat.terminal import counted, plain, plainly, quoted
+from toy_capture import write_toy_capture
+
+EVIL = "\x1b[2J\x1b]0;pwned\x07\x9b31m\u202e\ud800"
+NAMES = [f"20240212_00401{n}_of_the_long_walk_through_the_house.jpg" for n in range(3)]
+
+
+@given(st.text(st.characters(exclude_categories=())))
+def test_plain_text_has_nothing_that_a_terminal_obeys(text: str) -> None:
+    said = plain(text)
+    said.encode()
+    assert all(letter.isprintable() or letter in "\t\n" or ord(letter) > 0x9F for letter in said)
+    assert "\x1b" not in said
+    assert plain(said) == said
+
+
+def test_what_is_harmless_stays() -> None:
+    assert plain("größer, 赤い, \U0001f34e\n\tnext") == "größer, 赤い, \U0001f34e\n\tnext"
+    assert plain("\x1b[2J\u202e") == "\\x1b[2J\\u202e"
+    assert plainly({"a\x07": ["\x1b", Path("x\x1b"), 3]}) == {"a\\x07": ["\\x1b", "x\\x1b", 3]}
+    assert quoted("9" * 5000) == f"'{'9' * 60}...'"
+
+
+def test_hostile_names_in_files_and_errors(tmp_path: Path, capsys: Capture) -> None:
+    words = tmp_path / "words.json"
+    words.write_text(json.dumps({EVIL: [1.0, 0.0], "vase": [0.0, 1.0]}))
+    said = text_of(capsys, "inspect", words)
+    assert "\\x1b[2J" in said
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f]", said)
+    assert answer_of(capsys, "inspect", words)["texts"][0].startswith("\x1b")
+    assert "\x1b" not in error_of(capsys, "inspect", tmp_path / "\x1b[2Jnowhere")
+    assert "\x1b" not in error_of(capsys, "inspect", "x", "--\x1b[2J", code=2)
+
+
+def test_hostile_names_in_progress(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    for name in ("PATIENCE_S", "LINE_EVERY_S"):
+        monkeypatch.setattr(f"drsplat.progress.{name}", -1.0)
+    with Meter("embedding photos", 10) as meter:
+        meter.update(1, "\x1b[2J.jpg")
+        meter.update(5, "b.jpg")
+    first, second = capsys.readouterr().err.splitlines()
+    assert "\\x1b[2J.jpg" in first
+    assert re.fullmatch(r"embedding photos: 5/10, b\.jpg, [\d.]+/s, \d+ s left", second)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+@pytest.mark.parametrize("columns", [20, 80])
+def test_tables_cut_nothing(columns: int, terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    printed = io.StringIO()
+    monkeypatch.setattr(printed, "isatty", lambda: terminal, raising=False)
+    monkeypatch.setattr(sys, "stdout", printed)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "dumb")
+    rows = [(str(n), "-1.25 0.33 12.75", name) for n, name in enumerate(NAMES)]
+    show_table(f"found in {NAMES[0]}", ("thing", "centre", "seen in"), rows)
+    lines = printed.getvalue().splitlines()
+    for row in rows:
+        assert any(all(cell in line for cell in row) for line in lines)
+    show_facts("embedded", {"photos": ", ".join(NAMES)})
+    assert "".join(NAMES) in re.sub(r"[\s,]", "", printed.getvalue())
+    assert "…" not in printed.getvalue()
+
+
+def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> None:
+    """And a scene's folder is enough to ask."""
+    room = write_toy_capture(tmp_path)
+    argv = [
+        "register",
+        room / "scene.ply",
+        room / "capture",
+        "--features",
+        room / "capture/language_features",
+    ]
+    text_of(capsys, *argv, "--encoder-name", "drsplat-words", "-o", room / "room.field")
+    said = text_of(capsys, "locate", room, "red mug")
+    assert re.search(
+        r"^thing 0 is seen in photo_\d.png, photo_\d.png, photo_\d.png$", said, re.MULTILINE
+    )
+    answer = answer_of(capsys, "locate", room, "red mug")
+    assert answer["field"] == str(room / "room.field")
+    assert answer["num_instances"] == 1
+    assert answer_of(capsys, "select", room, "red mug", "--save", room / "found.ply")[
+        "num_selected"
+    ]
+    both = answer_of(capsys, "segment", room, "--classes", "red mug,blue plate")
+    assert [one["num_gaussians"] for one in both["classes"]] == [150, 150]
+    (room / "room.field").rename(room / "room")
+    assert "expected one field" in error_of(capsys, "locate", room, "red mug")
+
+
+FLAGS = {"overwrite": "--overwrite", "images": "--images", "encoder": "--encoder", "field": ""}
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        ("x exists already: pass overwrite=True to replace it", "x exists already: pass --overwrite to replace it"),
+        ("read them with images=FOLDER, or not", "read them with --images FOLDER, or not"),
+        ("pass encoder=NAME (its folder)", "pass --encoder NAME (its folder)"),
+        ("images: there is no folder", "--images: there is no folder"),
+        ("field: rows=12, sampling=Sampling(3)", "field: rows=12, sampling=Sampling(3)"),
+    ],
+)  # fmt: skip
+def test_arguments_are_spelled_as_flags(said: str, shown: str) -> None:
+    assert spelled(said, FLAGS) == shown
+
+
+def test_no_message_of_the_library_names_a_flag() -> None:
+    """Flags are the command line's words; others read these messages too."""
+    source = Path(sys.modules["drsplat"].__file__ or "").parent
+    files = [
+        path
+        for path in source.rglob("*.py")
+        if path.relative_to(source).parts[0] not in ("commands", "cli.py")
+    ]
+    assert len(files) > 150
+    flag = re.compile(
+        r"\"[^\"]*(?<![\w-])--(?!filter-nan|upgrade|force-reinstall|depth)[a-z][a-z-]+"
+    )
+    for path in files:
+        lines = (line for line in path.read_text().splitlines() if "drsplat " not in line)
+        assert not [line for line in lines if flag.search(line)], path
+
+
+def test_errors_of_the_command_line_speak_its_words(tmp_path: Path, capsys: Capture) -> None:
+    room = write_toy_capture(tmp_path)
+    text_of(
+        capsys,
+        "train",
+        room / "capture",
+        "-o",
+        room / "m",
+        "--iterations",
+        "1",
+        "--max-gaussians",
+        "20",
+    )
+    argv = ["train", str(room / "capture"), "--iterations", "1", "-o"]
+    assert main([*argv, str(room / "capture")]) == 1
+    said = capsys.readouterr().err
+    assert "--overwrite" in said
+    assert "overwrite=" not in said
+    assert (
+        main(["train", str(room / "capture"), "-o", str(room / "n"), "--max-gaussians", "1"]) == 1
+    )
+    assert "--max-gaussians: expected at least 4, got 1" in capsys.readouterr().err
+
+
+def test_plurals() -> None:
+    said = [counted(1, "Gaussian"), counted(2, "scene"), counted(1200, "entry", "entries")]
+    assert said == ["1 Gaussian", "2 scenes", "1,200 entries"]
