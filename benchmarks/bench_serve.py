@@ -2,9 +2,9 @@
 
     python benchmarks/bench_serve.py [--points 1000000] [--workers 2] [--connections 32] [--seconds 60]
 
-A made-up room of things that are called by words, its field mapped by all workers. Each connection asks one question after
+A made-up room of things that are called by words, which each worker opens. Each connection asks one question after
 the other: of ten, eight are a text to a selection (one scan of all Gaussians), one finds things (scan, groups, boxes), one
-asks what is at a point. Clients run in this process, on the same cores. Memory is of the workers: resident, and
+asks what is at a point. Clients run in this process, on the same cores. Memory is of all processes: resident, and
 proportional (what is shared is divided by those who share it), every tenth of the time.
 """
 
@@ -104,7 +104,9 @@ async def exchange(
 def workers_of(pid: int) -> list[int]:
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     commands = {int(one): Path(f"/proc/{one}/cmdline").read_bytes() for one in children}
-    return [one for one, command in commands.items() if b"spawn_main" in command] or [pid]
+    return [one for one, command in commands.items() if b"drsplat.serving.worker" in command] + [
+        pid
+    ]
 
 
 def memory(pids: list[int]) -> tuple[float, float]:
@@ -153,7 +155,7 @@ def report(clients: list[Client], seconds: float) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name, default in (("points", 1_000_000), ("workers", 2), ("connections", 32), ("scans", 1)):
+    for name, default in (("points", 1_000_000), ("workers", 2), ("connections", 32)):
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--seconds", type=float, default=60.0)
     given = parser.parse_args()
@@ -174,8 +176,6 @@ def main() -> None:
             "drsplat",
             "serve",
             folder,
-            "--scans",
-            str(given.scans),
             *options,
         ]
         server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

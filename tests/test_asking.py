@@ -110,6 +110,11 @@ def test_a_region_is_what_lies_in_it(
         region(room, centers["red vase"], 0.0)
     with pytest.raises(InputError, match="no Gaussian with a feature"):
         region(room, (90.0, 0.0, 0.0), 1.0)
+    with pytest.raises(InputError, match="no Gaussian with a feature"):
+        region(room, (1e300, 0.0, 0.0), 1e200)
+    everything = [region(room, (0.0, 0.0, 0.0), radius) for radius in (1e3, 1e300)]
+    first, second = ([one.name for one in parts] for parts in everything)
+    assert first == second
 
 
 def test_how_things_lie(room: AskableScene) -> None:
@@ -142,6 +147,10 @@ def test_nearest_is_among_the_candidates(room: AskableScene) -> None:
         nearest_gaussian(room.gaussians, np.empty(0, np.int64), (0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="three finite numbers"):
         room.nearest((float("nan"), 0.0, 0.0))
+    for far in (50.0, 1e20, 1e39, 1e160, 1e300):
+        for point in ((far, 0.0, 0.0), (0.0, -far, far)):
+            with pytest.raises(InputError, match="the nearest Gaussian is"):
+                room.nearest(point)
 
 
 def test_pictures_keep_the_answer_in_colour(room: AskableScene) -> None:

@@ -83,3 +83,10 @@ def test_folders_and_devices_are_no_files(tmp_path: Path) -> None:
             file_bytes(path)
     with pytest.raises(InputError, match="no such file"):
         file_bytes(tmp_path / "none")
+
+
+def test_what_is_no_photo_is_named_by_its_path(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"a\.jpg: is no photo \(JPEG") as refused:
+        photo_size(tmp_path / "a.jpg")
+    assert "BufferedReader" not in str(refused.value)

@@ -4,10 +4,14 @@ import asyncio
 import base64
 import io
 import json
+import re
+import signal
 import socket
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,7 +30,7 @@ from mcp import Client, StdioServerParameters
 
 COMMAND = ["-W", "ignore", "-m", "drsplat", "mcp"]
 TOOLS = {
-    "list_scenes", "find", "count", "where_is", "how_far_apart", "what_is_at", "what_is_at_pixel", "describe_region", "show",
+    "list_scenes", "about_scene", "find", "count", "where_is", "how_far_apart", "what_is_at", "what_is_at_pixel", "describe_region", "show",
 }  # fmt: skip
 Talk = Callable[[Client], Awaitable[Any]]
 
@@ -54,11 +58,11 @@ def over_stdio(folder: Path, talk: Talk) -> Any:
 
 
 @contextmanager
-def http_server(folder: Path) -> Iterator[str]:
+def http_server(folder: Path, *options: str) -> Iterator[str]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    given = [str(folder), "--threads", "1", "--http", "--port", str(port)]
+    given = [str(folder), "--threads", "1", "--http", "--port", str(port), *options]
     server = subprocess.Popen([sys.executable, *COMMAND, *given], stderr=subprocess.DEVNULL)
     try:
         for _ in range(600):
@@ -166,8 +170,87 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         none_on = await told(client, "count", text="toys", on="sofa")
         assert (none_on["count"], none_on["of"]) == (0, 3)
         assert "none on the sofa" in none_on["advice"]
+        assert "nearest Gaussian" in await refused(client, "what_is_at", point=[1e300, 0.0, 0.0])
+        for name, arguments, said in (
+            ("find", {"text": "toy", "limit": 21}, "find: limit: Input should be less than"),
+            ("find", {"text": 5}, "find: text: Input should be a valid string"),
+            ("find", {}, "find: text: Field required"),
+            (
+                "show",
+                {"save": "/tmp/x.png"},
+                "show: no argument save; there are: text, view, scene",
+            ),
+            ("show", {"view": "photo"}, "there is no view 'photo'"),
+            ("count", {"text": "toys", "on": ""}, "count: on: "),
+            ("what_is_at", {"point": ["a", 0, 0]}, "what_is_at: point.0: "),
+        ):
+            told_ = await refused(client, name, **arguments)
+            assert told_.startswith(said)
+            assert "pydantic" not in told_
 
     over_stdio(room, talk)
+
+
+def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> None:
+    async def talk(client: Client) -> None:
+        every = await told(client, "find", text="toys")
+        on_table = await told(client, "find", text="toys", on="table")
+        assert (every["num_found"], on_table["num_found"]) == (3, 2)
+        assert [one for one in every["things"] if one in on_table["things"]] == on_table["things"]
+        nothing = await told(client, "find", text="toys", on="sofa")
+        assert (nothing["num_found"], "none on the sofa" in nothing["advice"]) == (0, True)
+        about = await told(client, "about_scene")
+        assert about["up"][2] > 0.99
+        assert (about["units"], about["num_photos"]) == ("scene units", 48)
+        low, high = np.array(about["low"]), np.array(about["high"])
+        for center in truth.values():
+            assert (low < center).all()
+            assert (center < high).all()
+        assert {answer["field"] for answer in (every, on_table, about)} == {about["field"]}
+        (text,) = (await client.call_tool("about_scene", {})).content
+        assert json.loads(text.text) == about  # type: ignore[union-attr]
+        assert text.text.count("\n") == 0  # type: ignore[union-attr]
+        numbers = re.findall(r"-?\d+\.\d+", json.dumps([every, about]))
+        assert max(len(number) for number in numbers) <= 9
+        await told(client, "show", view=about["some_photos"][-1])
+
+    over_stdio(room, talk)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+def test_a_signal_ends_it_while_it_waits_for_a_line(
+    number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    command = [sys.executable, *COMMAND, str(tmp_path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    client = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "x", "version": "1"}}  # fmt: skip
+    greeting = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": client}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, **pipes) as server:  # type: ignore[call-overload]
+        server.stdin.write(json.dumps(greeting).encode() + b"\n")
+        server.stdin.flush()
+        assert json.loads(server.stdout.readline())["id"] == 1
+        server.send_signal(number)
+        assert server.wait(60) == code
+        assert server.stderr.read() == b""
+
+
+def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, capsys: Capture) -> None:
+    argv = ["mcp", tmp_path, "--http", "--host", "0.0.0.0"]
+    assert "--api-key-file" in error_of(capsys, *argv)
+    (tmp_path / "key").write_text("short")
+    assert "16 or more" in error_of(capsys, *argv, "--api-key-file", tmp_path / "key")
+
+
+def test_a_key_is_asked_for(tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_text("0123456789abcdef-key")
+    with http_server(tmp_path, "--api-key-file", str(key)) as url:
+        for headers, status in (({}, 401), ({"x-api-key": key.read_text()}, 400)):
+            request = urllib.request.Request(url, b"{}", headers)
+            with pytest.raises(urllib.error.HTTPError) as refused_:
+                urllib.request.urlopen(request, timeout=60)
+            assert refused_.value.code == status
+            refused_.value.close()
 
 
 def test_over_streamable_http(room: Path, tmp_path: Path) -> None:

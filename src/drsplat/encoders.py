@@ -7,6 +7,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from .errors import InputError
+
 
 @dataclass(frozen=True)
 class EncoderIdentity:
@@ -15,12 +17,21 @@ class EncoderIdentity:
     name: for people, e.g. "ViT-B-16/laion2b_s34b_b88k". dim: D. weights: hash of the weights, or ""
     where it is not known. preprocessing: how images are scaled and normalised, or "" where it is not
     known, as with files of LangSplat.
+
+    Raises: InputError: a text with half of a surrogate pair, which JSON can hold and no other file or answer.
     """
 
     name: str
     dim: int
     weights: str = ""
     preprocessing: str = ""
+
+    def __post_init__(self) -> None:
+        for text in (self.name, self.weights, self.preprocessing):
+            if any(0xD800 <= ord(letter) < 0xE000 for letter in text):
+                raise InputError(
+                    f"encoder: expected a name that can be written, got {ascii(text)[:80]}"
+                )
 
     def matches(self, other: "EncoderIdentity") -> bool:
         """Equal in all that both know. Names count where a hash is missing: a model keeps its

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, UInt8
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from .contents import open_file
 from .errors import FormatError, InputError
@@ -162,6 +162,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such photo") from None
+    except UnidentifiedImageError:  # its message names an open file, not ours
+        raise FormatError(f"{path}: is no photo ({'/'.join(PHOTO_FORMATS)})") from None
     except (
         Exception
     ) as error:  # decoders of damaged files raise anything, from struct.error to KeyError

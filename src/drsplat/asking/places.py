@@ -11,6 +11,7 @@ SLACK = 0.01  # of the scene's size: people and models round their numbers
 NEAREST = 64  # candidates by the distance of centres
 
 
+@np.errstate(over="ignore", invalid="ignore")  # points beyond all that can be squared
 def nearest_gaussian(
     gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: tuple[float, float, float]
 ) -> int:
@@ -33,7 +34,7 @@ def nearest_gaussian(
     distance = float(np.sqrt(squares[near[0]]))
     ids = np.asarray(candidates)[near].astype(np.int64)
     deviations = _deviations(gaussians, ids, at)
-    if deviations.min() > FAR and distance > SLACK * _size(means):
+    if not np.isfinite(distance) or (deviations.min() > FAR and distance > SLACK * _size(means)):
         x, y, z = means[near[0]]
         raise InputError(
             f"nothing with a feature is at {at[0]:g}, {at[1]:g}, {at[2]:g}: the nearest Gaussian is "
@@ -53,7 +54,9 @@ def _deviations(
     matrices = matrices + 1e-12 * np.eye(3)
     offsets = point - few.means.astype(np.float64)
     solved = np.linalg.solve(matrices, offsets[..., None])[..., 0]
-    return np.asarray(np.sqrt(np.maximum((offsets * solved).sum(1), 0)))
+    deviations = np.sqrt(np.maximum((offsets * solved).sum(1), 0))
+    known: np.ndarray = np.nan_to_num(deviations, nan=np.inf, posinf=np.inf)
+    return known
 
 
 def _size(means: np.ndarray) -> float:

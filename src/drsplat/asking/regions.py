@@ -46,7 +46,8 @@ def region(
     if not names:
         raise InputError(f"'{encoder.identity.name}' takes any words: say which to choose from")
     means = scene.gaussians.means[field.gaussian_ids].astype(np.float64)
-    inside = np.flatnonzero(((means - at) ** 2).sum(1) <= radius**2)
+    with np.errstate(over="ignore"):  # further away than can be squared is outside
+        inside = np.flatnonzero(np.linalg.norm(means - at, axis=1) <= radius)
     if not len(inside):
         raise InputError(
             f"no Gaussian with a feature is within {radius:g} of {at[0]:g}, {at[1]:g}, {at[2]:g}"

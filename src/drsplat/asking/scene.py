@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, Integer
+from jaxtyping import Float32, Float64, Int32, Integer
 
 from ..encoders import Encoder
 from ..errors import InputError
@@ -97,6 +97,12 @@ class AskableScene:
     def splats(self) -> SplatArrays:
         """The Gaussians as the renderer takes them, made once."""
         return splat_arrays(self.gaussians)
+
+    @cached_property
+    def box(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+        """Lowest and highest corner of the box of the middle 98 % of the Gaussians, along the world's axes."""
+        low, high = np.quantile(self.gaussians.means, (0.01, 0.99), axis=0).astype(np.float64)
+        return low, high
 
     def view(self, name: str) -> View:
         """Raises: InputError: there is none of that name."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
-from .options import PORT, add_query_encoders
+from .listening import add_listening, checked_key, own_names
+from .options import add_query_encoders
 
 SUMMARY = "let language models ask the scenes of a folder (Model Context Protocol)"
 EXAMPLES = """\
   drsplat mcp scenes
   drsplat mcp drsplat-demo --http --port 8766
+  drsplat mcp scenes --http --host 0.0.0.0 --api-key-file key.txt
 
 scenes is a folder with a field and its scene, or with one of these in each subfolder. Without --http the protocol is
 spoken on stdin and stdout, as programs expect that start the server themselves: {"command": "drsplat", "args": ["mcp",
@@ -22,13 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--http", action="store_true", help="streamable HTTP at /mcp instead of stdin and stdout"
     )
-    parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS",
-        help="address of --http; anyone who reaches it may ask (default: 127.0.0.1, this machine only)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--port", type=PORT, default=8766, metavar="N", help="port of --http (default: 8766)"
-    )
+    add_listening(parser, port=8766)
     add_query_encoders(parser)
 
 
@@ -39,17 +36,20 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     require("mcp", "mcp")
     if arguments.json and not arguments.http:
         raise InputError("--json goes with --http: stdout speaks the protocol")
-    from pathlib import Path
+    key = checked_key(arguments)
 
     from ..serving.catalog import Catalog, Sources
+    from ..serving.speaking import over_http, over_stdio
     from ..serving.tools import make_server
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
-    server = make_server(Catalog(Path(arguments.folder), sources))
+    catalog = Catalog(Path(arguments.folder), sources)
+    catalog.check_sources()
+    server = make_server(catalog)
     if arguments.http:
-        server.run("streamable-http", host=arguments.host, port=arguments.port)
+        over_http(server, arguments.host, arguments.port, key, own_names(arguments))
     else:
-        server.run("stdio")
+        over_stdio(server)
     return {"stopped": True}
 
 

@@ -1,6 +1,10 @@
 """One function per route: an opened scene and a request -> what is sent back."""
 
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
 import numpy as np
+from pydantic import BaseModel
 
 from ..asking import AskableScene, Question
 from ..asking.spatial import upward
@@ -14,38 +18,65 @@ from .models import (
     Selected,
     Things,
     Word,
+    decimals_of,
     measured,
+    rounded,
+    significant,
     things_of,
 )
 from .pictures import png
-from .requests import Ids, Locate, Picture, Segment, WhatIs, asks_something, cut, place, question
+from .replies import PNG, Reply
+from .requests import (
+    Details,
+    Ids,
+    Locate,
+    Photo,
+    Picture,
+    Request,
+    Segment,
+    WhatIs,
+    asks_something,
+    cut,
+    place,
+    question,
+)
 
 
-def details(scene: AskableScene, name: str) -> SceneDetails:
-    low, high = np.quantile(scene.gaussians.means, (0.01, 0.99), axis=0)
+class Answering(NamedTuple):
+    """How a request is read and answered. words: whether its answers need who embeds words."""
+
+    asked: type[Request]
+    answer: Callable[[AskableScene, Any, Limits], BaseModel | bytes]
+    words: bool = True
+
+
+def details(scene: AskableScene, asked: Details, _: Limits) -> SceneDetails:
+    low, high = scene.box
+    digits = decimals_of(scene)
     try:
-        up = [float(x) for x in upward(scene.views)]
+        up = rounded(upward(scene.views), 4)
     except InputError:
         up = None
     return SceneDetails(
-        name=name,
+        name=asked.name,
         num_gaussians=len(scene.gaussians),
         num_registered=len(scene.field),
         encoder=scene.field.encoder.name,
         fault="",
         views=[view.name for view in scene.views],
-        low=[float(x) for x in low],
-        high=[float(x) for x in high],
+        low=rounded(low, digits),
+        high=rounded(high, digits),
         up=up,
+        field=scene.field.fingerprint,
     )
 
 
-def photo(scene: AskableScene, view: str, max_side: int) -> bytes:
+def photo(scene: AskableScene, asked: Photo, _: Limits) -> bytes:
     """Raises: InputError: no such view, or it has no photo."""
-    chosen = scene.view(view)
+    chosen = scene.view(asked.view)
     if chosen.image_path is None:
         raise InputError(f"view '{chosen.name}' has no photo here: ask for a picture")
-    return png(scene.picture(chosen, photo=True, max_side=max_side))
+    return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
 
 
 def selected(scene: AskableScene, asked: Ids, limits: Limits) -> Selected:
@@ -53,8 +84,9 @@ def selected(scene: AskableScene, asked: Ids, limits: Limits) -> Selected:
     values = answer.values
     return Selected(
         measured=measured(answer),
-        score_range=[float(values.min(initial=1)), float(values.max(initial=-1))],
+        score_range=[significant(values.min(initial=1)), significant(values.max(initial=-1))],
         gaussian_ids=answer.gaussian_ids.tolist() if asked.ids else None,
+        field=scene.field.fingerprint,
     )
 
 
@@ -64,13 +96,14 @@ def located(scene: AskableScene, asked: Locate, limits: Limits) -> Things:
     return Things(
         query=asked.text or "",
         num_found=len(found),
-        things=things_of(found[: asked.limit]),
+        things=things_of(found[: asked.limit], decimals_of(scene)),
         advice="" if found else "nothing found: try other words, or a lower threshold",
         measured=measured(answer),
+        field=scene.field.fingerprint,
     )
 
 
-def segmented(scene: AskableScene, asked: Segment) -> Segmented:
+def segmented(scene: AskableScene, asked: Segment, _: Limits) -> Segmented:
     found = scene.classes(asked.classes, Question(text=asked.classes[0], **cut(asked)))
     counts = np.bincount(found.labels[found.labels >= 0], minlength=len(found.names))
     registered = max(len(scene.field), 1)
@@ -82,18 +115,20 @@ def segmented(scene: AskableScene, asked: Segment) -> Segmented:
             ClassCount(
                 name=name,
                 num_gaussians=int(count),
-                share=count / registered,
-                threshold=answer.threshold,
+                share=significant(count / registered),
+                threshold=significant(answer.threshold),
             )
             for name, count, answer in zip(found.names, counts, found.answers, strict=True)
         ],
         labels=found.labels.tolist() if asked.labels else None,
+        field=scene.field.fingerprint,
     )
 
 
-def named(scene: AskableScene, asked: WhatIs) -> Named:
+def named(scene: AskableScene, asked: WhatIs, _: Limits) -> Named:
     words = scene.what_is(place(asked), asked.names)
-    return Named(names=[Word(name=word.text, score=word.score) for word in words])
+    names = [Word(name=word.text, score=round(word.score, 4)) for word in words]
+    return Named(names=names, field=scene.field.fingerprint)
 
 
 def picture(scene: AskableScene, asked: Picture, limits: Limits) -> bytes:
@@ -104,3 +139,27 @@ def picture(scene: AskableScene, asked: Picture, limits: Limits) -> bytes:
     nothing = shown is not None and not len(shown)
     view = asked.view or (scene.best_view() if nothing else None)
     return png(scene.picture(view, shown, photo=asked.photo, max_side=asked.max_side))
+
+
+ANSWERS: Mapping[str, Answering] = {
+    "details": Answering(Details, details, words=False),
+    "photo": Answering(Photo, photo, words=False),
+    "query": Answering(Ids, selected),
+    "locate": Answering(Locate, located),
+    "segment": Answering(Segment, segmented),
+    "what-is": Answering(WhatIs, named),
+    "picture": Answering(Picture, picture),
+}
+
+
+def answered(scene: AskableScene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
+    """The reply to one of `ANSWERS`.
+
+    Raises: DrSplatError: what the question makes of the scene.
+    """
+    way = ANSWERS[what]
+    answer = way.answer(scene, way.asked(**asked), limits)
+    field = scene.field.fingerprint
+    if isinstance(answer, bytes):
+        return Reply(answer, PNG, field=field)
+    return Reply(answer.model_dump_json().encode(), field=field)

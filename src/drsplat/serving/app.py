@@ -1,24 +1,23 @@
-"""The HTTP service: every route is one public call on a thread of the workbench."""
+"""The HTTP service: every route is one public call in a process of the workbench."""
 
-import json
-import os
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Response
 from fastapi import Path as InPath
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import HTMLResponse
+from pydantic import BaseModel
 from starlette.exceptions import HTTPException
+from starlette.middleware.cors import CORSMiddleware
 
 from .. import __version__
-from ..asking import AskableScene
-from ..errors import DrSplatError, MissingExtraError
-from . import answers
-from .catalog import Catalog, SceneFaultError, Sources, UnknownSceneError, without_paths
+from ..errors import DrSplatError
+from .catalog import Catalog, Sources, without_paths
+from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
 from .metrics import Metrics
@@ -31,13 +30,14 @@ from .models import (
     Segmented,
     Selected,
     Things,
-    summarized,
 )
+from .refusals import faults_of
+from .replies import Reply, problem, refusal
 from .requests import Ids, Locate, Picture, Segment, WhatIs
-from .workbench import BusyError, Workbench
+from .workbench import Job, Workbench
+from .worker import Workplace
 
-T = TypeVar("T")
-SETTINGS = "DRSPLAT_SERVE"
+FIELD_HEADER = "x-drsplat-field"
 DESCRIPTION = """\
 Scenes that answer words. Positions are world coordinates in scene units. Whatever cannot be answered gets
 `{"error": ..., "kind": ...}` with a status of 4xx, or 503 where it can be asked again later."""
@@ -61,13 +61,14 @@ PNG: dict[int | str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What a worker needs to start. key: of the service, None for none. hosts: as in `Guard`."""
+    """key: of the service, None for none. hosts: as in `Guard`. origins: of pages whose scripts may read answers."""
 
     folder: str
     sources: Sources = field(default_factory=Sources)
     limits: Limits = field(default_factory=Limits)
     key: str | None = field(default=None, repr=False)
     hosts: tuple[str, ...] | None = None
+    origins: tuple[str, ...] = ()
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -80,10 +81,11 @@ def create_app(settings: Settings) -> FastAPI:
         settings.limits,
         Metrics(),
     )
-    bench = Workbench(limits, metrics)
+    bench = Workbench(Workplace(settings.folder, settings.sources, limits), metrics)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        bench.start()
         yield
         bench.close()
 
@@ -97,52 +99,51 @@ def create_app(settings: Settings) -> FastAPI:
         responses=REFUSALS,
     )
     _add_errors(app, catalog)
+    app.state.bench = bench
     _add_watching(app, catalog, metrics)
-    _add_scenes(app, catalog, bench)
-    _add_questions(app, catalog, bench, limits)
+    _add_scenes(app, bench)
+    _add_questions(app, bench)
+    _add_pages(app)
     app.add_middleware(
         Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts
     )  # type: ignore[arg-type]
+    if settings.origins:
+        _allow(app, settings.origins)
     return app
 
 
-def app_from_environment() -> FastAPI:
-    """As the workers make it: settings are in the environment, where they outlive a worker."""
-    given = json.loads(os.environ[SETTINGS])
-    given["sources"], given["limits"] = Sources(**given["sources"]), Limits(**given["limits"])
-    given["hosts"] = None if given["hosts"] is None else tuple(given["hosts"])
-    return create_app(Settings(**given))
+def _allow(app: FastAPI, origins: Sequence[str]) -> None:
+    """Before the guard: a browser asks without the key whether it may ask with it."""
+    app.add_middleware(
+        CORSMiddleware,
+        allow_origins=list(origins),
+        allow_methods=["GET", "POST"],
+        allow_headers=["authorization", "x-api-key", "content-type"],
+        expose_headers=[FIELD_HEADER, "retry-after"],
+    )
 
 
 def _add_errors(app: FastAPI, catalog: Catalog) -> None:
     @app.exception_handler(DrSplatError)
-    async def refused(_: Any, error: DrSplatError) -> JSONResponse:
-        statuses = {
-            UnknownSceneError: 404,
-            SceneFaultError: 503,
-            BusyError: 503,
-            MissingExtraError: 503,
-        }
-        status = statuses.get(type(error), 422)
-        return _problem(status, without_paths(str(error), catalog.folder), type(error).__name__)
+    async def refused(_: Any, error: DrSplatError) -> Response:
+        return _sent(refusal(error, without_paths(str(error), catalog.roots)))
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(_: Any, error: RequestValidationError) -> JSONResponse:
-        faults = [
-            f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()[:5]
-        ]
-        return _problem(422, "; ".join(faults)[:1000], "invalid")
+    async def invalid(_: Any, error: RequestValidationError) -> Response:
+        return _sent(problem(422, faults_of(error.errors()), "invalid"))
 
     @app.exception_handler(HTTPException)
-    async def http(_: Any, error: HTTPException) -> JSONResponse:
-        return _problem(error.status_code, str(error.detail), "http", error.headers)
+    async def http(_: Any, error: HTTPException) -> Response:
+        return _sent(problem(error.status_code, str(error.detail), "http"), error.headers)
 
 
-def _problem(status: int, error: str, kind: str, headers: Any = None) -> JSONResponse:
-    # texts may hold halves of surrogate pairs, which are no UTF-8
-    said = error.encode("utf-8", "replace").decode()
-    more = {"retry-after": "1"} if status == 503 else {}
-    return JSONResponse({"error": said, "kind": kind}, status, {**(headers or {}), **more})
+def _sent(reply: Reply, headers: Any = None) -> Response:
+    more = {"retry-after": "1"} if reply.status == 503 else {}
+    if reply.field:
+        more[FIELD_HEADER] = reply.field
+    return Response(
+        reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type
+    )
 
 
 def _add_watching(app: FastAPI, catalog: Catalog, metrics: Metrics) -> None:
@@ -162,16 +163,16 @@ def _add_watching(app: FastAPI, catalog: Catalog, metrics: Metrics) -> None:
         return Response(metrics.text(), media_type=metrics.content_type)
 
 
-def _add_scenes(app: FastAPI, catalog: Catalog, bench: Workbench) -> None:
-    @app.get("/scenes", tags=["scenes"])
-    async def scenes() -> SceneList:
+def _add_scenes(app: FastAPI, bench: Workbench) -> None:
+    @app.get("/scenes", tags=["scenes"], response_model=SceneList)
+    async def scenes() -> Response:
         """All scenes, without opening them."""
-        return SceneList(scenes=[summarized(one) for one in await bench.run(catalog.summaries)])
+        return _sent(await bench.run(Job("list")))
 
-    @app.get("/scenes/{scene}", tags=["scenes"])
-    async def scene_details(scene: Scene) -> SceneDetails:
+    @app.get("/scenes/{scene}", tags=["scenes"], response_model=SceneDetails)
+    async def scene_details(scene: Scene) -> Response:
         """One scene: its size, its photos, which way is up."""
-        return await bench.run(lambda: answers.details(catalog.scene(scene), scene))
+        return _sent(await bench.run(Job("details", scene, {"name": scene})))
 
     @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=PNG)
     async def photo(
@@ -180,36 +181,42 @@ def _add_scenes(app: FastAPI, catalog: Catalog, bench: Workbench) -> None:
         max_side: Annotated[int, Query(ge=16, le=Limits.side)] = 800,
     ) -> Response:
         """A photo of the scene, such as one that speaks for an answer, as PNG."""
-        work = lambda: answers.photo(catalog.scene(scene), view, max_side)  # noqa: E731
-        return Response(await bench.run(work), media_type="image/png")
+        return _sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
 
 
-def _add_questions(app: FastAPI, catalog: Catalog, bench: Workbench, limits: Limits) -> None:
-    async def computed(scene: str, work: Callable[[AskableScene], T]) -> T:
-        return await bench.run(lambda: work(catalog.scene(scene)))
+def _add_questions(app: FastAPI, bench: Workbench) -> None:
+    async def computed(act: str, scene: str, asked: BaseModel) -> Response:
+        return _sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))
 
-    @app.post("/scenes/{scene}/query", tags=["questions"])
-    async def query(scene: Scene, asked: Ids) -> Selected:
+    @app.post("/scenes/{scene}/query", tags=["questions"], response_model=Selected)
+    async def query(scene: Scene, asked: Ids) -> Response:
         """Which Gaussians a text, vector, image, point or click means."""
-        return await computed(scene, lambda opened: answers.selected(opened, asked, limits))
+        return await computed("query", scene, asked)
 
-    @app.post("/scenes/{scene}/locate", tags=["questions"])
-    async def locate(scene: Scene, asked: Locate) -> Things:
+    @app.post("/scenes/{scene}/locate", tags=["questions"], response_model=Things)
+    async def locate(scene: Scene, asked: Locate) -> Response:
         """The things that a query means, best first: centre, oriented box, the photos that say so."""
-        return await computed(scene, lambda opened: answers.located(opened, asked, limits))
+        return await computed("locate", scene, asked)
 
-    @app.post("/scenes/{scene}/segment", tags=["questions"])
-    async def segment(scene: Scene, asked: Segment) -> Segmented:
+    @app.post("/scenes/{scene}/segment", tags=["questions"], response_model=Segmented)
+    async def segment(scene: Scene, asked: Segment) -> Response:
         """The best of some classes for each Gaussian."""
-        return await computed(scene, lambda opened: answers.segmented(opened, asked))
+        return await computed("segment", scene, asked)
 
-    @app.post("/scenes/{scene}/what-is", tags=["questions"])
-    async def what_is(scene: Scene, asked: WhatIs) -> Named:
+    @app.post("/scenes/{scene}/what-is", tags=["questions"], response_model=Named)
+    async def what_is(scene: Scene, asked: WhatIs) -> Response:
         """The best words for what is at a point or a pixel."""
-        return await computed(scene, lambda opened: answers.named(opened, asked))
+        return await computed("what-is", scene, asked)
 
     @app.post("/scenes/{scene}/picture", tags=["questions"], response_class=Response, responses=PNG)
     async def picture(scene: Scene, asked: Picture) -> Response:
         """A rendering as PNG, if wanted with what a query means kept in colour."""
-        data = await computed(scene, lambda opened: answers.picture(opened, asked, limits))
-        return Response(data, media_type="image/png")
+        return await computed("picture", scene, asked)
+
+
+def _add_pages(app: FastAPI) -> None:
+    @app.get("/", include_in_schema=False)
+    @app.get("/docs", include_in_schema=False)
+    async def page() -> HTMLResponse:
+        safe = {"content-security-policy": "default-src 'none'; style-src 'unsafe-inline'"}
+        return HTMLResponse(front_page(app.openapi()), headers=safe)

@@ -1,18 +1,24 @@
-"""The scenes of a folder, by name, opened when they are first asked for."""
+"""The scenes of a folder, by name, opened when they are first asked for and again when their files change."""
 
+import os
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from threading import Lock
 
 from ..adapters.loading import load_encoder
-from ..asking import AskableScene, find_scene, open_scene
-from ..asking.opening import FIELD_SUFFIX
+from ..asking import AskableScene, SceneFiles, find_scene, open_scene
+from ..asking.opening import CAMERAS, FIELD_SUFFIX
 from ..encoders import Encoder
 from ..errors import DrSplatError, InputError
 from ..formats.field_folder import read_manifest
+from ..formats.vocabulary import read_vocabulary
 
 LISTED = 20
+_MOST_GAUSSIANS = (1 << 31) - 1
+Version = frozenset[tuple[str, int, int, int, int]]
 
 
 class SceneFaultError(DrSplatError):
@@ -48,8 +54,8 @@ class Summary:
 class Catalog:
     """A folder that is a scene itself, or has one in each of some subfolders.
 
-    A name is looked up among those listed and never becomes a path. The `most` scenes used last stay open;
-    encoders are shared by all. Safe for several threads.
+    A name is looked up among those listed and never becomes a path. The `most` scenes used last stay open, each
+    until one of its files is another; encoders are shared by all. Safe for several threads.
 
     Raises: InputError: no such folder.
     """
@@ -57,7 +63,7 @@ class Catalog:
     folder: Path
     sources: Sources = Sources()
     most: int = 8
-    _open: "OrderedDict[str, AskableScene]" = field(default_factory=OrderedDict)
+    _open: "OrderedDict[str, tuple[Version, AskableScene]]" = field(default_factory=OrderedDict)
     _encoders: dict[tuple[str, str], Encoder] = field(default_factory=dict)
     _lock: Lock = field(default_factory=Lock)
     _loading: Lock = field(default_factory=Lock)
@@ -65,17 +71,49 @@ class Catalog:
     def __post_init__(self) -> None:
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
+        self.folder = self.folder.resolve()
+
+    @cached_property
+    def roots(self) -> tuple[Path, ...]:
+        """Folders that clients are not told: of the scenes, and of the files that embed words."""
+        given = (self.sources.vocabulary, self.sources.encoder)
+        files = [Path(one) for one in given if one is not None and Path(one).exists()]
+        return (self.folder, *(way.parent for one in files for way in (one, one.resolve())))
 
     def folders(self) -> dict[str, Path]:
         """Name and folder of each scene, as they are now."""
-        root = self.folder.resolve()
-        if _has_field(root):
-            return {root.name or "scene": root}
-        inside = sorted(path for path in root.iterdir() if not path.name.startswith("."))
-        return {path.name: path for path in inside if _has_field(path)}
+        if _has_field(self.folder):
+            return {_name(self.folder) or "scene": self.folder}
+        inside = sorted(path for path in self.folder.iterdir() if not path.name.startswith("."))
+        return {_name(path): path for path in inside if _has_field(path)}
+
+    def check_sources(self) -> None:
+        """For whoever starts a service: clients could not tell what is wrong with its files.
+
+        Raises: InputError: no such vocabulary, or an encoder beside it. FormatError: a damaged one.
+        """
+        if self.sources.vocabulary is None:
+            return
+        if self.sources.encoder is not None:
+            raise InputError("--encoder and --vocabulary both say who embeds the words: drop one")
+        read_vocabulary(self.sources.vocabulary)
+
+    def checked(self) -> int:
+        """How many scenes there are, for whoever starts a service.
+
+        Raises: InputError: none; as `check_sources`.
+        """
+        self.check_sources()
+        number = len(self.folders())
+        if not number:
+            raise InputError(
+                f"{self.folder}: no scene is here: expected a folder with NAME{FIELD_SUFFIX}, as `drsplat register` "
+                "writes it, and the scene it was registered on, or such folders in it; `drsplat demo` makes one"
+            )
+        return number
 
     def summaries(self) -> list[Summary]:
-        return [_summary(name, folder) for name, folder in self.folders().items()]
+        return [self._summary(name, folder) for name, folder in self.folders().items()]
 
     def scene(self, name: str) -> AskableScene:
         """Open, or the one that is open.
@@ -86,29 +124,37 @@ class Catalog:
         if name not in folders:
             known = ", ".join(map(repr, list(folders)[:LISTED])) or "none"
             raise UnknownSceneError(f"there is no scene {name[:60]!r} here; there are: {known}")
-        with self._lock:
-            if name in self._open:
-                self._open.move_to_end(name)
-                return self._open[name]
-        with self._loading:
-            try:
-                return self._opened(name, folders[name])
-            except (DrSplatError, OSError) as error:
-                reason = without_paths(str(error), self.folder)
-                raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
+        try:
+            return self._known(name, folders[name])
+        except (DrSplatError, OSError) as error:
+            reason = without_paths(str(error), (folders[name].resolve(), *self.roots))
+            raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
 
     def only(self) -> str | None:
         """The name of the only scene, None if there are more or none."""
         names = list(self.folders())
         return names[0] if len(names) == 1 else None
 
-    def _opened(self, name: str, folder: Path) -> AskableScene:
-        with self._lock:
-            if name in self._open:  # by another thread, meanwhile
-                return self._open[name]
+    def _known(self, name: str, folder: Path) -> AskableScene:
+        files = find_scene(folder)
+        version = version_of(files)
+        with self._loading:
+            with self._lock:
+                if name in self._open and self._open[name][0] == version:
+                    self._open.move_to_end(name)
+                    return self._open[name][1]
+                self._open.pop(name, None)  # before another takes its room
+            scene = self._opened(files)
+            with self._lock:
+                self._open[name] = version, scene
+                while len(self._open) > self.most:
+                    self._open.popitem(last=False)
+        return scene
+
+    def _opened(self, files: SceneFiles) -> AskableScene:
         given = self.sources
         scene = open_scene(
-            find_scene(folder),
+            files,
             encoder=given.encoder,
             vocabulary=given.vocabulary,
             device=given.device,
@@ -116,10 +162,6 @@ class Catalog:
             load=self._load,
         )
         scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
-        with self._lock:
-            self._open[name] = scene
-            while len(self._open) > self.most:
-                self._open.popitem(last=False)
         return scene
 
     def _load(self, name: str, device: str) -> Encoder:
@@ -131,31 +173,66 @@ class Catalog:
                 known = self._encoders.setdefault((name, device), loaded)
         return known
 
+    def _summary(self, name: str, folder: Path) -> Summary:
+        try:
+            manifest = read_manifest(find_scene(folder).field)
+        except (DrSplatError, OSError) as error:
+            roots = (folder.resolve(), *self.roots)
+            return Summary(name, fault=_text(without_paths(str(error), roots)))
+        encoder = manifest.get("encoder")
+        known = encoder.get("name") if isinstance(encoder, dict) else ""
+        every, registered = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
+        return Summary(name, _count(every), _count(registered), _text(str(known))[:200])
+
+
+def version_of(files: SceneFiles) -> Version:
+    """What changes when a file of a scene is replaced, cut short or written to: which it is, its size and times."""
+    capture = [] if files.capture is None else [files.capture / name for name in CAMERAS]
+    return frozenset(_stats(files.field) | _stats(*files.scenes, *capture))
+
+
+def without_paths(message: str, roots: Sequence[Path]) -> str:
+    """A message for others than the one who started the service: no folders of this machine."""
+    for root in sorted({str(one) for one in roots}, key=len, reverse=True):
+        if root not in (os.sep, "", "."):
+            message = message.replace(f"{root}{os.sep}", "")
+            message = message.replace(root, Path(root).name)
+    return message
+
+
+def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
+    """Of files, and of those in folders to a depth of three: a model of COLMAP lies in sparse/0."""
+    found = set()
+    for top in paths:
+        for path in (top, *(one for deep in ("*", "*/*", "*/*/*") for one in top.glob(deep))):
+            try:
+                now = path.stat()
+            except OSError:
+                continue
+            found.add((str(path), now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns))
+    return found
+
 
 def _has_field(folder: Path) -> bool:
-    return folder.is_dir() and any(
-        path.is_dir() for path in folder.glob(f"*{FIELD_SUFFIX}") if not path.name.startswith(".")
-    )
-
-
-def _summary(name: str, folder: Path) -> Summary:
     try:
-        manifest = read_manifest(find_scene(folder).field)
-    except DrSplatError as error:
-        return Summary(name, fault=without_paths(str(error), folder))
-    encoder = manifest.get("encoder")
-    known = encoder.get("name") if isinstance(encoder, dict) else ""
-    every, registered = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
-    return Summary(
-        name,
-        every if isinstance(every, int) else 0,
-        registered if isinstance(registered, int) else 0,
-        str(known),
-    )
+        return folder.is_dir() and any(
+            path.is_dir()
+            for path in folder.glob(f"*{FIELD_SUFFIX}")
+            if not path.name.startswith(".")
+        )
+    except OSError:  # a folder that may not be read, or that has just gone
+        return False
 
 
-def without_paths(message: str, folder: Path) -> str:
-    """A message for others than the one who started the service: no folders of this machine."""
-    for root in (folder, folder.resolve(), folder.parent, folder.resolve().parent):
-        message = message.replace(f"{root}/", "").replace(str(root), folder.name)
-    return message
+def _count(value: object) -> int:
+    return value if type(value) is int and 0 <= value <= _MOST_GAUSSIANS else 0
+
+
+def _name(folder: Path) -> str:
+    """Names of files are bytes, and need not be UTF-8."""
+    return os.fsencode(folder.name).decode("utf-8", "backslashreplace")
+
+
+def _text(text: str) -> str:
+    """As UTF-8 can say it: JSON may hold halves of surrogate pairs."""
+    return text.encode("utf-8", "backslashreplace").decode()

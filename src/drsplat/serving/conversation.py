@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from ..asking import AskableScene, Question
+from ..asking import AskableScene, Found, Question
 from ..asking.regions import region
 from ..asking.spatial import gap, stands_on, upward
 from ..errors import InputError
@@ -14,18 +14,21 @@ from .catalog import Catalog
 from .models import (
     UNITS,
     Answer,
+    Fingerprint,
     SceneList,
     Thing,
     Things,
     Vector,
     Word,
+    decimals_of,
     measured,
+    rounded,
     summarized,
     things_of,
 )
 from .pictures import png
 
-MOST_THINGS, MOST_TEXT, PICTURE_SIDE = 20, 200, 768
+MOST_THINGS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 200, 768, 8
 
 
 class Count(Answer):
@@ -34,6 +37,7 @@ class Count(Answer):
     of: int = Field(description="how many there are in the whole scene")
     centers: list[Vector] = Field(description="of the things counted, best score first")
     units: str = UNITS
+    field: Fingerprint = ""
     advice: str = ""
 
 
@@ -44,6 +48,7 @@ class Place(Answer):
     others: int = Field(0, description="further things that fit less well")
     best_view: str | None = Field(None, description="the photo that shows most of it")
     units: str = UNITS
+    field: Fingerprint = ""
     advice: str = ""
 
 
@@ -56,6 +61,7 @@ class Distance(Answer):
     first_center: Vector
     second_center: Vector
     units: str = UNITS
+    field: Fingerprint = ""
     advice: str = ""
 
 
@@ -63,6 +69,7 @@ class Here(Answer):
     point: Vector = Field(description="centre of the Gaussian that was found there")
     names: list[Word] = Field(description="best first")
     units: str = UNITS
+    field: Fingerprint = ""
     advice: str = ""
 
 
@@ -78,6 +85,21 @@ class Region(Answer):
     radius: float
     things: list[Part]
     units: str = UNITS
+    field: Fingerprint = ""
+    advice: str = ""
+
+
+class About(Answer):
+    """What positions and lengths in a scene mean."""
+
+    scene: str
+    low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
+    high: Vector
+    up: Vector | None = Field(None, description="unit direction that is up; null where unknown")
+    num_photos: int
+    some_photos: list[str] = Field(description="names of a few, for show and what_is_at_pixel")
+    units: str = UNITS
+    field: Fingerprint = ""
     advice: str = ""
 
 
@@ -87,6 +109,7 @@ class Shown(Answer):
     num_found: int
     width: int
     height: int
+    field: Fingerprint = ""
     advice: str = ""
 
 
@@ -101,33 +124,58 @@ class Conversation:
         advice = "" if scenes else "there is no scene: ask the user to add a folder with a field"
         return SceneList(scenes=scenes, advice=advice)
 
-    def find(self, text: str, scene: str, limit: int) -> Things:
+    def about_scene(self, scene: str) -> About:
+        name, opened = self._named(scene)
+        digits, names = decimals_of(opened), [view.name for view in opened.views]
+        try:
+            up = rounded(upward(opened.views), 4)
+        except InputError:
+            up = None
+        low, high = opened.box
+        return About(
+            scene=name,
+            low=rounded(low, digits),
+            high=rounded(high, digits),
+            up=up,
+            num_photos=len(names),
+            some_photos=names[:: max(1, len(names) // FEW)][:FEW],
+            field=opened.field.fingerprint,
+            advice=""
+            if up
+            else "the photos do not tell which way is up: count and find know no 'on'",
+        )
+
+    def find(self, text: str, on: str | None, scene: str, limit: int) -> Things:
         opened = self._scene(scene)
         asked = opened.ask(Question(text=_text(text)))
-        if not 1 <= limit <= MOST_THINGS:
-            raise InputError(f"limit: expected 1 to {MOST_THINGS}, got {limit}")
-        found = opened.find(asked)
+        every = opened.find(asked)
+        found = self._on(opened, every, on)
+        advice = "" if every else _absent(text)
+        if every and not found:
+            advice = _none_on(len(every), on)
         return Things(
-            query=text,
+            query=_query(text, on),
             num_found=len(found),
-            things=things_of(found[:limit]),
-            advice="" if found else _absent(text),
+            things=things_of(found[:limit], decimals_of(opened)),
+            advice=advice,
             measured=measured(asked),
+            field=opened.field.fingerprint,
         )
 
     def count(self, text: str, on: str | None, scene: str) -> Count:
         opened = self._scene(scene)
-        every = self._things(opened, text)
-        counted = self._on(opened, every, on) if on else every
+        every = opened.find(Question(text=_text(text)))
+        counted = self._on(opened, every, on)
         advice = "" if every else _absent(text)
-        if on and every and not counted:
-            advice = f"{len(every)} in the scene, but none on the {on}: where_is says where"
-        centers = [_vector(thing.center) for thing in counted[:MOST_THINGS]]
+        if every and not counted:
+            advice = _none_on(len(every), on)
+        digits = decimals_of(opened)
         return Count(
-            query=text if not on else f"{text} on {on}",
+            query=_query(text, on),
             count=len(counted),
             of=len(every),
-            centers=centers,
+            centers=[rounded(one.thing.center, digits) for one in counted[:MOST_THINGS]],
+            field=opened.field.fingerprint,
             advice=advice,
         )
 
@@ -135,15 +183,23 @@ class Conversation:
         opened = self._scene(scene)
         found = opened.find(Question(text=_text(text)))
         if not found:
-            return Place(query=text, found=False, others=0, best_view=None, advice=_absent(text))
+            return Place(
+                query=text,
+                found=False,
+                others=0,
+                best_view=None,
+                field=opened.field.fingerprint,
+                advice=_absent(text),
+            )
         thing = found[0].thing
         view = opened.best_view(thing.gaussian_ids).name if opened.views else None
         return Place(
             query=text,
             found=True,
-            best=things_of(found[:1])[0],
+            best=things_of(found[:1], decimals_of(opened))[0],
             others=len(found) - 1,
             best_view=view,
+            field=opened.field.fingerprint,
         )
 
     def how_far_apart(self, first: str, second: str, scene: str) -> Distance:
@@ -153,15 +209,16 @@ class Conversation:
             raise InputError(
                 f"'{first}' and '{second}' mean the same thing here: describe each more exactly, e.g. by colour"
             )
-        offset = other.center - one.center
+        offset, digits = other.center - one.center, decimals_of(opened)
         return Distance(
             first=first,
             second=second,
-            center_distance=round(float(np.linalg.norm(offset)), 4),
-            gap=round(gap(opened.gaussians, one, other), 4),
-            offset=_vector(offset),
-            first_center=_vector(one.center),
-            second_center=_vector(other.center),
+            center_distance=round(float(np.linalg.norm(offset)), digits),
+            gap=round(gap(opened.gaussians, one, other), digits),
+            offset=rounded(offset, digits),
+            first_center=rounded(one.center, digits),
+            second_center=rounded(other.center, digits),
+            field=opened.field.fingerprint,
         )
 
     def what_is_at(
@@ -172,8 +229,9 @@ class Conversation:
         words = opened.what_is(place, _names(names), top=5)
         point = _point(opened, place)
         return Here(
-            point=_vector(point),
+            point=rounded(point, decimals_of(opened)),
             names=[Word(name=word.text, score=round(word.score, 4)) for word in words],
+            field=opened.field.fingerprint,
         )
 
     def describe_region(
@@ -183,12 +241,13 @@ class Conversation:
         if len(center) != 3:
             raise InputError(f"center: expected [x, y, z], got {len(center)} numbers")
         parts = region(opened, (center[0], center[1], center[2]), radius, _names(names))
+        digits = decimals_of(opened)
         things = [
             Part(
                 name=one.name,
                 share=round(one.share, 4),
                 num_gaussians=one.num_gaussians,
-                center=_vector(one.center),
+                center=rounded(one.center, digits),
             )
             for one in parts[:MOST_THINGS]
         ]
@@ -197,7 +256,13 @@ class Conversation:
             if things
             else "nothing there is called by these words: give names, or a larger radius"
         )
-        return Region(center=center, radius=radius, things=things, advice=advice)
+        return Region(
+            center=rounded(center, digits),
+            radius=radius,
+            things=things,
+            field=opened.field.fingerprint,
+            advice=advice,
+        )
 
     def show(self, text: str | None, view: str | None, scene: str) -> tuple[Shown, bytes]:
         opened = self._scene(scene)
@@ -211,16 +276,25 @@ class Conversation:
         pixels = opened.picture(chosen, ids, max_side=PICTURE_SIDE)
         height, width = pixels.shape[:2]
         shown = Shown(
-            view=chosen.name, query=text, num_found=count, width=width, height=height, advice=advice
+            view=chosen.name,
+            query=text,
+            num_found=count,
+            width=width,
+            height=height,
+            field=opened.field.fingerprint,
+            advice=advice,
         )
         return shown, png(pixels)
 
     def _scene(self, name: str) -> AskableScene:
+        return self._named(name)[1]
+
+    def _named(self, name: str) -> tuple[str, AskableScene]:
         chosen = name or self.catalog.only()
         if not chosen:
             known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_THINGS])) or "none"
             raise InputError(f"say which scene; there are: {known}")
-        return self.catalog.scene(chosen)
+        return chosen, self.catalog.scene(chosen)
 
     def _things(self, scene: AskableScene, text: str) -> list[Instance]:
         return [one.thing for one in scene.find(Question(text=_text(text)))]
@@ -231,13 +305,23 @@ class Conversation:
             raise InputError(_absent(text))
         return things[0]
 
-    def _on(self, scene: AskableScene, things: list[Instance], on: str) -> list[Instance]:
-        """Those that stand on the largest thing of that name, itself left out."""
+    def _on(self, scene: AskableScene, found: list[Found], on: str | None) -> list[Found]:
+        """Those that stand on the largest thing of that name, itself left out; all of them for None."""
+        if on is None:
+            return found
         supports = self._things(scene, on)
         if not supports:
             raise InputError(_absent(on))
         support, up = max(supports, key=len), upward(scene.views)
-        return [thing for thing in things if stands_on(scene.gaussians, thing, support, up)]
+        return [one for one in found if stands_on(scene.gaussians, one.thing, support, up)]
+
+
+def _query(text: str, on: str | None) -> str:
+    return text if on is None else f"{text} on {on}"
+
+
+def _none_on(number: int, on: str | None) -> str:
+    return f"{number} in the scene, but none on the {on}: where_is says where"
 
 
 def _text(text: str) -> str:
@@ -261,10 +345,6 @@ def _absent(text: str) -> str:
         f"nothing found for '{text[:60]}': try a more general word or a synonym, add the colour, or see what is there "
         "with describe_region"
     )
-
-
-def _vector(values: np.ndarray) -> list[float]:
-    return [round(float(value), 4) for value in values]
 
 
 def _point(

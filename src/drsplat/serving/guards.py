@@ -17,6 +17,7 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Message, Receive, Send], Awaitable[None]]
 
+LARGE = 64 << 10  # bytes of a body: texts are smaller, pictures are not
 OPEN = ("/health",)  # for those who watch the service and have no key
 
 
@@ -27,59 +28,31 @@ class TooLargeError(HTTPException):
         super().__init__(413, f"a body of at most {most:,} bytes is taken")
 
 
-class Guard:
-    """ASGI middleware around the whole service.
+class DoorKeeper:
+    """ASGI middleware that lets in who has the key and means this machine.
 
     key: what `Authorization: Bearer` or `X-API-Key` has to say, None for no key. hosts: names that a
     request may address, None for any: a page in a browser can give this machine another name.
     """
 
     def __init__(
-        self,
-        app: App,
-        limits: Limits,
-        metrics: Metrics,
-        key: str | None = None,
-        hosts: Sequence[str] | None = None,
+        self, app: App, key: str | None = None, hosts: Sequence[str] | None = None
     ) -> None:
-        self.app, self.limits, self.metrics = app, limits, metrics
-        self.key, self.hosts = key, hosts
+        self.app, self.key, self.hosts = app, key, hosts
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        answer = _Answer(send)
-        start = time.perf_counter()
-        try:
-            await self._guarded(scope, receive, answer)
-        finally:
-            route = getattr(scope.get("route"), "path", "none")
-            self.metrics.answered(route, answer.status or 499, time.perf_counter() - start)
+        if scope["type"] != "http" or not await self.turned_away(scope, _Answer(send)):
+            await self.app(scope, receive, send)
 
-    async def _guarded(self, scope: Message, receive: Receive, answer: "_Answer") -> None:
+    async def turned_away(self, scope: Message, answer: "_Answer") -> bool:
+        """Whether a request was refused."""
         headers = dict(scope["headers"])
         if not self._is_let_in(scope["path"], headers):
-            return await answer.refuse(
-                401, "unauthorised", "give the key: Authorization: Bearer KEY"
-            )
-        if not self._is_meant(headers.get(b"host", b"")):
-            return await answer.refuse(
-                400, "wrong host", f"expected one of: {', '.join(self.hosts or ())}"
-            )
-        length = headers.get(b"content-length", b"0")
-        if not length.isdigit() or len(length) > 18:
-            return await answer.refuse(
-                400, "malformed", "Content-Length: expected a number of bytes"
-            )
-        most = self.limits.body_bytes
-        if int(length) > most:
-            return await answer.refuse(413, "too large", TooLargeError(most).detail)
-        try:
-            async with asyncio.timeout(self.limits.seconds):
-                await self.app(scope, _bounded(receive, self.limits.body_bytes), answer)
-        except TimeoutError:
-            text = f"no answer within {self.limits.seconds:g} s: ask for less, or later"
-            await answer.refuse(503, "timeout", text)
+            await answer.refuse(401, "unauthorised", "give the key: Authorization: Bearer KEY")
+        elif not self._is_meant(headers.get(b"host", b"")):
+            known = f"expected one of: {', '.join(self.hosts or ())}"
+            await answer.refuse(400, "wrong host", known)
+        return bool(answer.status)
 
     def _is_let_in(self, path: str, headers: dict[bytes, bytes]) -> bool:
         if self.key is None or path in OPEN:
@@ -91,6 +64,54 @@ class Guard:
 
     def _is_meant(self, host: bytes) -> bool:
         return self.hosts is None or is_addressed(host.decode("latin-1"), self.hosts)
+
+
+class Guard(DoorKeeper):
+    """Around the whole HTTP service: bounds of bodies and time, counts, and HEAD answered as GET."""
+
+    def __init__(
+        self,
+        app: App,
+        limits: Limits,
+        metrics: Metrics,
+        key: str | None = None,
+        hosts: Sequence[str] | None = None,
+    ) -> None:
+        super().__init__(app, key, hosts)
+        self.limits, self.metrics = limits, metrics
+        self.large = 0  # bodies at once
+
+    async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        answer = _Answer(send)
+        if scope["method"] == "HEAD":
+            scope, answer = {**scope, "method": "GET"}, _Answer(_without_body(send))
+        start = time.perf_counter()
+        try:
+            if not await self.turned_away(scope, answer):
+                await self._bounded(scope, receive, answer)
+        finally:
+            route = getattr(scope.get("route"), "path", "none")
+            self.metrics.answered(route, answer.status or 499, time.perf_counter() - start)
+
+    async def _bounded(self, scope: Message, receive: Receive, answer: "_Answer") -> None:
+        length, most = dict(scope["headers"]).get(b"content-length", b"0"), self.limits.body_bytes
+        if not length.isdigit() or len(length) > 18:
+            return await answer.refuse(
+                400, "malformed", "Content-Length: expected a number of bytes"
+            )
+        if int(length) > most:
+            return await answer.refuse(413, "too large", TooLargeError(most).detail)
+        body = _Body(receive, self)
+        try:
+            async with asyncio.timeout(self.limits.seconds):
+                await self.app(scope, body, answer)
+        except TimeoutError:
+            text = f"no answer within {self.limits.seconds:g} s: ask for less, or later"
+            await answer.refuse(503, "timeout", text)
+        finally:
+            self.large -= body.is_large
 
 
 class _Answer:
@@ -120,16 +141,29 @@ class _Answer:
         await self({"type": "http.response.body", "body": body})
 
 
-def _bounded(receive: Receive, most: int) -> Receive:
-    """Of a body whose length was not told, or was a lie."""
-    seen = 0
+def _without_body(send: Send) -> Send:
+    """As HEAD is answered: the head of what GET would give."""
 
-    async def bounded() -> Message:
-        nonlocal seen
-        message = await receive()
-        seen += len(message.get("body", b""))
-        if seen > most:
-            raise TooLargeError(most)
+    async def head(message: Message) -> None:
+        await send({**message, "body": b""} if "body" in message else message)
+
+    return head
+
+
+class _Body:
+    """Receive, of a body whose length was not told, or was a lie; and one of not too many large ones."""
+
+    def __init__(self, receive: Receive, guard: Guard) -> None:
+        self.receive, self.guard, self.seen, self.is_large = receive, guard, 0, False
+
+    async def __call__(self) -> Message:
+        message = await self.receive()
+        self.seen += len(message.get("body", b""))
+        limits = self.guard.limits
+        if self.seen > limits.body_bytes:
+            raise TooLargeError(limits.body_bytes)
+        if self.seen > LARGE and not self.is_large:
+            if self.guard.large >= limits.large_bodies:
+                raise HTTPException(503, f"{self.guard.large} large bodies are here: come again")
+            self.guard.large, self.is_large = self.guard.large + 1, True
         return message
-
-    return bounded

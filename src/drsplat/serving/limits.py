@@ -7,17 +7,18 @@ from dataclasses import dataclass
 class Limits:
     """Bounds of the service; all are checked before the work that they bound.
 
-    body_bytes: of a request. text: characters of one text. classes: of one request. pixels: of a picture
-    that is sent, by its header. side: of a picture that is rendered, in pixels. scans: requests that compute at once, per worker. waiting: more
+    body_bytes: of a request. large_bodies: requests of more than 64 KiB that are received and answered at once. text: characters of one text. classes: of one request. pixels: of a picture
+    that is sent, by its header. side: of a picture that is rendered, in pixels. workers: processes, which compute one request at a time. waiting: more
     that may wait for them; others are told to come again. seconds: from the first byte to the answer.
     """
 
     body_bytes: int = 8 << 20
+    large_bodies: int = 32
     text: int = 200
     classes: int = 64
     pixels: int = 16_000_000
     side: int = 1600
     things: int = 100
-    scans: int = 2
+    workers: int = 2
     waiting: int = 128
     seconds: float = 30.0

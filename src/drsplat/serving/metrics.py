@@ -1,6 +1,4 @@
-"""What the service did, for Prometheus; with several workers the numbers are those of all of them."""
-
-import os
+"""What the service did, for Prometheus."""
 
 from prometheus_client import (
     CONTENT_TYPE_LATEST,
@@ -10,9 +8,7 @@ from prometheus_client import (
     Histogram,
     generate_latest,
 )
-from prometheus_client.multiprocess import MultiProcessCollector
 
-SHARED = "PROMETHEUS_MULTIPROC_DIR"
 SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
 
 
@@ -40,13 +36,11 @@ class Metrics:
             "drsplat_computing",
             "Requests that compute now",
             registry=self.registry,
-            multiprocess_mode="livesum",
         )
         self.waiting = Gauge(
             "drsplat_waiting",
             "Requests that wait to compute",
             registry=self.registry,
-            multiprocess_mode="livesum",
         )
 
     def answered(self, route: str, status: int, seconds: float) -> None:
@@ -55,8 +49,4 @@ class Metrics:
 
     def text(self) -> bytes:
         """In Prometheus' text format."""
-        if SHARED not in os.environ:
-            return bytes(generate_latest(self.registry))
-        every = CollectorRegistry()
-        MultiProcessCollector(every)  # type: ignore[no-untyped-call]
-        return bytes(generate_latest(every))
+        return bytes(generate_latest(self.registry))

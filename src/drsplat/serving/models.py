@@ -3,12 +3,14 @@
 Coordinates are world coordinates of the scene, in scene units: metres only where the capture was scaled so.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Annotated
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..asking import Asked, Found
+from ..asking import AskableScene, Asked, Found
 from .catalog import Summary
 
 UNITS = "scene units"
@@ -19,6 +21,11 @@ class Answer(BaseModel):
     """A JSON object of an answer."""
 
     model_config = ConfigDict(ser_json_inf_nan="null")
+
+
+Fingerprint = Annotated[
+    str, Field(description="fingerprint of the field that answered: another one, another version")
+]
 
 
 class SceneSummary(Answer):
@@ -36,6 +43,7 @@ class Word(Answer):
 
 class Named(Answer):
     names: list[Word] = Field(description="best first")
+    field: Fingerprint = ""
 
 
 class Problem(Answer):
@@ -56,6 +64,7 @@ class SceneDetails(SceneSummary):
     high: Vector
     up: Vector | None = Field(None, description="unit direction, told by the photos")
     units: str = UNITS
+    field: Fingerprint = ""
 
 
 class Measured(Answer):
@@ -76,6 +85,7 @@ class Selected(Answer):
     gaussian_ids: list[int] | None = Field(
         None, description="rows of the scene, ascending; only where asked for"
     )
+    field: Fingerprint = ""
 
 
 class ClassCount(Answer):
@@ -93,6 +103,7 @@ class Segmented(Answer):
     labels: list[int] | None = Field(
         None, description="per Gaussian of the scene the number of its class, -1 for none"
     )
+    field: Fingerprint = ""
 
 
 class SceneList(Answer):
@@ -126,6 +137,7 @@ class Things(Answer):
     units: str = UNITS
     advice: str = ""
     measured: Measured | None = None
+    field: Fingerprint = ""
 
 
 def summarized(summary: Summary) -> SceneSummary:
@@ -135,19 +147,19 @@ def summarized(summary: Summary) -> SceneSummary:
 def measured(asked: Asked) -> Measured:
     return Measured(
         measure=asked.measure,
-        threshold=asked.threshold,
+        threshold=significant(asked.threshold),
         threshold_rule=asked.rule,
         num_selected=len(asked.gaussian_ids),
         num_registered=len(asked.field),
     )
 
 
-def things_of(found: Sequence[Found]) -> list[Thing]:
+def things_of(found: Sequence[Found], decimals: int) -> list[Thing]:
     return [
         Thing(
-            center=_rounded(one.thing.center),
-            extent=_rounded(one.thing.extent),
-            axes=[_rounded(axis) for axis in one.thing.axes],
+            center=rounded(one.thing.center, decimals),
+            extent=rounded(one.thing.extent, decimals),
+            axes=[rounded(axis, 4) for axis in one.thing.axes],
             score=round(one.thing.score, 4),
             num_gaussians=len(one.thing),
             support=[
@@ -159,5 +171,17 @@ def things_of(found: Sequence[Found]) -> list[Thing]:
     ]
 
 
-def _rounded(values: Iterable[float]) -> list[float]:
-    return [round(float(value), 4) for value in values]
+def decimals_of(scene: AskableScene) -> int:
+    """Of coordinates: a ten-thousandth of the scene's size or finer, 4 for a room in metres."""
+    low, high = scene.box
+    size = max(float(np.linalg.norm(high - low)), 1e-12)
+    return 4 - math.floor(math.log10(size))
+
+
+def rounded(values: Iterable[float], decimals: int) -> list[float]:
+    return [round(float(value), decimals) for value in values]
+
+
+def significant(value: float) -> float:
+    """Six digits of a score: as many as single precision holds."""
+    return float(f"{float(value):.6g}")

@@ -67,6 +67,19 @@ class Locate(Query):
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
 
 
+class Details(Request):
+    """name: what the scene is called here."""
+
+    name: str
+
+
+class Photo(Request):
+    """A photo of the scene by its name."""
+
+    view: str
+    max_side: int
+
+
 class Ids(Query):
     """A query for the Gaussians themselves."""
 

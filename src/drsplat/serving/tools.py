@@ -1,5 +1,6 @@
 """The MCP server: the conversation's questions as tools of the protocol."""
 
+import json
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
@@ -7,13 +8,24 @@ from mcp.server import MCPServer
 from mcp.server.mcpserver import Image
 from mcp.server.mcpserver.exceptions import ToolError
 from mcp_types import CallToolResult, TextContent, ToolAnnotations
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from .. import __version__
 from ..errors import DrSplatError
 from .catalog import Catalog, without_paths
-from .conversation import MOST_THINGS, Conversation, Count, Distance, Here, Place, Region, Shown
+from .conversation import (
+    MOST_THINGS,
+    About,
+    Conversation,
+    Count,
+    Distance,
+    Here,
+    Place,
+    Region,
+    Shown,
+)
 from .models import SceneList, Things
+from .refusals import faults_of
 
 INSTRUCTIONS = """\
 3D scenes that can be searched in words. Start with list_scenes. Name things as people do ("red mug"); "mug, not red"
@@ -29,12 +41,46 @@ Names = Annotated[
     list[str] | None,
     Field(description="words to choose from; may be left out for encoders that know a list"),
 ]
+On = Annotated[
+    str | None,
+    Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=200),
+]
 READS = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
+
+
+class _Server(MCPServer):  # type: ignore[type-arg]
+    """Whose refusals are ours: what was expected where, without the name of a library and its pages.
+
+    Arguments that a tool does not know are refused, and answers are JSON without the spaces that cost tokens.
+    """
+
+    async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
+        for tool in await self.list_tools():
+            known = tool.input_schema["properties"]
+            if tool.name == name and not arguments.keys() <= known.keys():
+                surplus = ", ".join(sorted(arguments.keys() - known.keys()))[:200]
+                raise ToolError(f"{name}: no argument {surplus}; there are: {', '.join(known)}")
+        try:
+            return _terse(await super().call_tool(name, arguments, context))
+        except ToolError as error:
+            cause = error.__cause__
+            if isinstance(cause, ValidationError):
+                raise ToolError(f"{name}: {faults_of(cause.errors())}") from error
+            if isinstance(cause, ToolError):
+                raise cause from error
+            raise
+
+
+def _terse(result: Any) -> Any:
+    if isinstance(result, CallToolResult) and result.structured_content is not None:
+        text = json.dumps(result.structured_content, separators=(",", ":"))
+        result.content[0] = TextContent(type="text", text=text)
+    return result
 
 
 def make_server(catalog: Catalog) -> MCPServer:
     """An MCP server over the scenes of a catalog; run it with `run("stdio")` or as streamable HTTP."""
-    server = MCPServer(
+    server = _Server(
         "drsplat",
         title="drsplat: scenes that answer words",
         instructions=INSTRUCTIONS,
@@ -47,28 +93,32 @@ def make_server(catalog: Catalog) -> MCPServer:
         try:
             return ask()
         except DrSplatError as error:
-            raise ToolError(without_paths(str(error), catalog.folder)) from error
+            raise ToolError(without_paths(str(error), catalog.roots)) from error
 
     @server.tool(title="List scenes", annotations=READS)
     def list_scenes() -> SceneList:
         """The scenes that can be asked, and how large they are."""
         return told(asking.list_scenes)
 
+    @server.tool(title="About a scene", annotations=READS)
+    def about_scene(scene: Scene = "") -> About:
+        """How large a scene is, where it lies, which way is up, the unit of lengths, and some of its photos."""
+        return told(lambda: asking.about_scene(scene))
+
     @server.tool(title="Find things", annotations=READS)
     def find(
         text: Text,
+        on: On = None,
         scene: Scene = "",
         limit: Annotated[int, Field(ge=1, le=MOST_THINGS, description="most things")] = 5,
     ) -> Things:
         """All things that a text means, best first: centre, oriented box, score, and the photos that say so."""
-        return told(lambda: asking.find(text, scene, limit))
+        return told(lambda: asking.find(text, on, scene, limit))
 
     @server.tool(title="Count things", annotations=READS)
     def count(
         text: Text,
-        on: Annotated[
-            str | None, Field(description="count only those that stand on this, e.g. 'table'")
-        ] = None,
+        on: On = None,
         scene: Scene = "",
     ) -> Count:
         """How many things a text means, in the scene or on something."""

@@ -1,0 +1,12 @@
+"""Requests of the wrong shape, in words for whoever sent them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+MOST, LONGEST = 5, 1000
+
+
+def faults_of(errors: Sequence[Mapping[str, Any]]) -> str:
+    """Where each fault that pydantic found is, and what was expected there; no values, which may be large."""
+    faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in errors]
+    return "; ".join(faults[:MOST])[:LONGEST]

@@ -1,0 +1,85 @@
+"""A process that answers one question at a time, and that can be ended at any moment.
+
+It opens scenes and decodes pictures of strangers; what goes wrong in it, be it a loop or a damaged file, costs one answer.
+Questions and answers are JSON and bytes over a socket: nothing that arrives is unpickled.
+"""
+
+import json
+import os
+import select
+import signal
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from ..errors import DrSplatError
+from .answers import ANSWERS, answered
+from .catalog import Catalog, Sources, without_paths
+from .limits import Limits
+from .models import SceneList, summarized
+from .replies import Reply, packed, refusal
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """What a worker needs to start."""
+
+    folder: str
+    sources: Sources = field(default_factory=Sources)
+    limits: Limits = field(default_factory=Limits)
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> "Workplace":
+        given = json.loads(text)
+        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]))
+
+
+def main(descriptor: int) -> None:
+    """Answer what comes over an inherited socket until it is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started this process ends it
+    threading.Thread(target=_end_with, args=(descriptor,), daemon=True).start()
+    link = Connection(descriptor)
+    with suppress(EOFError, OSError):
+        place = Workplace.from_json(link.recv_bytes())
+        catalog = Catalog(Path(place.folder), place.sources)
+        while True:
+            asked = json.loads(link.recv_bytes())
+            link.send_bytes(packed(reply_to(catalog, place, **asked)))
+
+
+def reply_to(
+    catalog: Catalog, place: Workplace, act: str, scene: str, asked: dict[str, Any]
+) -> Reply:
+    """act: "list", "open" (which also loads who embeds words), or one of `ANSWERS`."""
+    try:
+        if act == "list":
+            scenes = [summarized(one) for one in catalog.summaries()]
+            return Reply(SceneList(scenes=scenes).model_dump_json().encode())
+        opened = catalog.scene(scene)
+        if act != "open":
+            return answered(opened, act, asked, place.limits)
+        if ANSWERS[asked["for"]].words:
+            with suppress(DrSplatError):  # told when words are asked for
+                opened.encoder  # noqa: B018
+        return Reply(b"")
+    except DrSplatError as error:
+        return refusal(error, without_paths(str(error), catalog.roots))
+
+
+def _end_with(descriptor: int) -> None:
+    """A process whose parent has gone has nobody to answer."""
+    other_end = select.poll()
+    other_end.register(descriptor, 0)  # hanging up is always told
+    other_end.poll()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))
