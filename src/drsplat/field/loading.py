@@ -15,12 +15,14 @@ from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .language_field import (
     CODES,
+    CONTRAST,
     EVIDENCE,
     FORMAT,
     NEGATIVES,
     VERSION,
     LanguageField,
     Negatives,
+    WordList,
 )
 
 MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
@@ -68,6 +70,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             _evidence(path, manifest),
             _negatives(path, manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
+            _contrast(path, manifest, code.dim),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
@@ -142,3 +145,18 @@ def _negatives(path: Path, manifest: dict[str, object], dim: int) -> Negatives |
     if texts and len(texts) != len(embeddings):
         raise FormatError(f"{path}: {len(texts)} negative texts for {len(embeddings)} embeddings")
     return Negatives(tuple(texts), embeddings, tensors["maxima"])
+
+
+def _contrast(path: Path, manifest: dict[str, object], dim: int) -> WordList | None:
+    if not _has(manifest, CONTRAST):
+        return None
+    tensors, _ = _tied(path, CONTRAST, manifest)
+    check_tensors(tensors, {"embeddings": ("float32", "n D")}, str(path / CONTRAST))
+    texts, embeddings = manifest.get("contrast"), tensors["embeddings"]
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise FormatError(f"{path}: contrast must be a list of texts")
+    if embeddings.shape != (len(texts), dim) or not texts:
+        raise FormatError(
+            f"{path / CONTRAST}: expected ({len(texts)}, {dim}), got {embeddings.shape}"
+        )
+    return WordList(tuple(texts), embeddings)
