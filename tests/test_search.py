@@ -45,9 +45,9 @@ def test_negatives_are_embedded_once() -> None:
     encoder = ToyEncoder()
     plain = toy_field()
     field = plain.with_negatives(encoder.encode_texts(NEGATIVES), NEGATIVES)
-    expected = query(plain, encoder, "sofa")
+    expected = query(plain, encoder, "sofa").relevancy
     encoder.asked = 0
-    assert_array_equal(query(field, encoder, "sofa").relevancy, expected.relevancy)
+    assert_array_equal(query(field, encoder, "sofa").relevancy, expected)
     assert encoder.asked == 1
     query(field, encoder, "sofa", ("wall",))
     assert encoder.asked == 3

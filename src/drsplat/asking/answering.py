@@ -173,9 +173,9 @@ class Asking:
         rivals = rival_scores(
             self._field, background.encoder, wanted, unwanted, threads=background.threads
         )
-        values = answer.values.copy()
-        values[without(scores, rivals) == LOWEST] = LOWEST if answer.measure == COSINE else 0.0
-        return replace(answer, values=values)
+        left = without(scores, rivals)
+        values = np.where(left == LOWEST, np.float32(0), answer.values)
+        return replace(answer, values=left if answer.measure == COSINE else values, scores=left)
 
     def _of_words(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]

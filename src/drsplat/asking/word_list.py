@@ -1,6 +1,7 @@
 """Which words a query is contrasted with."""
 
 from collections.abc import Sequence
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float32
@@ -17,10 +18,15 @@ def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     """All texts of a vocabulary, the encoder's own nouns, or those that ship."""
     if isinstance(encoder, VocabularyEncoder):
         return np.asarray(encoder.encode_texts(_of_vocabulary(encoder.texts)), np.float32)
-    return embedded_nouns(encoder)
+    if encoder not in _EMBEDDED:
+        _EMBEDDED[encoder] = _embedded_nouns(encoder)
+    return _EMBEDDED[encoder]
 
 
-def embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
+_EMBEDDED: "WeakKeyDictionary[Encoder, Float32[np.ndarray, 'n D']]" = WeakKeyDictionary()
+
+
+def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     """The vectors of those nouns that the encoder knows."""
     nouns: tuple[str, ...] = getattr(encoder, "nouns", NOUNS)
     try:
