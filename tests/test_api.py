@@ -24,9 +24,9 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "terminal", "kinds", "contents", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
+    "errors", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
     "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
-    "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "triangulation", "training",
+    "thresholds", "contrast", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent

@@ -27,7 +27,6 @@ from drsplat import (
     write_cameras_json,
     write_gaussians,
 )
-from drsplat.asking.defaults import COSINE_THRESHOLD
 from drsplat.cli import VERBS, main
 from drsplat.demo import story as household
 from drsplat.demo.questions import QUESTIONS
@@ -367,7 +366,8 @@ def test_query_by_vector_equals_query_in_words(room: Path, tmp_path: Path, capsy
     assert by_vector["num_selected"] == in_words["num_selected"] > 0
     assert by_vector["score_range"] == in_words["score_range"]
     default = answer_of(capsys, "query", room / "room.field", "--vector", tmp_path / "q.npy")
-    assert default["threshold"] == COSINE_THRESHOLD
+    assert default["threshold_rule"] == "auto"
+    assert default["num_selected"] == pytest.approx(in_words["num_selected"], rel=0.2)
     assert by_vector["instances"] is None
 
 

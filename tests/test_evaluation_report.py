@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat import WordEncoder, cli
+from drsplat.asking.query import query
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import published, report, svg, tables, thresholds
 from drsplat.evaluation.choosers import automatic_choosers
@@ -23,7 +24,6 @@ from drsplat.evaluation.scorers import (
     read_features,
     relevant,
 )
-from drsplat.search import query
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 from test_lerf_ovs import PER_THING, THINGS, balls, data  # noqa: F401
 from test_scannet_protocols import write_scene

@@ -164,8 +164,8 @@ def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> No
     evidence = random_evidence(np.random.default_rng(0), dim=DIM)
     field = build_field(evidence, SCENE, mini.identity)
     answer = asked(field, Ask(text="red mugs"))
-    assert (answer.measure, answer.threshold) == ("cosine", mini.threshold)
-    assert_allclose(answer.values, field.scores(mini.encode_texts(["red mug"])[0]), atol=1e-6)
+    assert (answer.measure, answer.rule) == ("relevancy", "list")
+    assert_allclose(answer.scores, field.scores(mini.encode_texts(["red mug"])[0]), atol=1e-6)
     assert isinstance(load_encoder("drsplat-mini"), MiniEncoder)
 
 

@@ -10,23 +10,20 @@ from numpy.testing import assert_array_equal
 from world.furnished.story import Story
 
 from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
+from drsplat.asking.query import query
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
 from drsplat.search import (
-    ABSENT,
     LOWEST,
     NEGATIVES,
     embed_query,
     feature_at,
     fits_all,
     fits_but_not,
-    null_rises,
-    query,
     split_negation,
     text_negatives,
     without,
 )
-from drsplat.thresholds import rise
 from fields import ToyEncoder, toy_field, unit_rows
 
 
@@ -48,9 +45,9 @@ def test_negatives_are_embedded_once() -> None:
     encoder = ToyEncoder()
     plain = toy_field()
     field = plain.with_negatives(encoder.encode_texts(NEGATIVES), NEGATIVES)
-    expected = query(plain, encoder, "sofa")
+    expected = query(plain, encoder, "sofa").relevancy
     encoder.asked = 0
-    assert_array_equal(query(field, encoder, "sofa").relevancy, expected.relevancy)
+    assert_array_equal(query(field, encoder, "sofa").relevancy, expected)
     assert encoder.asked == 1
     query(field, encoder, "sofa", ("wall",))
     assert encoder.asked == 3
@@ -132,16 +129,6 @@ def test_queries_leave_out_what_is_not_meant() -> None:
     assert_array_equal(answer.scores, np.where(gone, np.float32(-1), plain.scores))
     assert (answer.relevancy[gone] < 0.1).all()
     assert_array_equal(answer.relevancy[~gone], plain.relevancy[~gone])
-
-
-def test_null_rises_are_those_of_each_text() -> None:
-    field, encoder = toy_field(), ToyEncoder()
-    texts = ("zebra", "volcano", "submarine")
-    expected = [rise(field.scores(q), 5) for q in encoder.encode_texts(texts)]
-    assert_array_equal(null_rises(field, encoder, texts, peak=5), expected)
-    assert len(null_rises(field, encoder)) == len(ABSENT)
-    with pytest.raises(MismatchError, match="written with toy"):
-        null_rises(field, ToyEncoder(EncoderIdentity("other", 32)))
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,13 @@ from world.furnished.story import Story, intersection_over_union
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import WordEncoder, load_field, read_gaussians, select
+from drsplat.asking.query import query
 from drsplat.commands.legend import class_colors, legend
 from drsplat.demo import story as household
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
-from drsplat.search import ABSENT, null_rises
-from drsplat.thresholds import automatic_threshold, share_threshold
+from drsplat.nouns import NOUNS
+from drsplat.thresholds import share_threshold
 
 
 @pytest.fixture(scope="module")
@@ -112,27 +113,31 @@ def test_the_automatic_threshold_finds_what_is_there(
         assert text_of(capsys, *nothing).startswith("Nothing found")
 
 
+@pytest.mark.parametrize("threshold", [[], ["--threshold", "auto"]])
 @pytest.mark.parametrize("text", ["red mug", "elephant"])
-def test_without_a_threshold_of_its_own_an_encoder_is_asked_for_what_is_absent(
-    text: str, room: Path, story: Story, tmp_path: Path, capsys: Capture
+def test_a_vocabulary_is_contrasted_with_its_other_texts(
+    text: str, threshold: list[str], room: Path, story: Story, tmp_path: Path, capsys: Capture
 ) -> None:
     """The same embeddings from a file, which says nothing of a threshold."""
     words = WordEncoder()
     vocabulary, out = tmp_path / "words.safetensors", tmp_path / "ids.npy"
-    texts = (text, *ABSENT)
+    texts = texts_with(text)
     known = VocabularyEncoder(words.identity, texts, words.encode_texts(texts))
     write_vocabulary(vocabulary, known)
     report = answer_of(
-        capsys, "select", room / "room.field", text, "--vocabulary", vocabulary,
-        "--threshold", "auto", "--save", out,
+        capsys, "select", room / "room.field", text, "--vocabulary", vocabulary, *threshold,
+        "--save", out,
     )  # fmt: skip
-    scores = story.field.scores(words.encode_texts([text])[0])
-    rises = null_rises(story.field, words)
-    assert report["threshold_rule"] == "auto"
-    assert report["threshold"] == pytest.approx(automatic_threshold(scores, rises), abs=1e-6)
+    assert (report["threshold_rule"], report["measure"]) == ("list", "relevancy")
     found = np.load(out, allow_pickle=False)
     meant = truth_of(story, *([text] if text == "red mug" else []))
     assert intersection_over_union(found, meant) > 0.85
+    answer = query(story.field, known, text)
+    np.testing.assert_array_equal(select(story.field, answer), found)
+
+
+def texts_with(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((text, *NOUNS[:60], "wooden table", "white wall", "green sofa")))
 
 
 def test_auto_is_of_cosines(room: Path, capsys: Capture) -> None:

@@ -89,8 +89,8 @@ def test_things_apart_are_counted_apart_and_together_when_linked():
     scene, labels = boxes_scene([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     field = field_of(scene, np.zeros_like(labels))
     scores = field.scores(unit(0))
-    assert len(locate(field, scene, scores)) == 3
-    assert len(locate(field, scene, scores, link_distance=0.9)) == 1
+    assert len(locate(field, scene, scores, 0.5)) == 3
+    assert len(locate(field, scene, scores, 0.5, link_distance=0.9)) == 1
 
 
 def test_the_best_score_comes_first():
@@ -116,8 +116,8 @@ def test_locate_moves_with_the_scene():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     points = (turn.apply(scene.means) + shift).astype(np.float32)
     moved = Gaussians(points, scene.quats, scene.scales, scene.opacities, scene.sh)
-    a = locate(field_of(scene, labels), scene, field_of(scene, labels).scores(unit(0)))[0]
-    b = locate(field_of(moved, labels), moved, field_of(moved, labels).scores(unit(0)))[0]
+    a = locate(field_of(scene, labels), scene, field_of(scene, labels).scores(unit(0)), 0.5)[0]
+    b = locate(field_of(moved, labels), moved, field_of(moved, labels).scores(unit(0)), 0.5)[0]
     np.testing.assert_allclose(b.center, turn.apply(a.center) + shift, atol=1e-3)
     np.testing.assert_allclose(b.extent, a.extent, atol=1e-3)
 
@@ -136,11 +136,11 @@ def test_what_can_be_seen_through_is_no_thing():
     opacities = np.where(labels == 1, 0.09, 0.8).astype(np.float32)
     hazy = Gaussians(scene.means, scene.quats, scene.scales, opacities, scene.sh)
     field = field_of(hazy, labels)
-    assert locate(field, hazy, field.scores(unit(1))) == []
+    assert locate(field, hazy, field.scores(unit(1)), 0.5) == []
     opacities[np.flatnonzero(labels == 1)[:40]] = 0.1
     some = Gaussians(scene.means, scene.quats, scene.scales, opacities, scene.sh)
-    assert len(locate(field, some, field.scores(unit(1)), min_gaussians=40)) == 1
-    assert locate(field, some, field.scores(unit(1)), min_gaussians=41) == []
+    assert len(locate(field, some, field.scores(unit(1)), 0.5, min_gaussians=40)) == 1
+    assert locate(field, some, field.scores(unit(1)), 0.5, min_gaussians=41) == []
 
 
 def test_absent_words_find_nothing_and_present_ones_the_thing():

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     __version__: str
     from .adapters.loading import load_encoder
     from .adapters.sam import load_segmenter
+    from .asking.query import query
     from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
     from .codes.mixture import choose_code, recoded
     from .embedding import embed
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from .photos import load_image
     from .registration import Registration, register
     from .rendering import render
-    from .search import embed_query, feature_at, query
+    from .search import embed_query, feature_at
     from .segments import Masks, Segmenter
     from .support import supporting_masks
     from .tasks import Instance, locate, segment, select
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "adapters.loading": ("load_encoder",),
     "adapters.sam": ("load_segmenter",),
+    "asking.query": ("query",),
     "codes": (
         "Codebook",
         "load_codebook",
@@ -80,7 +82,7 @@ _HOMES = {
     "photos": ("load_image",),
     "registration": ("Registration", "register"),
     "rendering": ("render",),
-    "search": ("embed_query", "feature_at", "query"),
+    "search": ("embed_query", "feature_at"),
     "segments": ("Masks", "Segmenter"),
     "support": ("supporting_masks",),
     "tasks": ("Instance", "locate", "segment", "select"),

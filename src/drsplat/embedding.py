@@ -16,19 +16,22 @@ from jaxtyping import Float32, UInt8
 from .codes import Track, encoder_from_json, untracked
 from .contents import open_file
 from .crops import crops
-from .encoders import EncoderIdentity, ImageEncoder, identity_json
+from .encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from .errors import DrSplatWarning, InputError
 from .formats.claiming import claimed_folder
 from .formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
 from .formats.feature_files import Form
 from .formats.langsplat import stored_features, write_features
 from .formats.photo_files import listed
+from .formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from .mask_selection import SegmentMaps, segment_maps
+from .nouns import NOUNS
 from .photos import load_image
 from .segments import LEVELS, Masks, Segmenter
 from .views import View
 
 ALGORITHM = "1"  # of everything here that decides what is written; a new one makes all files anew
+WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
 MAX_HEIGHT = 1080
 """Taller photos are scaled down to it. Source: LangSplat preprocess.py."""
 
@@ -95,11 +98,29 @@ def embed(
             _rewrite(record, stem, form)
         for stem in track(pending, "embedding photos"):
             _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder, form)
+        _record_words(record.folder, encoder)
         _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
     return EmbeddingReport(
         len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes
     )
+
+
+def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
+    """The words that queries are contrasted with, where `embed` left them.
+
+    Raises: FormatError: a damaged file.
+    """
+    path = Path(folder) / WORD_LIST
+    return read_vocabulary(path) if path.is_file() else None
+
+
+def _record_words(folder: Path, encoder: ImageEncoder) -> None:
+    """Embed the list while the model is at hand. Built-in encoders are always."""
+    if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
+        return
+    words = VocabularyEncoder(encoder.identity, NOUNS, encoder.encode_texts(NOUNS))
+    write_vocabulary(folder / WORD_LIST, words, overwrite=True)
 
 
 def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:

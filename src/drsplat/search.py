@@ -1,32 +1,26 @@
-"""Words to scores, a click to a query: the whole query path on one screen."""
+"""Words to scores, a click to a query."""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from .encoders import Encoder
 from .errors import InputError
 from .field import LanguageField, Negatives, relevancy_from_scores
 from .gaussians import Gaussians
 from .kernels import splat_arrays, view_weights
-from .thresholds import PEAK, rise
 from .views import View
 
 __all__ = [
-    "ABSENT",
     "LOWEST",
     "NEGATIVES",
-    "Answer",
     "embed_query",
     "feature_at",
     "fits_all",
     "fits_but_not",
     "gaussian_at",
-    "null_rises",
-    "query",
     "relevancy_from_scores",
     "rival_scores",
     "split_negation",
@@ -35,28 +29,11 @@ __all__ = [
 ]
 
 NEGATIVES = ("object", "things", "stuff", "texture")
-ABSENT = (
-    "zebra", "volcano", "submarine", "cathedral", "glacier", "helicopter", "dinosaur", "windmill", "jellyfish",
-    "spacecraft", "tractor", "waterfall", "pyramid", "lighthouse", "ostrich", "bulldozer", "canyon", "octopus",
-    "catapult", "locomotive", "iceberg", "tornado", "rhinoceros", "aqueduct",
-)  # fmt: skip
-"""Words that hardly any capture answers: how high their scores rise is chance."""
 
 LOWEST = -1.0  # a cosine that no threshold selects
 AT_ONCE = 16  # queries that compete exactly in one scan
 CHUNK = 8  # queries whose scores are held at once
 _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not\s+|\s+but\s+not\s+", re.IGNORECASE)
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """One number per row of the field.
-
-    scores: cosines. relevancy: in (0, 1), 0.5 where the query fits no better than a negative.
-    """
-
-    scores: Float32[np.ndarray, " r"]
-    relevancy: Float32[np.ndarray, " r"]
 
 
 def embed_query(encoder: Encoder, field: LanguageField, text: str) -> Float32[np.ndarray, " D"]:
@@ -153,26 +130,6 @@ def fits_all(
     return lowest
 
 
-def null_rises(
-    field: LanguageField,
-    encoder: Encoder,
-    texts: Sequence[str] = ABSENT,
-    *,
-    peak: int = PEAK,
-    threads: int = 0,
-) -> Float64[np.ndarray, " k"]:
-    """How high the scores of texts rise that the scene does not answer, for `automatic_threshold`.
-
-    Raises: MismatchError: the field was written with another encoder.
-    """
-    field.check_encoder(encoder.identity)
-    embeddings = np.asarray(encoder.encode_texts(texts), np.float32)
-    chunks = (embeddings[begin : begin + CHUNK] for begin in range(0, len(embeddings), CHUNK))
-    return np.array(
-        [rise(one, peak) for chunk in chunks for one in field.scores(chunk, threads=threads)]
-    )
-
-
 def feature_at(
     field: LanguageField,
     gaussians: Gaussians,
@@ -226,29 +183,3 @@ def gaussian_at(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"
         )
     return int(seen.gaussian_ids[known][seen.weights[known].argmax()])
-
-
-def query(
-    field: LanguageField,
-    encoder: Encoder,
-    text: str,
-    negatives: Sequence[str] = NEGATIVES,
-    *,
-    threads: int = 0,
-) -> Answer:
-    """Score every registered Gaussian against a text: one scan if the negatives are cached.
-
-    "mug, not red": what "red mug" fits as well or better gets the lowest cosine.
-
-    Raises: MismatchError: the field was written with another encoder. InputError: no negatives.
-    Source: Dr. Splat Sec. A "Inference stage"; Kerr et al. 2023 (LERF) for relevancy.
-    """
-    compared = text_negatives(field, encoder, negatives, threads=threads)
-    wanted, unwanted = split_negation(text)
-    vector = embed_query(encoder, field, wanted)
-    if unwanted:
-        rivals = [embed_query(encoder, field, f"{word} {wanted}") for word in unwanted]
-        scores = fits_but_not(field, vector, np.stack(rivals), threads=threads)
-    else:
-        scores = field.scores(vector, threads=threads)
-    return Answer(scores, relevancy_from_scores(scores, compared.maxima))

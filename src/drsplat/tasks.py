@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64, Integer
@@ -9,10 +10,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from .defaults import MIN_GAUSSIANS
 from .errors import InputError
 from .field import LanguageField
 from .gaussians import Gaussians
 from .terminal import counted
+from .thresholds import automatic_threshold
 
 NO_CLASS = -1
 NEIGHBOURS = 8
@@ -46,30 +49,62 @@ class Instance:
         return len(self.gaussian_ids)
 
 
+@runtime_checkable
+class Answered(Protocol):
+    """An answer of `drsplat.query`, or of a scene."""
+
+    @property
+    def values(self) -> Float32[np.ndarray, " r"]: ...
+    @property
+    def threshold(self) -> float: ...
+
+
 def select(
-    field: LanguageField, scores: Float32[np.ndarray, " r"], threshold: float
+    field: LanguageField,
+    scores: Float32[np.ndarray, " r"] | Answered,
+    threshold: float | None = None,
 ) -> Int64[np.ndarray, " m"]:
     """Scene indices of the Gaussians whose score is above the threshold, ascending.
+
+    scores: an answer, whose threshold is the default, or numbers, of which `automatic_threshold` chooses it.
 
     Raises: InputError: not one score per row of the field.
     Source: Dr. Splat Sec. B "3D object selection".
     """
-    _check_rows(field, scores)
-    return field.gaussian_ids[scores > threshold].astype(np.int64)
+    values, least = _values(field, scores), _least(field, scores, threshold)
+    return field.gaussian_ids[values > least].astype(np.int64)
+
+
+def _values(
+    field: LanguageField, scores: Float32[np.ndarray, " r"] | Answered
+) -> Float32[np.ndarray, " r"]:
+    values = scores if isinstance(scores, np.ndarray) else scores.values
+    _check_rows(field, values)
+    return values
+
+
+def _least(
+    field: LanguageField, scores: Float32[np.ndarray, " r"] | Answered, threshold: float | None
+) -> float:
+    if threshold is not None:
+        return threshold
+    if not isinstance(scores, np.ndarray):
+        return scores.threshold
+    return automatic_threshold(_values(field, scores)) if len(scores) else 0.0
 
 
 def locate(
     field: LanguageField,
     gaussians: Gaussians,
-    scores: Float32[np.ndarray, " r"],
-    threshold: float = 0.5,
+    scores: Float32[np.ndarray, " r"] | Answered,
+    threshold: float | None = None,
     *,
     link_distance: float | None = None,
-    min_gaussians: int = 10,
+    min_gaussians: int = MIN_GAUSSIANS,
 ) -> list[Instance]:
     """Find the things that the selection consists of, best score first; nothing found is [].
 
-    Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
+    scores, threshold: as for `select`, with the same defaults as `drsplat locate`. Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
     the median distance to the 8th neighbour within the selection. Groups with fewer than `min_gaussians`
     Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in the air.
 
@@ -80,7 +115,7 @@ def locate(
     ids = select(field, scores, threshold)
     if len(ids) < max(min_gaussians, 2):
         return []
-    by_id = field.dense(scores)
+    by_id = field.dense(_values(field, scores))
     groups = _components(gaussians.means[ids].astype(np.float64), link_distance)
     order = np.argsort(groups, kind="stable")
     members = np.split(ids[order], np.flatnonzero(np.diff(groups[order])) + 1)

@@ -57,6 +57,16 @@ def threshold_above(scores: Scores, least: float, *, peak: int = PEAK) -> float:
     return max(least, CUT * _peak(scores, peak)) if len(scores) else least
 
 
+def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = PEAK) -> float:
+    """`least` where the `peak`-th highest score stands above `clear`, else the highest: nothing is found.
+
+    No scores: `least`.
+    """
+    if not len(scores):
+        return least
+    return least if _peak(scores, peak) > clear else float(scores.max())
+
+
 def share_threshold(scores: Scores, share: float) -> float:
     """The threshold above which this share of the rows lies, rounded; fewer where scores are equal.
 

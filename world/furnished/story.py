@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
+from drsplat.asking.query import query
 from drsplat.codes import Track, untracked
 from drsplat.demo.questions import Question
-from drsplat.demo.story import FIELD, MIN_GAUSSIANS, Answer
+from drsplat.demo.story import FIELD, Answer
 from drsplat.errors import InputError
 from drsplat.field import LanguageField, load_field
 from drsplat.formats.captures import read_views
@@ -96,10 +97,8 @@ def tell(
 def ask(field: LanguageField, gaussians: Gaussians, room: Room, question: Question) -> Answer:
     """Query the field and hold the answer against the truth, Gaussian by Gaussian."""
     start = time.perf_counter()
-    encoder = WordEncoder()
-    scores = field.scores(encoder.encode_texts([question.text])[0])
-    threshold, least = encoder.threshold, MIN_GAUSSIANS
-    things = locate(field, gaussians, scores, threshold=threshold, min_gaussians=least)
+    asked = query(field, WordEncoder(), question.text)
+    scores, things = asked.scores, locate(field, gaussians, asked)
     ids = np.sort(
         np.concatenate([thing.gaussian_ids for thing in things] or [np.empty(0, np.int64)])
     )

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .answering import Asked, Asking, Background
     from .encoding import encoder_for
     from .opening import SceneFiles, find_scene, open_scene
+    from .query import Answer, query
     from .questions import Question
     from .scene import AskableScene, Classes, Found, Named
     from .views import view_named
@@ -18,6 +19,7 @@ _HOMES = {
     "answering": ("Asked", "Asking", "Background"),
     "encoding": ("encoder_for",),
     "opening": ("SceneFiles", "find_scene", "open_scene"),
+    "query": ("Answer", "query"),
     "questions": ("Question",),
     "scene": ("AskableScene", "Classes", "Found", "Named"),
     "views": ("view_named",),
@@ -25,6 +27,7 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "Answer",
     "AskableScene",
     "Asked",
     "Asking",
@@ -37,6 +40,7 @@ __all__ = [
     "encoder_for",
     "find_scene",
     "open_scene",
+    "query",
     "view_named",
 ]
 

@@ -5,20 +5,29 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
+from ..contrast import Contrast, contrast, relevancy_threshold
 from ..crops import crop
+from ..defaults import (
+    AUTO,
+    COSINE,
+    DEFAULT,
+    ENCODER,
+    GIVEN,
+    LIST,
+    RELEVANCY,
+    RELEVANCY_THRESHOLD,
+    SHARE,
+)
 from ..encoders import Encoder, ImageEncoder
 from ..errors import InputError
 from ..field import LanguageField, Negatives
-from ..formats.vocabulary import VocabularyEncoder
 from ..search import (
-    ABSENT,
     CHUNK,
     LOWEST,
     NEGATIVES,
     embed_query,
-    null_rises,
     relevancy_from_scores,
     rival_scores,
     split_negation,
@@ -27,26 +36,18 @@ from ..search import (
 )
 from ..tasks import select
 from ..thresholds import automatic_threshold, share_threshold, threshold_above
-from .defaults import (
-    AUTO,
-    COSINE_THRESHOLD,
-    DEFAULT,
-    ENCODER,
-    GIVEN,
-    RELEVANCY_THRESHOLD,
-    SHARE,
-)
 from .questions import Question
+from .word_list import list_vectors
 
 _Default = tuple[float | str, str]
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """query: its unit vector. values: per row of the field what is compared with the threshold.
+    """query: its unit vector. values: per row of the field what is compared with the threshold. scores: cosines.
 
-    measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, encoder or
-    default.
+    measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
+    encoder or default.
     """
 
     field: LanguageField
@@ -55,11 +56,12 @@ class Asked:
     measure: str
     threshold: float
     rule: str
+    scores: Float32[np.ndarray, " r"]
 
     @property
     def dense(self) -> Float32[np.ndarray, " n"]:
         """Values per Gaussian of the scene; the lowest where there is no feature."""
-        return self.field.dense(self.values, fill=0.0 if self.measure == "relevancy" else -1.0)
+        return self.field.dense(self.values, fill=0.0 if self.measure == RELEVANCY else LOWEST)
 
     @property
     def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
@@ -84,18 +86,20 @@ class Background:
 
     @property
     def own_threshold(self) -> float | None:
-        """The built-in encoders' cosines mean something."""
-        return getattr(self.encoder, "threshold", None)
+        """Of an encoder whose cosines mean something, and which is not to be contrasted with a list."""
+        return None if hasattr(self.encoder, "nouns") else getattr(self.encoder, "threshold", None)
 
     @cached_property
-    def null_rises(self) -> Float64[np.ndarray, " k"] | None:
-        """How high words rise that are not in the scene; None where the encoder knows no such words."""
-        for texts in (ABSENT, NEGATIVES):
-            try:
-                return null_rises(self.field, self.encoder, texts, threads=self.threads)
-            except InputError:
-                continue
-        return None
+    def kept_contrast(self) -> Contrast | None:
+        """Of the list that the field keeps: no encoder is needed for it."""
+        kept = self.field.contrast
+        return None if kept is None else contrast(self.field, kept.embeddings, threads=self.threads)
+
+    @cached_property
+    def contrast(self) -> Contrast | None:
+        """What a list of words reaches at each Gaussian; None where no list is known."""
+        vectors = list_vectors(self.encoder)
+        return contrast(self.field, vectors, threads=self.threads) if len(vectors) else None
 
     @cached_property
     def negatives(self) -> Negatives:
@@ -109,8 +113,8 @@ class Background:
 class Asking:
     """How one question, or several texts alike, are answered.
 
-    Words of a loaded encoder are measured by relevancy: CLIP's cosines of words with photos are seldom
-    above 0.3, fit or not, and no threshold suits all of them. The automatic threshold is of cosines.
+    Of CLIP-like encoders no cosine is known to be high enough, whoever embeds the words: these are measured
+    by how much better they fit than a list of words. Vectors, pictures and clicks are cut automatically.
     """
 
     background: Background
@@ -131,7 +135,7 @@ class Asking:
             queries = [embed_query(encoder, field, wanted) for wanted, _ in split]
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
-                answer = self._measured(query, own, self._word_default, words=True)
+                answer = self._of_words(query, own)
                 yield self._without(answer, own, wanted, (*unwanted, *self.question.unwanted))
 
     def like_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Asked:
@@ -139,26 +143,22 @@ class Asking:
 
         Raises: InputError: an encoder of words only. MismatchError: another encoder.
         """
-        encoder = self.background.encoder
-        query = embedded_image(encoder, picture)
-        return self._of(query, self._word_default)
+        return self.like(embedded_image(self.background.encoder, picture))
 
     def like(self, vector: Float32[np.ndarray, " D"]) -> Asked:
-        """To a vector of the encoder's space."""
-        return self._of(vector, (COSINE_THRESHOLD, DEFAULT))
+        """To a vector of the encoder's space, or a feature of the field itself.
 
-    def like_feature(self, feature: Float32[np.ndarray, " D"]) -> Asked:
-        """To a feature of the field itself: of an encoder, all features of a scene are alike."""
-        return self._of(feature, (AUTO, AUTO))
+        One that lies where texts do is asked as words are, if the field keeps a list of words.
+        """
+        scores = self._field.scores(vector, threads=self.background.threads)
+        known = self.background.kept_contrast
+        if known is not None and known.speaks(vector):
+            return self._of_words(vector, scores)
+        return self._measured(vector, scores, (AUTO, AUTO))
 
     @property
     def _field(self) -> LanguageField:
         return self.background.field
-
-    @property
-    def _word_default(self) -> _Default:
-        own = self.background.own_threshold
-        return (COSINE_THRESHOLD, DEFAULT) if own is None else (own, ENCODER)
 
     def _without(
         self,
@@ -173,49 +173,59 @@ class Asking:
         rivals = rival_scores(
             self._field, background.encoder, wanted, unwanted, threads=background.threads
         )
-        values = answer.values.copy()
-        values[without(scores, rivals) == LOWEST] = LOWEST if answer.measure == "cosine" else 0.0
-        return replace(answer, values=values)
+        left = without(scores, rivals)
+        values = np.where(left == LOWEST, np.float32(0), answer.values)
+        return replace(answer, values=left if answer.measure == COSINE else values, scores=left)
 
-    def _of(self, query: Float32[np.ndarray, " D"], default: _Default) -> Asked:
-        scores = self._field.scores(query, threads=self.background.threads)
-        return self._measured(query, scores, default)
+    def _of_words(
+        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
+    ) -> Asked:
+        kept = self.background.kept_contrast
+        own = self.background.own_threshold if kept is None else None
+        if own is not None:
+            return self._measured(query, scores, (own, ENCODER))
+        values = None if self.question.measures_relevancy else self._contrasted(query, scores)
+        if values is None:
+            return self._measured(query, scores, (AUTO, AUTO))
+        return self._cut(query, scores, values, (relevancy_threshold(values), LIST))
+
+    def _contrasted(
+        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
+    ) -> Float32[np.ndarray, " r"] | None:
+        known = self.background.kept_contrast or self.background.contrast
+        return None if known is None else known.relevancy(query, scores)
 
     def _measured(
         self,
         query: Float32[np.ndarray, " D"],
         scores: Float32[np.ndarray, " r"],
         default: _Default,
-        *,
-        words: bool = False,
     ) -> Asked:
-        ask = self.question
-        uncertain = words and self._is_uncertain
-        if ask.threshold == AUTO or not (ask.measures_relevancy or uncertain):
-            cut = self._threshold(scores, default, words)
-            return Asked(self._field, query, scores, "cosine", *cut)
+        if not self.question.measures_relevancy:
+            return self._cut(query, scores, None, default)
         values = relevancy_from_scores(scores, self._negatives.maxima)
-        cut = self._threshold(values, (RELEVANCY_THRESHOLD, DEFAULT), words)
-        return Asked(self._field, query, values, "relevancy", *cut)
+        return self._cut(query, scores, values, (RELEVANCY_THRESHOLD, DEFAULT))
 
-    @property
-    def _is_uncertain(self) -> bool:
-        """Of a model's words no cosine is known to be high enough."""
-        background = self.background
-        vocabulary = isinstance(background.encoder, VocabularyEncoder)
-        return background.own_threshold is None and not vocabulary
+    def _cut(
+        self,
+        query: Float32[np.ndarray, " D"],
+        scores: Float32[np.ndarray, " r"],
+        relevancy: Float32[np.ndarray, " r"] | None,
+        default: _Default,
+    ) -> Asked:
+        values, measure = (scores, COSINE) if relevancy is None else (relevancy, RELEVANCY)
+        threshold, rule = self._threshold(values, default)
+        return Asked(self._field, query, values, measure, threshold, rule, scores)
 
-    def _threshold(
-        self, values: Float32[np.ndarray, " r"], default: _Default, words: bool
-    ) -> tuple[float, str]:
-        ask, background = self.question, self.background
+    def _threshold(self, values: Float32[np.ndarray, " r"], default: _Default) -> tuple[float, str]:
+        ask = self.question
         if ask.top_share is not None:
             return share_threshold(values, ask.top_share), SHARE
-        cut, rule = default if ask.threshold is None else (ask.threshold, GIVEN)
-        if cut == AUTO and words and background.own_threshold is not None:
-            cut, rule = background.own_threshold, ENCODER  # knows what fits without absent words
-        if cut == AUTO:
-            return automatic_threshold(values, background.null_rises if words else None), AUTO
+        if ask.threshold is not None and ask.threshold != AUTO:
+            return float(ask.threshold), GIVEN
+        cut, rule = default
+        if rule == AUTO:
+            return automatic_threshold(values), AUTO
         return threshold_above(values, float(cut)) if rule == ENCODER else float(cut), rule
 
     @cached_property

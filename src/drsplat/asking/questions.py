@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ..defaults import AUTO
 from ..errors import InputError
-from .defaults import AUTO
 
 
 @dataclass(frozen=True, eq=False)

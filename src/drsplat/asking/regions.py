@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from ..defaults import MIN_GAUSSIANS
 from ..errors import InputError
-from .defaults import MIN_GAUSSIANS
 from .naming import own_vocabulary
 from .scene import AskableScene
 

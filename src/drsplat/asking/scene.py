@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
 
+from ..defaults import MIN_GAUSSIANS
 from ..encoders import Encoder
 from ..errors import InputError
 from ..evidence import Explanation
@@ -29,7 +30,6 @@ from ..tasks import Instance, locate, segment
 from ..terminal import counted
 from ..views import View
 from .answering import Asked, Asking, Background
-from .defaults import MIN_GAUSSIANS
 from .naming import best_names
 from .places import nearest_gaussian
 from .questions import Question
@@ -123,7 +123,7 @@ class AskableScene:
             return asking.like(question.vector)
         place = question.click if question.point is None else question.point
         assert place is not None
-        return asking.like_feature(self.feature_of(place))
+        return asking.like(self.feature_of(place))
 
     def find(
         self, question: Question | Asked, min_gaussians: int = MIN_GAUSSIANS, top: int | None = None

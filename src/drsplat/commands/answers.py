@@ -54,7 +54,7 @@ class AskedOf:
     threads: int = 0
 
     def __post_init__(self) -> None:
-        from ..asking.defaults import AUTO
+        from ..defaults import AUTO
         from ..errors import InputError
 
         if self.ask.threshold == AUTO and (self.ask.relevancy or self.ask.negatives):
@@ -85,7 +85,7 @@ class AskedOf:
         click = ask.click
         assert click is not None
         feature = feature_at(self.field, click.gaussians, click.view, click.xy)
-        return self._asking(vector=feature).like_feature(feature)
+        return self._asking(vector=feature).like(feature)
 
     def about_each(self, texts: Sequence[str]) -> Iterator[Asked]:
         """To each of several texts."""

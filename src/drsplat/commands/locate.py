@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..asking.defaults import MIN_GAUSSIANS
+from ..defaults import MIN_GAUSSIANS
 from .answers import asked
 from .options import count
 from .query_options import (

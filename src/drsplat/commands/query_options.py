@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..asking.defaults import AUTO, COSINE_THRESHOLD, RELEVANCY_THRESHOLD
+from ..defaults import AUTO, RELEVANCY
 from .answers import Ask
 from .options import (
     add_capture_options,
@@ -73,8 +73,9 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     cut = parser.add_mutually_exclusive_group()
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
-        help=f"select Gaussians above this; auto: {AUTO_HELP} (default: {COSINE_THRESHOLD} of the cosine, in [-1, 1], "
-        f"or the threshold of a built-in encoder, auto for --click; {RELEVANCY_THRESHOLD} of the relevancy, in [0, 1])",
+        help="select Gaussians above this; auto, the default, follows the scene: words of CLIP-like encoders have to "
+        "fit better than a list of words; those of a built-in encoder have its own threshold; vectors, pictures and "
+        "clicks: 0.6 of the way from the median cosine to the highest ones",
     )  # fmt: skip
     cut.add_argument(
         "--top-share", type=share, metavar="S",
@@ -82,20 +83,13 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--relevancy", action="store_true",
-        help="measure relevancy instead of the cosine: how much better the query fits than any negative; 0.5 is as well "
-        "(default: only for words with --encoder)",
+        help="measure LERF's relevancy: how much better the query fits than any negative; 0.5 is as well",
     )  # fmt: skip
     parser.add_argument(
         "--negatives", type=words, metavar="WORDS|FILE.npy",
         help="compare with these, and measure relevancy (default: those stored in the field, else "
         "object,things,stuff,texture)",
     )  # fmt: skip
-
-
-AUTO_HELP = (
-    "0.6 of the way from the median cosine to the highest ones, or nothing if they rise no higher than those of "
-    "words that are not there"
-)
 
 
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
@@ -187,7 +181,7 @@ def numbers_of(answer: Asked, num_selected: int) -> dict[str, Any]:
     """What every answer says of its scores; their range without what was left out by a "not"."""
     import numpy as np
 
-    lowest = 0.0 if answer.measure == "relevancy" else -1.0
+    lowest = 0.0 if answer.measure == RELEVANCY else -1.0
     values = answer.values[answer.values > lowest]
     values = values if len(values) else np.full(1, lowest, np.float32)
     return {
@@ -205,6 +199,7 @@ RULES = {
     "given": "as given",
     "top share": "for the share asked for",
     "auto": "chosen for this query",
+    "list": "as well as the best of a list of words",
     "encoder": "that of the encoder",
     "default": "the default",
 }

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..aggregation import Aggregator, Sampling
     from ..codes import Codebook
     from ..encoders import EncoderIdentity
+    from ..field import LanguageField
     from ..registration import Registration
 
 DEFAULT_TOPK = 40
@@ -154,6 +155,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         codebook, num_subvectors=arguments.subvectors, atoms_per_row=_atoms_per_row(arguments, registration),
         aggregator=how, gaussians=gaussians, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
+    field = _with_words(field, arguments.features)
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)
     watch.lap("save")
@@ -179,6 +181,16 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
         "peak_memory_bytes": peak_memory_bytes(),
     }
+
+
+def _with_words(field: "LanguageField", features: str) -> "LanguageField":
+    """With the words that queries are contrasted with, where `drsplat embed` embedded them."""
+    from ..embedding import recorded_words
+
+    words = recorded_words(features)
+    if words is None or not field.encoder.matches(words.identity):
+        return field
+    return field.with_contrast(words.embeddings, words.texts)
 
 
 def _atoms_per_row(arguments: argparse.Namespace, registration: "Registration") -> int | None:

@@ -120,7 +120,7 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     import numpy as np
 
     from .. import load_field, locate
-    from ..asking.defaults import MIN_GAUSSIANS
+    from ..defaults import MIN_GAUSSIANS
     from .answers import Ask, asked
 
     if arguments.query is None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
+from ..asking.query import query
 from ..codes import Track, untracked
 from ..embedding import embed
 from ..evaluation.metrics import mask_iou
@@ -23,13 +24,12 @@ from ..pictures import visible_share
 from ..progress import Stopwatch
 from ..registration import register
 from ..tasks import locate
-from ..thresholds import threshold_above
 from ..views import View
 from .household import SCENE, Household, unpack_household
 from .questions import QUESTIONS, Question
 
 FIELD, FEATURES = "room.field", "language_features"
-MIN_GAUSSIANS = 40  # smaller things are specks where masks met
+
 RIGHT = 0.5  # least IoU of an answer that is called right
 
 
@@ -122,9 +122,8 @@ class _Asking:
     def answer(self, question: Question) -> Answer:
         """Query the field and hold the answer against the truth."""
         start = time.perf_counter()
-        scores = self.field.scores(self.encoder.encode_texts([question.text])[0])
-        cut = threshold_above(scores, self.encoder.threshold)
-        things = locate(self.field, self.gaussians, scores, cut, min_gaussians=MIN_GAUSSIANS)
+        asked = query(self.field, self.encoder, question.text)
+        scores, things = asked.scores, locate(self.field, self.gaussians, asked)
         found = [thing.gaussian_ids for thing in things]
         ids = np.sort(np.concatenate(found or [np.empty(0, np.int64)]))
         seconds = time.perf_counter() - start

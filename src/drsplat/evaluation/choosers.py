@@ -3,22 +3,17 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
-from ..errors import InputError
-from ..search import ABSENT
 from ..thresholds import (
     CUT,
     automatic_threshold,
     mixture_threshold,
     otsu_threshold,
-    rise,
     threshold_above,
 )
-from .predictions import Chooser
+from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer
-
-AUTOMATIC = "automatic"
 
 Scores = Float32[np.ndarray, " N"]
 
@@ -33,14 +28,12 @@ def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
 
 
 def _automatic(scorer: Scorer) -> tuple[Chooser, str]:
-    """As `drsplat select` chooses it: of the encoder's own threshold, or of words of what is not there."""
+    """Of the cosines alone: by the encoder's own threshold where it has one."""
     least = scorer.least
     if least is not None:
         how = f"per query, the encoder's {least:g} or {CUT:g} of the peak of its scores"
         return _of_known(lambda known: threshold_above(known, least)), how
-    rises = _absent_rises(scorer)
-    how = f"per query, from its scores and those of {len(rises)} words that nothing answers"
-    return _of_known(lambda known: automatic_threshold(known, rises)), how
+    return _of_known(automatic_threshold), "per query, from its scores"
 
 
 def _of_known(choose: Callable[[Scores], float]) -> Chooser:
@@ -51,17 +44,3 @@ def _of_known(choose: Callable[[Scores], float]) -> Chooser:
         return choose(known) if len(known) else float("inf")
 
     return chosen
-
-
-def _absent_rises(scorer: Scorer) -> Float64[np.ndarray, " k"]:
-    """Of the words that the encoder knows."""
-    rises = []
-    for text in ABSENT:
-        try:
-            scores = scorer.scores(text)
-        except InputError:  # an encoder of few words
-            continue
-        known = scores[np.isfinite(scores)]
-        if len(known):
-            rises.append(rise(known))
-    return np.array(rises, np.float64)

@@ -14,6 +14,7 @@ Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..views import View, same_aspect
 from . import metrics
 from .predictions import (
+    AUTOMATIC,
     FIXED,
     TUNED,
     Chooser,
@@ -102,7 +104,7 @@ def predict(
     """Write masks for the fixed threshold, for every threshold of the sweep and for each chooser.
 
     choosers: by column, a function that finds a query's threshold from its scores, and what it does
-    in words.
+    in words. The automatic column of a scorer that can be asked is what it answers.
 
     Raises: MismatchError: a scorer of another scene.
     """
@@ -116,6 +118,8 @@ def predict(
         **{name: how for name, (_, how) in chosen.items()},
         **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
     }
+    if AUTOMATIC in chosen and scorer.answer is not None:
+        columns[AUTOMATIC] = "per query, as `drsplat select` answers"
     splats = splat_arrays(gaussians)
     peaks: dict[str, dict[str, list[float] | None]] = {}
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
@@ -124,9 +128,15 @@ def predict(
         at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
         for name, (choose, _) in chosen.items():
             picked[name][category] = at[name] = _finite(choose(scores))
+        asked = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
+        if asked is not None:
+            picked[AUTOMATIC][category] = asked[1]
+            at.pop(AUTOMATIC)
         for frame in (f for f in scene.frames if category in f.polygons):
             view = scene.views[frame.name]
-            for column, mask in _masks(splats, view, scores, at, threads):
+            own = {} if asked is None else {AUTOMATIC: asked[1]}
+            answered = _masks(splats, view, scores if asked is None else asked[0], own, threads)
+            for column, mask in chain(_masks(splats, view, scores, at, threads), answered):
                 write_mask(mask_path(folder, scene.name, column, frame.name, category), mask)
             whole = _whole_picture(splats, view, scores, at, threads)
             for column, share in zip(at, whole[1:], strict=True):

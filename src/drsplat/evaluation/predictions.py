@@ -24,6 +24,7 @@ from ..formats.replacing import replacing
 MANIFEST = "predictions.json"
 OCCUPIED = 10  # a pixel above this is inside, as OpenGaussian reads its masks
 FIXED, TUNED, SWEEP = "fixed", "tuned on test", "sweep"
+AUTOMATIC = "automatic"
 
 Chooser = Callable[[Float32[np.ndarray, " N"]], float]
 """A threshold from a query's scores alone, NaN where there is none; never from the truth."""

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
+from ..asking.answering import Asking, Background
+from ..asking.questions import Question
 from ..encoders import Encoder
 from ..errors import InputError, MismatchError
 from ..field import LanguageField
@@ -33,7 +35,7 @@ class Scorer:
     below which its scores say that nothing is meant; None where it has none. sweep: thresholds
     that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of
     the photos that it was made from, None where nobody knows. several: the scores of a few texts at
-    once, where that takes less time.
+    once, where that takes less time. answer: what `drsplat select` compares for a text, and with which threshold.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Scorer:
     views: tuple[str, ...] | None = None
     least: float | None = None
     several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
+    answer: Callable[[str], tuple[Scores, float]] | None = None
 
     def each(self, texts: Sequence[str]) -> Iterator[Scores]:
         """The scores of each text in turn."""
@@ -91,7 +94,20 @@ def cosine_scorer(
         views,
         _own(encoder),
         several,
+        _answer(known, encoder, threads),
     )
+
+
+def _answer(
+    known: LanguageField, encoder: Encoder, threads: int
+) -> Callable[[str], tuple[Scores, float]]:
+    background = Background(known, lambda: encoder, threads)
+
+    def answer(text: str) -> tuple[Scores, float]:
+        asked = Asking(background, Question(text=text)).about(text)
+        return known.dense(asked.values, fill=float("nan")), asked.threshold
+
+    return answer
 
 
 def feature_scorer(
@@ -149,6 +165,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
         sweep=RELEVANCIES,
         about=about,
         least=None,
+        answer=None,
     )
 
 

@@ -1,7 +1,14 @@
 """The artefact of the method: a language field, built from evidence, saved, loaded and searched."""
 
 from .building import build_field
-from .language_field import LanguageField, Negatives, relevancy_from_scores
+from .language_field import LanguageField, Negatives, WordList, relevancy_from_scores
 from .loading import load_field
 
-__all__ = ["LanguageField", "Negatives", "build_field", "load_field", "relevancy_from_scores"]
+__all__ = [
+    "LanguageField",
+    "Negatives",
+    "WordList",
+    "build_field",
+    "load_field",
+    "relevancy_from_scores",
+]

@@ -21,6 +21,7 @@ from ..terminal import counted
 
 FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
+CONTRAST = "contrast.safetensors"
 TEMPERATURE = 10.0
 FEW = 16  # negatives scored at once, exactly
 
@@ -45,12 +46,21 @@ class Negatives:
 
 
 @dataclass(frozen=True, eq=False)
+class WordList:
+    """Texts that queries are contrasted with, and their unit embeddings."""
+
+    texts: tuple[str, ...]
+    embeddings: Float32[np.ndarray, "n D"]
+
+
+@dataclass(frozen=True, eq=False)
 class LanguageField:
     """Features of the R Gaussians of a scene that have one; the others are absent, not zero.
 
     gaussian_ids: rows of the scene, ascending. code: their features, as they are kept and searched. scene:
     fingerprint of the N Gaussians. evidence: rows aligned with gaussian_ids, or None where it was not kept:
     all that the photos said, also what the aggregator left out. aggregator: how a row of it became a feature.
+    contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -64,6 +74,7 @@ class LanguageField:
     evidence: Evidence | None = None
     negatives: Negatives | None = None
     aggregator: AggregatorRecord = MEAN_RECORD
+    contrast: WordList | None = None
 
     def __repr__(self) -> str:
         rows = f"{len(self):,} of {counted(self.num_gaussians, 'Gaussian')}"
@@ -246,6 +257,19 @@ class LanguageField:
         """The same field with its negatives scored once and for all; `save` keeps them."""
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
 
+    def with_contrast(
+        self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]
+    ) -> "LanguageField":
+        """The same field with the words that queries are contrasted with; `save` keeps them.
+
+        Raises: InputError: not one embedding of the encoder's dimension for each text.
+        """
+        if embeddings.shape != (len(texts), self.encoder.dim) or not len(texts):
+            raise InputError(
+                f"contrast: expected ({len(texts)}, {self.encoder.dim}), one row per text, got {embeddings.shape}"
+            )
+        return replace(self, contrast=WordList(texts, _unit(embeddings)))
+
     def dense(
         self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0
     ) -> Float32[np.ndarray, " N"]:
@@ -326,6 +350,8 @@ class LanguageField:
         if self.negatives is not None:
             known = {"embeddings": self.negatives.embeddings, "maxima": self.negatives.maxima}
             files[NEGATIVES] = TensorFile(known, tie)
+        if self.contrast is not None:
+            files[CONTRAST] = TensorFile({"embeddings": self.contrast.embeddings}, tie)
         write_folder(Path(path), self._manifest(list(files)), files, overwrite)
 
     def _manifest(self, files: list[str]) -> dict[str, object]:
@@ -342,6 +368,7 @@ class LanguageField:
             "code": self._code_json(),
             "aggregator": record_json(self.aggregator),
             "negatives": list(self.negatives.texts) if self.negatives else [],
+            "contrast": list(self.contrast.texts) if self.contrast else [],
         }
 
     def _code_json(self) -> dict[str, object]:

@@ -18,12 +18,14 @@ from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .language_field import (
     CODES,
+    CONTRAST,
     EVIDENCE,
     FORMAT,
     NEGATIVES,
     VERSION,
     LanguageField,
     Negatives,
+    WordList,
 )
 from .stored import StoredField
 
@@ -80,6 +82,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             evidence,
             _negatives(files.get(NEGATIVES), manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
+            _contrast(files.get(CONTRAST), manifest, code.dim),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
@@ -143,7 +146,7 @@ def _names(manifest: dict[str, object]) -> list[str]:
     """The files that must be there."""
     files = manifest.get("files")
     listed = files if isinstance(files, list) else []
-    return [CODES, *(name for name in (EVIDENCE, NEGATIVES) if name in listed)]
+    return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST) if name in listed)]
 
 
 def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
@@ -181,3 +184,17 @@ def _negatives(file: _File | None, manifest: dict[str, object], dim: int) -> Neg
             f"{path.parent}: {len(texts)} negative texts for {len(embeddings)} embeddings"
         )
     return Negatives(tuple(texts), embeddings, tensors["maxima"])
+
+
+def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> WordList | None:
+    if file is None:
+        return None
+    check_tensors(file.tensors, {"embeddings": ("float32", "n D")}, str(file.path))
+    texts, embeddings = manifest.get("contrast"), file.tensors["embeddings"]
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise FormatError(f"{file.path.parent}: contrast must be a list of texts")
+    if embeddings.shape != (len(texts), dim) or not texts:
+        raise FormatError(f"{file.path}: expected ({len(texts)}, {dim}), got {embeddings.shape}")
+    if not np.isfinite(embeddings).all():
+        raise FormatError(f"{file.path}: expected finite embeddings. {CURE}")
+    return WordList(tuple(texts), embeddings)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from ..encoders import EncoderIdentity
 from ..errors import InputError
-from .lexicon import COLORS, NAMES, WORDS, words_of
+from .lexicon import COLORS, NAMES, STRUCTURES, WORDS, words_of
 from .network import SIDE, embed_images
 
 DIM = 512
@@ -22,12 +22,14 @@ _ROWS = {word: row for row, word in enumerate(WORDS)}
 class MiniEncoder:
     """Knows the things, colours and materials of `lexicon`, and nothing else.
 
-    A text is the sum of its words. threshold: the least cosine of a Gaussian with what it is called; of
-    fields that `world/mini/cutting.py` makes of rooms of the training split it finds most.
+    A text is the sum of its words. nouns: what queries are contrasted with. threshold: the fixed cosine
+    that finds most in fields which `world/mini/cutting.py` makes of rooms of the training split; queries follow
+    the scene instead.
     """
 
     name = "drsplat-mini"
     threshold = 0.2
+    nouns = (*NAMES, *STRUCTURES)
 
     def __init__(self) -> None:
         from safetensors.numpy import load

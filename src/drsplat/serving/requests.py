@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from ..asking import Question
-from ..asking.defaults import MIN_GAUSSIANS
+from ..defaults import MIN_GAUSSIANS
 from ..errors import InputError
 from .limits import Limits
 from .pictures import decoded

@@ -42,7 +42,7 @@ def this_is(scene: AskableScene, hit: Hit, words: Sequence[str] | None = None) -
     first = int(hit.gaussian_ids[0])
     feature = scene.feature_of(first)
     question = Question(vector=feature)
-    alike = result_of(scene, "", Asking(scene.background, question).like_feature(feature))
+    alike = result_of(scene, "", Asking(scene.background, question).like(feature))
     holding = [one.thing for one in alike.found if first in one.thing.gaussian_ids]
     return This(
         first,

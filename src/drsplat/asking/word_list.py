@@ -1,0 +1,55 @@
+"""Which words a query is contrasted with."""
+
+from collections.abc import Sequence
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..encoders import Encoder
+from ..errors import InputError
+from ..formats.vocabulary import VocabularyEncoder
+from ..nouns import NOUNS
+
+MOST = 500  # texts of a vocabulary: more make a first question slow and an answer no better
+
+
+def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
+    """All texts of a vocabulary, the encoder's own nouns, or those that ship."""
+    if isinstance(encoder, VocabularyEncoder):
+        return np.asarray(encoder.encode_texts(_of_vocabulary(encoder.texts)), np.float32)
+    if encoder not in _EMBEDDED:
+        _EMBEDDED[encoder] = _embedded_nouns(encoder)
+    return _EMBEDDED[encoder]
+
+
+_EMBEDDED: "WeakKeyDictionary[Encoder, Float32[np.ndarray, 'n D']]" = WeakKeyDictionary()
+
+
+def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
+    """The vectors of those nouns that the encoder knows."""
+    nouns: tuple[str, ...] = getattr(encoder, "nouns", NOUNS)
+    try:
+        return np.asarray(encoder.encode_texts(nouns), np.float32)
+    except InputError:  # an encoder of some words
+        return _one_by_one(encoder)
+
+
+def _one_by_one(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
+    found = []
+    for noun in NOUNS:
+        try:
+            found.append(encoder.encode_texts([noun])[0])
+        except InputError:
+            continue
+    return np.asarray(found, np.float32).reshape(len(found), encoder.identity.dim)
+
+
+def _of_vocabulary(texts: Sequence[str]) -> Sequence[str]:
+    """All of them, or of a large vocabulary the nouns of the list and others spread over it."""
+    if len(texts) <= MOST:
+        return texts
+    nouns = [text for text in texts if text in set(NOUNS)]
+    others = [text for text in texts if text not in set(NOUNS)]
+    spread = np.linspace(0, len(others) - 1, MOST - len(nouns)).astype(int)
+    return [*nouns, *(others[at] for at in np.unique(spread))]

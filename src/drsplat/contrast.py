@@ -1,0 +1,144 @@
+"""How much better a query fits than a broad list of words: where nobody knows which cosine is high enough.
+
+Cosines of CLIP-like encoders depend on the word and on the picture more than on whether they fit. So a
+query is compared, at each Gaussian, with what the words of a list reach there, and each word's usual
+cosine with the pictures of the scene counts half. See docs/method.md.
+"""
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt16
+
+from .field import LanguageField
+from .thresholds import clear_threshold
+
+TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
+NEAR = 0.5  # cosine of two texts, seen from their mean: they mean the same and do not compete
+CROWD = 75  # words of which one may fit better than the query
+SPARE = 8  # words per row beyond those that count, for when some are near to the query
+SAMPLES = 4096  # pictures that say what is usual
+LEAST_SPREAD = 1e-3
+CHUNK = 8  # words scored at once
+
+
+@dataclass(frozen=True, eq=False)
+class Contrast:
+    """What the words of a list reach at each row of a field.
+
+    vectors: their unit embeddings. usual: the mean picture, times TILT. spread: standard deviation of
+    cosines of words with pictures once the means of both are taken off: the unit of margins. scores, words:
+    per row the best of the list, best first, and which ones they are.
+    """
+
+    vectors: Float32[np.ndarray, "n D"]
+    usual: Float32[np.ndarray, " D"]
+    spread: float
+    scores: Float32[np.ndarray, "r t"]
+    words: UInt16[np.ndarray, "r t"]
+
+    def relevancy(
+        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
+    ) -> Float32[np.ndarray, " r"] | None:
+        """In (0, 1): above 0.5 where the query fits better than all but one in CROWD of the words.
+
+        query: the vector of a text. scores: its cosines. None: no word of the list means anything else.
+        """
+        query = query / np.linalg.norm(query)
+        near = self._near(query)
+        if near.all():
+            return None
+        rank = max(1, round(int((~near).sum()) / CROWD))
+        margins = (scores - np.float32(query @ self.usual) - self._level(near, rank)) / self.spread
+        return np.asarray(1 / (1 + np.exp(-np.clip(margins, -50, 50))), np.float32)
+
+    def speaks(self, query: Float32[np.ndarray, " D"]) -> bool:
+        """Whether a vector lies with the words rather than with the pictures."""
+        sides = np.stack([self.vectors.mean(0), self.usual]).astype(np.float64)
+        to_words, to_pictures = sides / np.linalg.norm(sides, axis=1, keepdims=True) @ query
+        return bool(to_words > to_pictures)
+
+    def _near(self, query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
+        """The words that mean what the query means."""
+        texts = np.concatenate([self.vectors, query[None]]).astype(np.float64)
+        same = texts[:-1] @ texts[-1] > 1 - 1e-5
+        texts -= texts.mean(0)
+        norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
+        return np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > NEAR))
+
+    def _level(self, near: Bool[np.ndarray, " n"], rank: int) -> Float32[np.ndarray, " r"]:
+        """Per row the score of the `rank`-th best word that is not near, or of the last one kept."""
+        others = np.cumsum(~near[self.words], axis=1) >= rank
+        others[:, -1] = True
+        return np.take_along_axis(self.scores, others.argmax(1)[:, None], axis=1)[:, 0]
+
+
+def contrast(
+    field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0
+) -> Contrast:
+    """Score a list of words once; 6 (n / CROWD + SPARE) bytes per row. The last one of a field is kept.
+
+    Raises: MismatchError: vectors of another dimension.
+    """
+    known = _LAST.get(field)
+    if known is None or not np.array_equal(known.vectors, vectors):
+        known = _LAST[field] = _contrast(field, vectors, threads)
+    return known
+
+
+def relevancy_threshold(relevancy: Float32[np.ndarray, " r"]) -> float:
+    """0.5, or the highest where too few rows stand clearly above: then nothing is found."""
+    return clear_threshold(relevancy, 0.5, CLEAR)
+
+
+CLEAR = 1 / (1 + float(np.exp(-0.45)))  # a margin of 0.45 spreads
+_LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
+
+
+def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
+    pictures = _pictures(field)
+    usual = (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32)
+    spread = _spread(pictures @ vectors.T)
+    kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
+    scores = np.full((len(field), kept), -np.inf, np.float32)
+    words = np.zeros((len(field), kept), np.uint16)
+    for begin in range(0, len(vectors), CHUNK):
+        some = vectors[begin : begin + CHUNK]
+        found = field.scores(some, threads=threads) - (some @ usual)[:, None]
+        _keep_best(scores, words, found, begin)
+    return Contrast(vectors, usual, spread, scores, words)
+
+
+def _keep_best(
+    scores: Float32[np.ndarray, "r t"],
+    words: UInt16[np.ndarray, "r t"],
+    found: Float32[np.ndarray, "c r"],
+    begin: int,
+) -> None:
+    """Let some words' scores take the place of lower ones."""
+    rows = np.flatnonzero(found.max(0) > scores[:, -1])
+    both = np.concatenate([scores[rows], found[:, rows].T], axis=1)
+    new = np.broadcast_to(
+        np.arange(begin, begin + len(found), dtype=np.uint16), (len(rows), len(found))
+    )
+    names = np.concatenate([words[rows], new], axis=1)
+    order = np.argsort(-both, axis=1, kind="stable")[:, : scores.shape[1]]
+    scores[rows] = np.take_along_axis(both, order, axis=1)
+    words[rows] = np.take_along_axis(names, order, axis=1)
+
+
+def _pictures(field: LanguageField) -> Float32[np.ndarray, "s D"]:
+    """Embeddings of masks spread over the photos; where they were not kept, features of Gaussians."""
+    evidence = field.evidence
+    count = len(field) if evidence is None else len(evidence.embeddings)
+    rows = np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).astype(np.int64))
+    return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
+
+
+def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) -> float:
+    """Of what is left of cosines without the means of words and pictures."""
+    left = cosines - cosines.mean(0)
+    if left.shape[1] > 1:
+        left = left - left.mean(1, keepdims=True)
+    return max(float(left.std()), LEAST_SPREAD)

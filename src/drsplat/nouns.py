@@ -1,0 +1,35 @@
+"""Plain names of what photos show: a query has to fit better than nearly all of them."""
+
+_THINGS = """
+apple, banana, orange, pear, lemon, grapes, strawberry, watermelon, tomato, carrot, potato, onion, pepper, cucumber,
+lettuce, mushroom, bread, cake, cookie, cheese, egg, meat, fish, rice, noodles, soup, pizza, sandwich, salad, chocolate,
+ice cream, coffee, tea, juice, milk, water, wine, beer,
+cup, mug, glass, bowl, plate, pan, pot, kettle, teapot, jug, bottle, can, jar, spoon, fork, knife, chopsticks, tray,
+cutting board, ladle, spatula, napkin, lid, basket, bucket, bin, box, carton, crate, bag, backpack, suitcase, purse,
+stove, oven, microwave, refrigerator, dishwasher, toaster, blender, sink, faucet, bathtub, shower, toilet, towel, soap,
+toothbrush, sponge, broom, mop, vacuum cleaner, washing machine, iron, hanger,
+bed, mattress, pillow, blanket, quilt, sheet, crib, sofa, armchair, chair, stool, bench, table, desk, counter, shelf,
+bookshelf, cabinet, wardrobe, dresser, drawer, nightstand, lamp, chandelier, candle, curtain, blinds, rug, carpet, mat,
+cushion, mirror, picture, painting, poster, clock, vase, statue, fireplace, radiator, fan, heater,
+window, door, doorway, handle, stairs, railing, ceiling, wall, floor, tiles, bricks, pipe, cable, socket, switch, sign,
+computer, laptop, keyboard, mouse, monitor, television, printer, telephone, remote control, camera, speaker, headphones,
+radio, tablet, projector, whiteboard, robot,
+book, magazine, newspaper, paper, notebook, envelope, map, calendar, pen, pencil, ruler, scissors, tape, glue, stapler,
+toy, doll, teddy bear, stuffed animal, puppet, action figure, ball, balloon, puzzle, playing cards, dice, toy blocks, kite,
+toy car, rubber duck, guitar, piano, violin, drum, trumpet,
+shirt, dress, trousers, jacket, coat, sweater, skirt, sock, shoe, boot, sandal, hat, cap, helmet, glove, scarf, tie, belt,
+glasses, sunglasses, watch, ring, necklace, umbrella, wallet, key, button,
+hammer, screwdriver, wrench, pliers, saw, drill, nail, screw, rope, chain, ladder, paint, brush, toolbox,
+person, man, woman, child, baby, face, hand, foot, hair, eye, skull, skeleton, mask,
+dog, cat, horse, cow, sheep, pig, rabbit, bear, elephant, lion, monkey, mouse trap, bird, chicken, duck, fish tank, frog,
+turtle, snake, insect, butterfly, spider, shell, feather, bone,
+tree, bush, flower, rose, leaf, branch, trunk, cactus, potted plant, grass, moss, root, log,
+car, truck, bus, van, motorcycle, bicycle, scooter, train, airplane, boat, tractor, wheel, tyre, seat, engine,
+house, building, tower, bridge, roof, chimney, balcony, garage, shed, tent, fence, gate, column, arch, fountain,
+monument, church, shop, market stall, street lamp, traffic light, traffic cone, hydrant, mailbox, billboard, flag,
+road, pavement, path, parking lot, rails, field, garden, lawn, forest, hill, mountain, rock, stone, gravel, sand, soil,
+mud, beach, sea, lake, river, waterfall, sky, cloud, sun, moon, snow, ice, fire, smoke, shadow, light, reflection,
+wood, metal, plastic, glass pane, leather, cloth, fur, wool, cardboard, concrete, plaster, marble, rubber, foam
+"""
+
+NOUNS = tuple(dict.fromkeys(word.strip() for word in _THINGS.replace("\n", " ").split(",")))

@@ -1,0 +1,185 @@
+"""How much better a query fits than a list of words."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import csr_array, eye_array
+
+from drsplat import EncoderIdentity, LanguageField, load_field, query, select
+from drsplat.asking.word_list import MOST, list_vectors
+from drsplat.contrast import CROWD, NEAR, TILT, contrast, relevancy_threshold
+from drsplat.evidence import Evidence, Segments
+from drsplat.field import build_field
+from drsplat.formats.vocabulary import VocabularyEncoder
+from drsplat.nouns import NOUNS
+from drsplat.thresholds import PEAK
+from fields import SCENE, unit_rows
+
+DIM, GAP = 64, 0.25
+CLIP = EncoderIdentity("made-up", DIM)
+
+
+class World:
+    """Pictures and words in two cones, as CLIP's: what fits is at 0.3, what does not at 0.2, give or take
+    the word's own level."""
+
+    def __init__(self, words: int, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.rng, basis = rng, np.linalg.qr(rng.normal(size=(DIM, DIM)))[0].astype(np.float32)
+        self.pictures_axis, self.texts_axis = basis[0], basis[1]
+        self.meanings = unit_rows(rng, words, DIM - 2) @ basis[2:]
+        levels = rng.normal(0, 0.02, words).astype(np.float32)[:, None]
+        texts = 0.8 * self.texts_axis + (GAP + levels) * self.pictures_axis + 0.5 * self.meanings
+        self.texts = (texts / np.linalg.norm(texts, axis=1, keepdims=True)).astype(np.float32)
+
+    def pictures(self, words: np.ndarray) -> np.ndarray:
+        noise = 0.3 * unit_rows(self.rng, len(words), DIM)
+        found = 0.9 * self.pictures_axis + 0.35 * self.meanings[words] + noise
+        return (found / np.linalg.norm(found, axis=1, keepdims=True)).astype(np.float32)
+
+
+def field_and_truth(world: World, shares: dict[int, float], rows: int = 2000) -> tuple:
+    """A field in which word w is what `shares[w]` of the Gaussians show."""
+    truth = np.repeat(list(shares), (np.array(list(shares.values())) * rows).astype(int))
+    return build_field(evidence_of(world.pictures(truth)), SCENE, CLIP, atoms_per_row=1), truth
+
+
+def evidence_of(pictures: np.ndarray) -> Evidence:
+    """A mask for every Gaussian."""
+    count = len(pictures)
+    weights = csr_array(eye_array(count, dtype=np.float32, format="csr"))
+    segments = Segments(("a.jpg",), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
+    return Evidence(weights, segments, pictures)
+
+
+def words_of(world: World) -> VocabularyEncoder:
+    names = [f"word {number}" for number in range(len(world.texts))]
+    return VocabularyEncoder(CLIP, names, world.texts)
+
+
+SHARES = {0: 0.6, 1: 0.25, 2: 0.1, 3: 0.05}
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(60)
+
+
+@pytest.fixture(scope="module")
+def scene(world: World) -> tuple[LanguageField, np.ndarray]:
+    return field_and_truth(world, SHARES)
+
+
+@pytest.mark.parametrize("word", SHARES)
+def test_what_is_there_is_found_large_or_small(word: int, world: World, scene: tuple) -> None:
+    field, truth = scene
+    found = select(field, query(field, words_of(world), f"word {word}"))
+    meant = np.flatnonzero(truth == word)
+    assert len(np.intersect1d(found, meant)) / len(np.union1d(found, meant)) > 0.9
+
+
+def test_what_is_not_there_is_not_found(world: World, scene: tuple) -> None:
+    field, _ = scene
+    absent = [word for word in range(60) if word not in SHARES]
+    found = [len(select(field, query(field, words_of(world), f"word {w}"))) > 0 for w in absent]
+    assert np.mean(found) <= 0.1
+
+
+def test_the_same_by_hand(world: World, scene: tuple) -> None:
+    field, _ = scene
+    known = contrast(field, world.texts[1:])
+    cosines = field.scores(world.texts)
+    pictures = field.evidence.embeddings
+    usual = TILT * (pictures @ world.texts.T).mean(0)
+    left = pictures @ world.texts[1:].T
+    left = left - left.mean(0) - left.mean(1, keepdims=True) + left.mean()
+    margins = (cosines - usual[:, None])[0] - (cosines - usual[:, None])[1:].max(0)
+    expected = 1 / (1 + np.exp(-margins / left.std()))
+    assert_allclose(known.relevancy(world.texts[0], cosines[0]), expected, atol=1e-3)
+
+
+def test_a_synonym_in_the_list_does_not_compete(world: World, scene: tuple) -> None:
+    field, truth = scene
+    other = world.texts[1] + 0.2 * unit_rows(np.random.default_rng(3), 1, DIM)[0]
+    other = (other / np.linalg.norm(other)).astype(np.float32)
+    texts = np.concatenate([world.texts, other[None]])
+    centred = texts - texts.mean(0)
+    centred /= np.linalg.norm(centred, axis=1, keepdims=True)
+    assert centred[1] @ centred[-1] > NEAR > np.sort(centred[1] @ centred[:-1].T)[-2]
+    values = contrast(field, texts).relevancy(other, field.scores(other))
+    assert (values[truth == 1] > 0.5).mean() > 0.9
+
+
+def test_a_word_has_to_be_among_the_best_of_every_seventy_five(scene: tuple) -> None:
+    """Three words of 225 are better everywhere: the third decides."""
+    field, _ = scene
+    rng = np.random.default_rng(1)
+    texts = unit_rows(rng, 3 * CROWD, DIM)
+    known, query_vector = contrast(field, texts), unit_rows(rng, 1, DIM)[0]
+    scores = field.scores(texts) - (texts @ known.usual)[:, None]
+    own = field.scores(query_vector) - query_vector @ known.usual
+    expected = own > np.sort(scores, axis=0)[-3]
+    values = known.relevancy(query_vector, field.scores(query_vector))
+    clear = np.abs(values - 0.5) > 1e-4
+    assert_array_equal((values > 0.5)[clear], expected[clear])
+
+
+def test_few_rows_that_fit_are_no_thing() -> None:
+    values = np.full(1000, 0.2, np.float32)
+    values[: PEAK - 1] = 0.9
+    assert relevancy_threshold(values) == pytest.approx(0.9)  # nothing is above
+    values[PEAK - 1] = 0.9
+    assert relevancy_threshold(values) == 0.5
+    values[:PEAK] = 0.55  # better than the list, but by a hair
+    assert relevancy_threshold(values) == pytest.approx(0.55)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 50])
+def test_any_vocabulary_answers(count: int, world: World, scene: tuple) -> None:
+    field, truth = scene
+    few = VocabularyEncoder(CLIP, [f"word {n}" for n in range(count)], world.texts[:count])
+    answer = query(field, few, "word 0")
+    assert answer.asked.rule == ("auto" if count == 1 else "list")
+    found = select(field, answer)
+    assert np.intersect1d(found, np.flatnonzero(truth == 0)).size > 0.2 * (truth == 0).sum()
+
+
+def test_the_list_that_is_kept_with_the_field_takes_the_place_of_a_vocabulary(
+    world: World, scene: tuple, tmp_path: Path
+) -> None:
+    field, _ = scene
+    alone = VocabularyEncoder(CLIP, ["word 9"], world.texts[9:10])
+    assert len(select(field, query(field, alone, "word 9"))) > 0  # nothing to contrast it with
+    field.with_contrast(world.texts, words_of(world).texts).save(tmp_path / "a.field")
+    kept = load_field(tmp_path / "a.field")
+    assert kept.contrast is not None
+    assert kept.contrast.texts == words_of(world).texts
+    assert len(select(kept, query(kept, alone, "word 9"))) == 0
+
+
+def test_large_vocabularies_are_thinned() -> None:
+    texts = [*(f"word {number}" for number in range(3000)), *NOUNS[:20]]
+    large = VocabularyEncoder(CLIP, texts, unit_rows(np.random.default_rng(0), len(texts), DIM))
+    vectors = list_vectors(large)
+    assert len(vectors) == MOST
+    assert_array_equal(vectors[:20], large.encode_texts(NOUNS[:20]))
+
+
+def test_a_list_of_plain_different_nouns_ships() -> None:
+    assert len(NOUNS) == len(set(NOUNS)) > 300
+    assert {"mattress", "bed", "wall", "floor", "sky"} <= set(NOUNS)
+    assert all(noun == noun.strip().lower() and noun for noun in NOUNS)
+
+
+def test_the_kept_scores_are_let_go_with_the_field(world: World) -> None:
+    import gc
+    import weakref
+
+    field, _ = field_and_truth(world, {0: 1.0}, 100)
+    known = weakref.ref(contrast(field, world.texts))
+    assert contrast(field, world.texts) is known()
+    del field
+    gc.collect()
+    assert known() is None
