@@ -19,6 +19,7 @@ constexpr int kParts = 64 / kVectorBytes;  // GCC 12 scalarises ?: on vectors wi
 
 typedef float FloatPart __attribute__((vector_size(kVectorBytes)));
 typedef int32_t IntPart __attribute__((vector_size(kVectorBytes)));
+typedef uint32_t UintPart __attribute__((vector_size(kVectorBytes)));
 
 struct Floats { FloatPart part[kParts]; };
 struct Ints { IntPart part[kParts]; };
@@ -45,8 +46,11 @@ INLINE void store_int(int32_t *p, Ints a) { EACH_PART ((LooseInts *)p)[i] = a.pa
 #define LANE_OPERATOR(Type, op) \
   INLINE Type operator op(Type a, Type b) { Type r; EACH_PART r.part[i] = a.part[i] op b.part[i]; return r; }
 LANE_OPERATOR(Floats, +) LANE_OPERATOR(Floats, -) LANE_OPERATOR(Floats, *) LANE_OPERATOR(Floats, /)
-LANE_OPERATOR(Ints, +) LANE_OPERATOR(Ints, -) LANE_OPERATOR(Ints, &) LANE_OPERATOR(Ints, |)
+LANE_OPERATOR(Ints, &) LANE_OPERATOR(Ints, |)
 #undef LANE_OPERATOR
+// Bits of floats beyond any range may be added up: they wrap.
+INLINE Ints operator+(Ints a, Ints b) { Ints r; EACH_PART r.part[i] = (IntPart)((UintPart)a.part[i] + (UintPart)b.part[i]); return r; }
+INLINE Ints operator-(Ints a, Ints b) { Ints r; EACH_PART r.part[i] = (IntPart)((UintPart)a.part[i] - (UintPart)b.part[i]); return r; }
 
 // For sums in memory: GCC 12 copies a whole struct in pieces of 16 bytes, and a wider load of what was just
 // stored in pieces waits for the store buffer to drain.

@@ -106,13 +106,6 @@ def test_rows_of_no_numbers_are_refused_however_many() -> None:
         _native.pq_encode(features, centroids, 1, "")
 
 
-HUGE_ROWS = """
-import numpy as np
-from drsplat import _native
-arrays = [np.zeros(0, np.float32) for _ in range(4)]
-for row in (2**28, 2**31, 2**32 - 16):
-    _native.adam_step(*arrays, 1e-3, 1, 0.9, 0.999, 1e-15, 1e-3, row, 1, "")
-"""
 FEW_THREADS = """
 import resource, sys
 import numpy as np
@@ -125,11 +118,6 @@ room = (kilobytes << 10) + (40 << 20)  # for a stack or two
 resource.setrlimit(resource.RLIMIT_AS, (room, room))
 assert (_native.nearest_centres(*arrays, 200, "") == expected).all()
 """
-
-
-def test_the_head_of_a_row_may_be_beyond_32_bits() -> None:
-    """Sixteen such rows are no 32-bit number; of none there are none to step."""
-    in_own_process(HUGE_ROWS)
 
 
 @pytest.mark.skipif("san" in os.environ.get("LD_PRELOAD", ""), reason="sanitizers need the room")
