@@ -92,12 +92,25 @@ def test_typing_a_query_highlights_the_thing(live: Live) -> None:
     assert colorfulness(near(live.pixels(), live.seen_at(thing.center))).mean() > 2 * GREY
 
 
+TYPED_AT_ONCE = """(field, text) => {
+  const set = Object.getOwnPropertyDescriptor(Object.getPrototypeOf(field), "value").set;
+  for (let end = 1; end <= text.length; end++) {
+    set.call(field, text.slice(0, end));
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+  }
+}"""
+
+
 def test_what_is_typed_fast_is_asked_whole(live: Live) -> None:
+    """Faster than viser's page sends: it leaves out all but the first and the last of 50 ms."""
     live.box.fill("")
-    live.box.press_sequentially("red vase", delay=30)
-    live.box.press("Enter")
+    live.box.evaluate(TYPED_AT_ONCE, "red vase\n")
     eventually(lambda: [one.label for one in live.session.results] == ["red vase"])
     eventually(lambda: live.box.input_value() == "red vase")
+    live.box.fill("")
+    live.box.press_sequentially("candle", delay=30)
+    live.box.press("Enter")
+    eventually(lambda: [one.label for one in live.session.results] == ["candle"])
 
 
 def test_what_is_suggested_is_found(live: Live) -> None:
