@@ -1,5 +1,6 @@
 """The viewer in a real browser: typed, clicked, pulled and saved, and looked at in pixels."""
 
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -83,12 +84,33 @@ def live(
             panel.stop()
 
 
+def test_typing_a_query_highlights_the_thing(live: Live) -> None:
+    assert np.median(colorfulness(live.pixels())) > 0.05
+    live.ask("red vase")
+    thing = live.session.results[0].found[0].thing
+    eventually(lambda: np.median(colorfulness(live.pixels())) < 0.05)  # the rest is grey
+    assert colorfulness(near(live.pixels(), live.seen_at(thing.center))).mean() > 2 * GREY
+
+
+TYPED_AT_ONCE = """(field, text) => {
+  const set = Object.getOwnPropertyDescriptor(Object.getPrototypeOf(field), "value").set;
+  for (let end = 1; end <= text.length; end++) {
+    set.call(field, text.slice(0, end));
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+  }
+}"""
+
+
 def test_what_is_typed_fast_is_asked_whole(live: Live) -> None:
+    """Faster than viser's page sends: it leaves out all but the first and the last of 50 ms."""
     live.box.fill("")
-    live.box.press_sequentially("red vase", delay=30)
-    live.box.press("Enter")
+    live.box.evaluate(TYPED_AT_ONCE, "red vase\n")
     eventually(lambda: [one.label for one in live.session.results] == ["red vase"])
     eventually(lambda: live.box.input_value() == "red vase")
+    live.box.fill("")
+    live.box.press_sequentially("candle", delay=30)
+    live.box.press("Enter")
+    eventually(lambda: [one.label for one in live.session.results] == ["candle"])
 
 
 def test_what_is_suggested_is_found(live: Live) -> None:
@@ -102,25 +124,17 @@ def test_what_is_suggested_is_found(live: Live) -> None:
 
 
 def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Live) -> None:
-    live.ask("book; table")
+    live.ask("book; brown table; window")
     total = sum(len(one.found) for one in live.session.results)
     assert total > 12
     live.page.get_by_role("button", name="1 book ·").wait_for()
-    assert live.page.get_by_role("button", name="12 table ·").is_visible()
-    assert not live.page.get_by_role("button", name="13 table ·").is_visible()
+    assert live.page.get_by_role("button", name=re.compile("^12 ")).is_visible()
+    assert not live.page.get_by_role("button", name=re.compile("^13 ")).is_visible()
     live.page.get_by_text(f"{total - 12} more", exact=True).click()
-    live.page.get_by_role("button", name="13 table ·").wait_for()
+    live.page.get_by_role("button", name=re.compile("^13 ")).wait_for()
     assert "1 book" in [mark.text for mark in live.panel.window._marks if hasattr(mark, "text")]
     live.ask("red vase")
-    assert not live.page.get_by_role("button", name="2 ").first.is_visible()
-
-
-def test_typing_a_query_highlights_the_thing(live: Live) -> None:
-    assert np.median(colorfulness(live.pixels())) > 0.05
-    live.ask("red vase")
-    thing = live.session.results[0].found[0].thing
-    eventually(lambda: np.median(colorfulness(live.pixels())) < 0.05)  # the rest is grey
-    assert colorfulness(near(live.pixels(), live.seen_at(thing.center))).mean() > 2 * GREY
+    assert not live.page.get_by_role("button", name=re.compile("^2 ")).is_visible()
 
 
 def test_a_click_says_the_name(live: Live) -> None:
@@ -145,7 +159,7 @@ def test_saving_writes_a_scene_that_opens(live: Live) -> None:
     live.ask("red vase")
     live.page.get_by_text("Save", exact=True).click()
     live.page.get_by_role("button", name="Scene as PLY").click()
-    path = live.panel.folder / "found.ply"
+    path = live.panel.saves.folder / "found.ply"
     eventually(path.exists)
     saved = read_gaussians(path)
     found = saved.extra["object_id"] == 0

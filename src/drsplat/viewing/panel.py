@@ -74,10 +74,10 @@ class Panel:
         askable = self.session.is_askable
         self.text = self._prompt("Look for", 'Press enter. Several: "mug; lamp". Without: "mug, not red".', self._ask)  # fmt: skip
         self.asking = self._button("Ask", self._ask)
-        self.upload = self.gui.add_upload_button("Look for a picture", mime_type="image/*")
-        self.upload.on_upload(lambda event: self._do("picture", event, self._ask_picture))
-        for control in (self.text, self.asking, self.upload):
-            control.visible = askable
+        self.text.visible = self.asking.visible = askable
+        if askable:  # viser shows such a button, visible or not
+            self.upload = self.gui.add_upload_button("Look for a picture", mime_type="image/*")
+            self.upload.on_upload(lambda event: self._do("picture", event, self._ask_picture))
         self.fault = self.gui.add_html("", visible=False)
         self.told = self.gui.add_html(paragraphs("Ask for something.") if askable else paragraphs(NO_FIELD))  # fmt: skip
         self.tried = self.gui.add_button_group("Try", ("-",), visible=False)
