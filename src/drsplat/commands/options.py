@@ -37,6 +37,22 @@ def finite(text: str) -> float:
     return number
 
 
+def positive(text: str) -> float:
+    """An option's number above zero."""
+    number = finite(text)
+    if not number > 0:
+        raise argparse.ArgumentTypeError(f"expected a number above zero, got '{text}'")
+    return number
+
+
+def add_near(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--near", type=positive, metavar="UNITS",
+        help="camera z up to which Gaussians are not seen, in scene units (default: 0.2 as published, less for scenes "
+        "smaller than four units)",
+    )  # fmt: skip
+
+
 def add_overwrite(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace output that exists (default: refuse)"

@@ -2,6 +2,7 @@
 
 import mmap
 import re
+import warnings
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -9,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
-from ..errors import FormatError, InputError
+from ..errors import DrSplatWarning, FormatError, InputError
 from ..gaussians import Gaussians
+from ..placing import rounding
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import parse_gaussian_ply, vertex_columns
 from .ply import write_vertices
@@ -27,8 +29,9 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
     In a folder, the PLY of the highest `point_cloud/iteration_*` is read. Row order is the file's.
     The result is in the axes of the trained scene (RDF for SPZ, see formats.spz) and owns its
-    memory.
+    memory. A scene far from zero for its size is counted from a local origin (`placing.local_origin`).
 
+    Warns: DrSplatWarning: such a scene in a file of float32 positions, which have lost precision already.
     Raises: InputError: nothing at `path`. FormatError: a format that is not known, a damaged or
     truncated file, or rows that are no Gaussians; the message says how many, which is the first,
     and the cure.
@@ -39,9 +42,25 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
             if path.stat().st_size == 0:
                 raise FormatError("the file is empty")
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return parse_gaussians(memoryview(mapped), path.suffix)
+        return local(parse_gaussians(memoryview(mapped), path.suffix), str(path))
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
+
+
+def local(gaussians: Gaussians, where: str) -> Gaussians:
+    """Counted from a local origin where they are far from zero; with what float32 has lost by then."""
+    placed = gaussians.localized()
+    if placed is gaussians:
+        return gaussians
+    lost, typical = rounding(gaussians.means), float(np.median(gaussians.scales))
+    warnings.warn(
+        f"{where}: the scene lies {np.abs(placed.origin).max():.3g} units from zero and its positions are float32, which "
+        f"rounds them there to {lost:.2g} units; half of its Gaussians are smaller than {typical:.2g}. Write x, y "
+        "and z as double, or move scene and cameras towards zero before they are written",
+        DrSplatWarning,
+        stacklevel=3,
+    )
+    return placed
 
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end, row by row
@@ -98,7 +117,7 @@ def write_gaussians(
 
     SuperSplat shows and splat-transform filters any such property (`-V relevancy,gt,0.5`). A column
     takes the place of an extra of the same name. Positions are stored exactly, so the fingerprint
-    stays; the rest passes through a logarithm and back.
+    stays: as float32, or as double where they are counted from an origin. The rest passes through a logarithm and back.
 
     Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
     another length, type or name than a PLY can hold, or of a property that the format itself uses.

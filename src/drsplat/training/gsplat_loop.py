@@ -18,7 +18,7 @@ from .gsplat_strategy import require_what_gsplat_can
 from .loop import CHECKPOINT_EVERY, PSNR_EVERY, PSNR_MEMORY, Status, Training, _Keeper
 from .optimizer import Optimizer
 from .settings import TrainingSettings
-from .start import first_gaussians, scene_extent, split_views, start_points
+from .start import first_gaussians, local_capture, scene_extent, split_views, start_points
 
 
 def train(
@@ -46,14 +46,18 @@ def train(
     if checkpoint_every < 1:
         raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
     require_what_gsplat_can(settings)
-    split = split_views(views, settings.test_every)
+    split, points, origin = local_capture(split_views(views, settings.test_every), points)
     rng = np.random.default_rng(settings.seed)
     start = start_points(points, split.train, settings, rng)
     optimizer = Optimizer(first_gaussians(start, settings))
-    run = DeviceRun(split.train, settings, scene_extent(split.train), optimizer, rng, engine=engine)
+    run = DeviceRun(
+        split.train, settings, scene_extent(split.train), optimizer, rng, origin, engine=engine
+    )
     keeper = _Keeper(run, split.test, output_dir, save_at, checkpoint_every, threads)
     capture = capture_fingerprint([*split.train, *split.test], points)
-    keeper.begin(capture, overwrite, lambda folder: folder.write_start(views, start, settings))
+    keeper.begin(
+        capture, overwrite, lambda folder: folder.write_start(views, start.moved(origin), settings)
+    )
     with _full_precision(), _memory_explained(run):
         _optimise(run, keeper, report)
     return keeper.finish()

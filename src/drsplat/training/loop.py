@@ -19,7 +19,7 @@ from .model_folder import ModelFolder
 from .optimizer import Optimizer
 from .run import Outcome, Run
 from .settings import TrainingSettings
-from .start import first_gaussians, scene_extent, split_views, start_points
+from .start import first_gaussians, local_capture, scene_extent, split_views, start_points
 from .training_photos import TrainingPhotos
 
 CHECKPOINT_EVERY, CHECKPOINT_SECONDS = 1000, 120.0
@@ -84,15 +84,17 @@ def train(
     settings = settings or TrainingSettings()
     if checkpoint_every < 1:
         raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
-    split = split_views(views, settings.test_every)
+    split, points, origin = local_capture(split_views(views, settings.test_every), points)
     rng = np.random.default_rng(settings.seed)
     start = start_points(points, split.train, settings, rng)
     extent = scene_extent(split.train)
     optimizer = Optimizer(first_gaussians(start, settings))
-    run = Run(split.train, settings, extent, optimizer, rng)
+    run = Run(split.train, settings, extent, optimizer, rng, origin)
     keeper = _Keeper(run, split.test, output_dir, save_at, checkpoint_every, threads)
     capture = capture_fingerprint([*split.train, *split.test], points)
-    keeper.begin(capture, overwrite, lambda folder: folder.write_start(views, start, settings))
+    keeper.begin(
+        capture, overwrite, lambda folder: folder.write_start(views, start.moved(origin), settings)
+    )
     _optimise(run, keeper, threads, report)
     return keeper.finish()
 
@@ -166,7 +168,7 @@ class _Keeper:
         if self.folder is None:
             return
         if run.iteration in self.save_at:
-            self.folder.write_scene(run.iteration, run.optimizer.gaussians())
+            self.folder.write_scene(run.iteration, run.gaussians())
         late = time.monotonic() - self.saved > CHECKPOINT_SECONDS
         if late or run.iteration % self.checkpoint_every == 0:
             save_checkpoint(self.folder.checkpoint, run, self.capture)
@@ -188,13 +190,13 @@ class _Keeper:
         run = self.run
         return evaluate(
             run.optimizer.parameters, self.test, self.test_photos, run.settings,
-            pictures=pictures, threads=self.threads,
+            near=run.near, pictures=pictures, threads=self.threads,
         )  # fmt: skip
 
     def finish(self) -> Training:
         """Measure, write the scene and the results; the checkpoint goes last."""
         run, folder = self.run, self.folder
-        gaussians = run.optimizer.gaussians()
+        gaussians = run.gaussians()
         if folder is not None:
             folder.write_scene(run.settings.iterations, gaussians)
         evaluation = self._evaluate(folder.test_pictures if folder else None)
