@@ -24,7 +24,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
+    "errors", "placing", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "photos",
     "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
     "thresholds", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "viewing", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",

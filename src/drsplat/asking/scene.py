@@ -6,8 +6,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, Integer
+from jaxtyping import Float32, Float64, Int32, Integer
 
+from ..boxes import BoxKind
 from ..encoders import Encoder
 from ..errors import InputError
 from ..evidence import Explanation
@@ -116,16 +117,21 @@ class AskableScene:
         return asking.like_feature(self.feature_of(place))
 
     def find(
-        self, question: Question | Asked, min_gaussians: int = MIN_GAUSSIANS, top: int | None = None
+        self,
+        question: Question | Asked,
+        min_gaussians: int = MIN_GAUSSIANS,
+        top: int | None = None,
+        box: BoxKind = "upright",
     ) -> list[Found]:
         """The things that a question means, best first, with their evidence; nothing found is [].
 
-        top: how many of them. Raises: as `ask`.
+        top: how many of them. box: as for `locate`. Raises: as `ask`.
         """
         asked = question if isinstance(question, Asked) else self.ask(question)
         things = locate(
-            self.field, self.gaussians, asked.values, asked.threshold, min_gaussians=min_gaussians
-        )
+            self.field, self.gaussians, asked.values, asked.threshold, min_gaussians=min_gaussians,
+            box=box,
+        )  # fmt: skip
         return [Found(thing, self._support(thing, asked)) for thing in things[:top]]
 
     def classes(self, texts: Sequence[str], question: Question | None = None) -> Classes:
@@ -183,14 +189,14 @@ class AskableScene:
         """
         return nearest_gaussian(self.gaussians, self.field.gaussian_ids, point)
 
-    def point_at(self, click: tuple[str, float, float]) -> Float32[np.ndarray, " 3"]:
+    def point_at(self, click: tuple[str, float, float]) -> Float64[np.ndarray, " 3"]:
         """Centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
 
         Raises: InputError: no such view or pixel, or nothing with a feature there.
         """
         view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
         found = gaussian_at(self.field, self.gaussians, view, xy, threads=self.threads)
-        return np.asarray(self.gaussians.means[found])
+        return np.asarray(self.gaussians.positions[found])
 
     def picture(
         self,

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt32
+from jaxtyping import Float32, Float64, Integer, UInt32
 
 from ..aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..codes import Best, Code, Codebook, Hits, PQCode
@@ -50,6 +50,7 @@ class LanguageField:
     gaussian_ids: rows of the scene, ascending. code: their features, as they are kept and searched. scene:
     fingerprint of the N Gaussians. evidence: rows aligned with gaussian_ids, or None where it was not kept:
     all that the photos said, also what the aggregator left out. aggregator: how a row of it became a feature.
+    up: the unit direction that is up in the photos, in the world; None where they do not tell.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -63,6 +64,7 @@ class LanguageField:
     evidence: Evidence | None = None
     negatives: Negatives | None = None
     aggregator: AggregatorRecord = MEAN_RECORD
+    up: Float64[np.ndarray, " 3"] | None = None
 
     def __post_init__(self) -> None:
         ids, rows = self.gaussian_ids, len(self.gaussian_ids)
@@ -86,6 +88,10 @@ class LanguageField:
                 f"the embeddings are of {_named(self.encoder)}, the codebook is of "
                 f"{_named(self.codebook.encoder)}: use a codebook of the same encoder"
             )
+        if self.up is not None and not (
+            self.up.shape == (3,) and abs(np.linalg.norm(self.up) - 1) < 1e-6
+        ):
+            raise InputError(f"up: expected a unit vector of three numbers, got {self.up}")
         if self.evidence is not None and (len(self.evidence), self.evidence.dim) != (
             rows,
             self.encoder.dim,
@@ -328,6 +334,7 @@ class LanguageField:
             "encoder": identity_json(self.encoder),
             "code": self._code_json(),
             "aggregator": record_json(self.aggregator),
+            "up": None if self.up is None else self.up.tolist(),
             "negatives": list(self.negatives.texts) if self.negatives else [],
         }
 

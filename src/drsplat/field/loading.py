@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from ..aggregation import record_from_json
 from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
@@ -11,6 +12,7 @@ from ..codes.mixture import MixtureCode, mixture_from_tensors
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
 from ..formats.field_folder import read_manifest
+from ..formats.json_files import as_vector
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .language_field import (
@@ -68,9 +70,15 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             _evidence(path, manifest),
             _negatives(path, manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
+            _up(manifest.get("up"), path),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
+
+
+def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
+    """Fields of older versions have none."""
+    return None if document is None else as_vector(document, 3, f"{path}: up")
 
 
 def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:

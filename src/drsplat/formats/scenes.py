@@ -12,7 +12,7 @@ from jaxtyping import Shaped
 
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..gaussians import Gaussians
-from ..placing import rounding
+from ..units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import parse_gaussian_ply, vertex_columns
 from .ply import write_vertices
@@ -49,18 +49,9 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
 
 def local(gaussians: Gaussians, where: str) -> Gaussians:
     """Counted from a local origin where they are far from zero; with what float32 has lost by then."""
-    placed = gaussians.localized()
-    if placed is gaussians:
-        return gaussians
-    lost, typical = rounding(gaussians.means), float(np.median(gaussians.scales))
-    warnings.warn(
-        f"{where}: the scene lies {np.abs(placed.origin).max():.3g} units from zero and its positions are float32, which "
-        f"rounds them there to {lost:.2g} units; half of its Gaussians are smaller than {typical:.2g}. Write x, y "
-        "and z as double, or move scene and cameras towards zero before they are written",
-        DrSplatWarning,
-        stacklevel=3,
-    )
-    return placed
+    for loss in lost_precision(gaussians):
+        warnings.warn(f"{where}: {loss}", DrSplatWarning, stacklevel=3)
+    return gaussians.localized()
 
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end, row by row

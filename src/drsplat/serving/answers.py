@@ -3,7 +3,6 @@
 import numpy as np
 
 from ..asking import AskableScene, Question
-from ..asking.spatial import upward
 from ..errors import InputError
 from .limits import Limits
 from .models import (
@@ -22,11 +21,7 @@ from .requests import Ids, Locate, Picture, Segment, WhatIs, asks_something, cut
 
 
 def details(scene: AskableScene, name: str) -> SceneDetails:
-    low, high = np.quantile(scene.gaussians.means, (0.01, 0.99), axis=0)
-    try:
-        up = [float(x) for x in upward(scene.views)]
-    except InputError:
-        up = None
+    low, high = np.quantile(scene.gaussians.positions, (0.01, 0.99), axis=0)
     return SceneDetails(
         name=name,
         num_gaussians=len(scene.gaussians),
@@ -36,7 +31,7 @@ def details(scene: AskableScene, name: str) -> SceneDetails:
         views=[view.name for view in scene.views],
         low=[float(x) for x in low],
         high=[float(x) for x in high],
-        up=up,
+        up=None if scene.field.up is None else scene.field.up.tolist(),
     )
 
 
@@ -60,7 +55,7 @@ def selected(scene: AskableScene, asked: Ids, limits: Limits) -> Selected:
 
 def located(scene: AskableScene, asked: Locate, limits: Limits) -> Things:
     answer = scene.ask(question(asked, limits))
-    found = scene.find(answer, asked.min_gaussians)
+    found = scene.find(answer, asked.min_gaussians, box=asked.box)
     return Things(
         query=asked.text or "",
         num_found=len(found),

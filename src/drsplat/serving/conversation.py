@@ -7,7 +7,8 @@ from pydantic import Field
 
 from ..asking import AskableScene, Question
 from ..asking.regions import region
-from ..asking.spatial import gap, stands_on, upward
+from ..asking.spatial import gap, stands_on
+from ..boxes import upward
 from ..errors import InputError
 from ..tasks import Instance
 from .catalog import Catalog
@@ -19,6 +20,7 @@ from .models import (
     Things,
     Vector,
     Word,
+    compact,
     measured,
     summarized,
     things_of,
@@ -264,7 +266,7 @@ def _absent(text: str) -> str:
 
 
 def _vector(values: np.ndarray) -> list[float]:
-    return [round(float(value), 4) for value in values]
+    return [compact(float(value)) for value in values]
 
 
 def _point(
@@ -272,4 +274,4 @@ def _point(
 ) -> np.ndarray:
     if isinstance(place[0], str):
         return scene.point_at((place[0], place[1], place[2]))
-    return np.asarray(scene.gaussians.means[scene.nearest((place[0], place[1], place[2]))])
+    return np.asarray(scene.gaussians.positions[scene.nearest((place[0], place[1], place[2]))])

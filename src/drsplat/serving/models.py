@@ -112,8 +112,10 @@ class Thing(Answer):
     """A found thing with its oriented box."""
 
     center: Vector
-    extent: Vector = Field(description="full lengths of the box along its axes, longest first")
-    axes: list[Vector] = Field(description="unit directions of the box, one per row")
+    extent: Vector = Field(description="full lengths of the box along its axes")
+    axes: list[Vector] = Field(
+        description="unit directions of the box, one per row: the third is up, or, of free boxes, the longest first"
+    )
     score: float
     num_gaussians: int
     support: list[Support]
@@ -160,4 +162,9 @@ def things_of(found: Sequence[Found]) -> list[Thing]:
 
 
 def _rounded(values: Iterable[float]) -> list[float]:
-    return [round(float(value), 4) for value in values]
+    return [compact(float(value)) for value in values]
+
+
+def compact(value: float) -> float:
+    """Four decimals, and where that would leave fewer, four digits: a scene may be a thousandth of a unit large."""
+    return round(value, 4) if abs(value) >= 1 else float(f"{value:.4g}")

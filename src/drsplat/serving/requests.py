@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from ..asking import Question
 from ..asking.defaults import MIN_GAUSSIANS
+from ..boxes import BoxKind
 from ..errors import InputError
 from .limits import Limits
 from .pictures import decoded
@@ -65,6 +66,10 @@ class Locate(Query):
 
     limit: Annotated[int, Field(ge=1, le=MOST.things)] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
+    box: BoxKind = Field(
+        "upright",
+        description="upright: the third axis of boxes is up, where the photos tell it; free: as things lie",
+    )
 
 
 class Ids(Query):
