@@ -19,7 +19,7 @@ from rooms import room, room_views, segment_map
 
 from drsplat import _native
 from drsplat.kernels import available_isas, splat_arrays, topk_contributions
-from drsplat.kernels.splatting import _camera
+from drsplat.kernels.splatting import camera_numbers
 
 STAGES = ("project", "sort", "bin", "composite", "merge")
 RIVAL_FLAGS = "-O3 -std=c++17 -fPIC -shared -fno-math-errno -fno-trapping-math -ffp-contract=fast -Wno-psabi -pthread"
@@ -60,7 +60,7 @@ class Rival:
         size = self.lib.run_view(
             context,
             len(splats[2]),
-            *map(pointer, splats),
+            *map(pointer, splats[:3]),
             ctypes.byref(view),
             pointer(segment_ids),
             0 if stats else -k,
@@ -96,7 +96,8 @@ class Contest:
 
     def __init__(self, gaussians: int, segments: int, topk: int) -> None:
         self.view, self.topk = room_views(8)[1], topk
-        self.splats, self.camera = splat_arrays(room(gaussians)), _camera(self.view)
+        self.splats = splat_arrays(room(gaussians))
+        self.camera = camera_numbers(self.view, self.splats.near)
         self.segment_ids = segment_map(self.view.width, self.view.height, segments, seed=1)
         splats = self.splats
         self.rows = tuple(
@@ -108,7 +109,7 @@ class Contest:
     def ours(self, isa: str, threads: int) -> Callable[[], tuple]:
         def run() -> tuple:
             *triples, stages = _native.view_weights(
-                *self.splats, self.camera, self.segment_ids, self.topk, 0, threads, isa
+                *self.splats[:3], self.camera, self.segment_ids, self.topk, 0, threads, isa
             )
             self.stages.setdefault(f"drsplat {isa} {threads}T", []).append(stages)
             return tuple(triples)

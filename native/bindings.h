@@ -64,14 +64,15 @@ nb::object to_numpy(std::vector<T> &&values) {
   return nb::cast(nb::ndarray<nb::numpy, T>(owned->data(), {owned->size()}, owner));
 }
 
-// camera: rotation row by row (9), translation (3), fx, fy, cx, cy
+// camera: rotation row by row (9), translation (3), fx, fy, cx, cy, near
 inline Camera camera_of(const Array<float, 1> &camera, int width, int height) {
-  require(camera.shape(0) == 16, "camera: 16 numbers");
+  require(camera.shape(0) == 17, "camera: 17 numbers");
+  require(camera.data()[16] > 0, "camera: a near plane in front of it");
   require(width > 0 && height > 0 && width <= 65536 && height <= 65536, "width and height: 1 to 65536");
   Camera c;
   std::copy_n(camera.data(), 9, c.rotation);
   std::copy_n(camera.data() + 9, 3, c.translation);
-  c.fx = camera.data()[12], c.fy = camera.data()[13], c.cx = camera.data()[14], c.cy = camera.data()[15];
+  c.fx = camera.data()[12], c.fy = camera.data()[13], c.cx = camera.data()[14], c.cy = camera.data()[15], c.near_z = camera.data()[16];
   c.width = width, c.height = height;
   return c;
 }

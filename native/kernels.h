@@ -11,6 +11,7 @@ namespace drsplat {
 struct Camera {
   float rotation[9], translation[3];  // x_cam = rotation * x_world + translation
   float fx, fy, cx, cy;
+  float near_z;  // camera z up to which nothing is drawn
   int32_t width, height;
 };
 

@@ -1,7 +1,7 @@
 // 3D Gaussians -> 2D splats, sixteen at a time. 3DGS "EWA" projection with its conventions (method.md 1).
 #pragma once
 
-constexpr float kNearPlane = 0.2f, kMinAlpha = 1.f / 255, kBlur = 0.3f, kLog2E = 1.44269504f;
+constexpr float kMinAlpha = 1.f / 255, kBlur = 0.3f, kLog2E = 1.44269504f;
 constexpr float kLog2MinAlpha = -7.99435344f;
 constexpr float kCullSlack = 1e-4f;  // keeps every cull on the safe side of float rounding
 
@@ -38,7 +38,7 @@ INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uin
   const Floats mx = load_some(s.means + at, n), my = load_some(s.means + N + at, n), mz = load_some(s.means + 2 * N + at, n);
   const Floats opacity = load_some(s.opacities + at, n);
   const Floats Z = splat(R[6]) * mx + splat(R[7]) * my + splat(R[8]) * mz + splat(c.translation[2]);
-  Mask seen = (splat(kNearPlane) < Z) & (opacity >= splat(kMinAlpha));
+  Mask seen = (splat(c.near_z) < Z) & (opacity >= splat(kMinAlpha));
   out.visible = 0;
   if (!any(seen)) return out;
   const Floats X = splat(R[0]) * mx + splat(R[1]) * my + splat(R[2]) * mz + splat(c.translation[0]);

@@ -111,7 +111,7 @@ def test_registering_centres(gaussians) -> None:
         )
     assert (ours.weights > 0).sum(axis=1).max() <= len(views)
     field = ours.to_field(aggregator="centre-pixel")
-    assert field.aggregator == AggregatorRecord("centre-pixel", {}, CENTRES)
+    assert field.aggregator == AggregatorRecord("centre-pixel", {}, replace(CENTRES, near=0.2))
     gated = ours.to_field(aggregator="vala")
     assert 0 < len(gated) < len(field)
 
@@ -130,13 +130,13 @@ def test_the_published_code_is_one_word_away(gaussians) -> None:
     assert same(ours, register(gaussians, views, features, 45, first_hits=100))
     field = ours.to_field(aggregator="official")
     assert field.fingerprint == ours.to_field().fingerprint
-    assert field.aggregator.sampling == Sampling(45, 100)
+    assert field.aggregator.sampling == Sampling(45, 100, near=0.2)
 
 
 def test_an_aggregator_for_another_sampling_is_refused(gaussians) -> None:
     views, features = capture()
     plain = register(gaussians, views, features)
-    assert plain.sampling == Sampling(40)
+    assert plain.sampling == Sampling(40, near=0.2)
     for name in ("official", "centre-pixel", "vala"):
         with pytest.raises(MismatchError, match=rf"aggregator\('{name}'\)\.sampling to register"):
             plain.to_field(aggregator=name)
@@ -154,6 +154,8 @@ def test_an_aggregator_for_another_sampling_is_refused(gaussians) -> None:
         (Sampling(40).__dict__ | {"topk": 0}, "topk"),
         ({"topk": 3, "first_hits": -1}, "first_hits"),
         ({"topk": 3, "pixels": "centre"}, "leave topk"),
+        ({"near": 0.0}, "in front of the camera"),
+        ({"near": float("nan")}, "in front of the camera"),
     ],
 )
 def test_samplings_that_make_no_sense_are_refused(given: dict, said: str) -> None:
@@ -170,9 +172,9 @@ def test_a_field_remembers_what_made_it(gaussians, tmp_path: Path) -> None:
     assert again.aggregator == field.aggregator
     assert again.aggregator.name == "robust"
     assert again.aggregator.parameters["ModeVoting.neighbours"] == 20
-    assert again.aggregator.sampling == Sampling(10)
+    assert again.aggregator.sampling == Sampling(10, near=0.2)
     back = Registration.from_field(again)
-    assert back.sampling == Sampling(10)
+    assert back.sampling == Sampling(10, near=0.2)
     assert back.to_field().fingerprint == registration.to_field().fingerprint
 
 

@@ -24,7 +24,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
+    "errors", "placing", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
     "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
     "thresholds", "contrast", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",

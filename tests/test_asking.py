@@ -15,7 +15,8 @@ from drsplat import MiniEncoder, WordEncoder, select, write_gaussians
 from drsplat.asking import AskableScene, Question, find_scene, open_scene
 from drsplat.asking.places import nearest_gaussian
 from drsplat.asking.regions import region
-from drsplat.asking.spatial import gap, stands_on, upward
+from drsplat.asking.spatial import gap, stands_on
+from drsplat.boxes import upward
 from drsplat.demo import story as household
 from drsplat.errors import InputError, MismatchError
 from drsplat.search import feature_at

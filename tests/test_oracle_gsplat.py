@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose
 
 from drsplat.gaussians import Gaussians
 from drsplat.kernels import reference, sh_colors, splat_arrays
-from drsplat.kernels.reference_projection import BLUR, NEAR, project
+from drsplat.kernels.reference_projection import BLUR, project
+from drsplat.placing import PUBLISHED_NEAR
 from drsplat.views import View
 from scenes import look_at_view, random_gaussians
 
@@ -57,7 +58,7 @@ def gsplat_projection(gsplat: ModuleType, gaussians: Gaussians, view: View) -> S
         view.width,
         view.height,
         eps2d=BLUR,
-        near_plane=NEAR,
+        near_plane=PUBLISHED_NEAR,
     )
     arrays = (column[0].numpy() for column in (centers, depths, conics))
     return SimpleNamespace(**dict(zip(("centers", "depths", "conics"), arrays, strict=True)))

@@ -62,7 +62,8 @@ class ColumnMaker:
     @cached_property
     def _settings(self) -> str:
         """Of all that every view shares: another instruction set changes the last bits."""
-        scene, sampling = _digest(*self.splats), self.sampling
+        splats, sampling = self.splats, self.sampling
+        scene = _digest(*splats[:3], splats.origin, salt=repr(splats.near))
         counted = f"{sampling.topk} {sampling.first_hits}"
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"

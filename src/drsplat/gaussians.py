@@ -2,13 +2,14 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Integer
 
 from .errors import InputError
+from .placing import FEWEST, local_origin, near_plane
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
 
@@ -17,12 +18,14 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 class Gaussians:
     """N anisotropic 3D Gaussians. The row order is their identity and is never changed.
 
-    means: world positions, scene units. quats: rotations, (w, x, y, z), unit norm.
+    means: positions relative to `origin`, scene units. quats: rotations, (w, x, y, z), unit norm.
     scales: standard deviations along the local axes, scene units, > 0. opacities: in [0, 1].
     sh: spherical-harmonic colour coefficients, degree 0-3 (1, 4, 9 or 16 per channel), RGB last.
     extra: further per-Gaussian columns of the file it came from, by name, each of length N.
+    origin: in the coordinates of the world, which are those of views and answers; zero unless the scene is far
+    from zero for its size (`placing.local_origin`).
 
-    Raises: InputError: shapes disagree.
+    Raises: InputError: shapes disagree, or an origin that is not finite.
     """
 
     means: Float32[np.ndarray, "n 3"]
@@ -31,9 +34,12 @@ class Gaussians:
     opacities: Float32[np.ndarray, " n"]
     sh: Float32[np.ndarray, "n k 3"]
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    origin: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         n = len(self.means)
+        if self.origin.shape != (3,) or not np.isfinite(self.origin).all():
+            raise InputError(f"origin: expected three finite numbers, got {self.origin}")
         expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
         for name, shape in expected.items():
             given = getattr(self, name)
@@ -62,9 +68,34 @@ class Gaussians:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Count and position hash: equal for the same Gaussians in the same order, whatever the file."""
-        digest = hashlib.blake2b(np.ascontiguousarray(self.means).tobytes(), digest_size=12)
+        """Count and position hash: equal for the same Gaussians in the same order, whatever the file.
+
+        Of positions in the world, so that it does not depend on the origin they are counted from.
+        """
+        positions = self.means if not self.origin.any() else _narrowest(self.positions)
+        digest = hashlib.blake2b(np.ascontiguousarray(positions).tobytes(), digest_size=12)
         return f"{len(self)}-{digest.hexdigest()}"
+
+    @property
+    def positions(self) -> Float64[np.ndarray, "n 3"]:
+        """In the coordinates of the world: `means` counted from zero."""
+        return np.asarray(self.means.astype(np.float64) + self.origin)
+
+    @cached_property
+    def near(self) -> float:
+        """Camera z up to which nothing is drawn, see `placing.near_plane`."""
+        return near_plane(self.means, self.opacities)
+
+    def localized(self) -> "Gaussians":
+        """The same Gaussians counted from a local origin; themselves where they are not far from the one they have.
+
+        Float32 arithmetic on them is then as exact as about zero; what float32 positions have lost stays lost.
+        """
+        by = local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
+        if not by.any():
+            return self
+        means = (self.means.astype(np.float64) - by).astype(np.float32)
+        return replace(self, means=means, origin=self.origin + by)
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
@@ -93,4 +124,11 @@ class Gaussians:
             self.opacities[index],
             self.sh[index],
             extra,
+            self.origin,
         )
+
+
+def _narrowest(positions: Float64[np.ndarray, "n 3"]) -> np.ndarray:
+    """As float32 where that says the same."""
+    narrow = positions.astype(np.float32)
+    return narrow if (narrow == positions).all() else positions

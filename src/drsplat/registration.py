@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from scipy.sparse import csr_array, hstack
 
 from .aggregation import Aggregator, Sampling
 from .aggregation import aggregator as named
+from .boxes import up_of
 from .codes import Track, untracked
 from .columns import ColumnMaker, Columns, stack_columns
 from .encoders import EncoderIdentity
@@ -29,6 +30,7 @@ from .field import LanguageField, build_field
 from .gaussians import Gaussians
 from .kernels import splat_arrays
 from .terminal import counted
+from .units import doubts
 from .views import View
 
 if TYPE_CHECKING:
@@ -43,13 +45,14 @@ class Registration:
 
     evidence: the weights (N, M), the view and segment behind each column, one embedding per column.
     scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
-    looked at; None: unknown.
+    looked at; None: unknown. up: the direction that is up in the photos (`boxes.upward`); None: they do not tell.
     """
 
     evidence: Evidence
     scene: str
     encoder: EncoderIdentity
     sampling: Sampling | None = None
+    up: Float64[np.ndarray, " 3"] | None = None
 
     def __repr__(self) -> str:
         count, masks = self.weights.shape
@@ -74,7 +77,7 @@ class Registration:
         indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
         weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
         evidence = replace(field.evidence, weights=weights)
-        return cls(evidence, field.scene, field.encoder, field.aggregator.sampling)
+        return cls(evidence, field.scene, field.encoder, field.aggregator.sampling, field.up)
 
     @property
     def weights(self) -> csr_array:
@@ -117,14 +120,18 @@ class Registration:
         """
         how = named(aggregator) if isinstance(aggregator, str) else aggregator
         self._check(how, gaussians)
-        return build_field(
+        field = build_field(
             self.evidence, self.scene, self.encoder, codebook, num_subvectors, threads,
             atoms_per_row=atoms_per_row, aggregated=how(self.evidence, gaussians, threads=threads), record=how.record(self.sampling),
             track=track,
         )  # fmt: skip
+        return replace(field, up=self.up)
 
     def _check(self, how: Aggregator, gaussians: Gaussians | None) -> None:
-        if how.sampling not in (None, self.sampling):
+        wanted = how.sampling
+        if wanted and self.sampling and wanted.near is None:  # whatever the scene's was
+            wanted = replace(wanted, near=self.sampling.near)
+        if wanted not in (None, self.sampling):
             raise MismatchError(
                 f"aggregator '{how.name}' is for {how.sampling}, this registration is of "
                 f"{self.sampling or 'unknown sampling'}: pass sampling=aggregator('{how.name}').sampling to register"
@@ -168,7 +175,8 @@ class Registration:
             raise InputError(
                 f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one"
             )
-        return replace(self, evidence=_merge(self.evidence, other.evidence))
+        evidence = _merge(self.evidence, other.evidence)
+        return replace(self, evidence=evidence, up=_between(self.up, other.up))
 
 
 def register(
@@ -178,6 +186,7 @@ def register(
     topk: int | None = 40,
     *,
     first_hits: int | None = None,
+    near: float | None = None,
     sampling: Sampling | None = None,
     parts: Path | None = None,
     threads: int = 0,
@@ -188,19 +197,24 @@ def register(
     features: by view name, with or without suffix; views without features are left out with a warning.
     Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
     on them too. For maps made on what `load_image` returned, pass views with distortion None.
-    sampling: topk and first_hits in one, as an aggregator may want them; they are not looked at then.
+    near: camera z up to which Gaussians are not seen, scene units; None: `gaussians.near`.
+    sampling: topk, first_hits and near in one, as an aggregator may want them; they are not looked at then.
     parts: folder for each view's finished columns; a run that finds them there does not redo them, so
     a killed run loses at most one view. None uses a temporary folder.
     track: shows progress.
 
+    Warns: DrSplatWarning: views without features; units that make no sense (`units.doubts`).
     Raises: InputError: no view has features, two embedding sizes, topk < 1.
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = _views_with_features(views, features)
+    for doubt in doubts(gaussians, [view for view, _ in chosen]):
+        warn(doubt, DrSplatWarning, stacklevel=2)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        sampling = sampling or Sampling(topk, first_hits)
-        maker = ColumnMaker(splat_arrays(gaussians), folder, sampling, threads)
+        sampling = sampling or Sampling(topk, first_hits, near=near)
+        splats = splat_arrays(gaussians, sampling.near)
+        maker = ColumnMaker(splats, folder, sampling, threads)
         followed = track(chosen, "registering views")
         columns = [maker.columns(view, features[key]) for view, key in followed]
         _check_one_size(columns)
@@ -209,7 +223,13 @@ def register(
         weights, _segments_of(columns), np.concatenate([c.embeddings for c in columns])
     )
     encoder = _encoder_of(features, evidence.embeddings.shape[1])
-    return Registration(evidence, gaussians.fingerprint, encoder, sampling)
+    return Registration(
+        evidence,
+        gaussians.fingerprint,
+        encoder,
+        replace(sampling, near=splats.near),
+        up_of([view for view, _ in chosen]),
+    )
 
 
 def _views_with_features(
@@ -275,6 +295,17 @@ def _encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdenti
     return (
         encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
     )
+
+
+def _between(
+    one: Float64[np.ndarray, " 3"] | None, other: Float64[np.ndarray, " 3"] | None
+) -> Float64[np.ndarray, " 3"] | None:
+    """The direction between two; of one alone that one; None of opposite ones."""
+    if one is None or other is None:
+        return other if one is None else one
+    total = one + other
+    length = float(np.linalg.norm(total))
+    return total / length if length > 1 else None
 
 
 def _merge(a: Evidence, b: Evidence) -> Evidence:

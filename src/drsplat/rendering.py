@@ -52,8 +52,9 @@ def render(
     arrays = splats or splat_arrays(gaussians)
     if select is not None:
         gaussians, extra = gaussians.subset(select), extra[select]
-        arrays = SplatArrays(*(np.ascontiguousarray(array[..., select]) for array in arrays))
-    colors = sh_colors(gaussians.sh, gaussians.means, view.center, threads=threads)
+        arrays = arrays.subset(select)
+    eye = view.relative_to(arrays.origin).center
+    colors = sh_colors(gaussians.sh, arrays.means.T, eye, threads=threads)
     behind = np.concatenate(
         [np.asarray(background, np.float32), np.zeros(extra.shape[1], np.float32)]
     )

@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from .boxes import BoxKind, box_of
 from .defaults import MIN_GAUSSIANS
 from .errors import InputError
 from .field import LanguageField
@@ -21,18 +22,14 @@ NO_CLASS = -1
 NEIGHBOURS = 8
 HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian's protocol
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
-BOX_QUANTILES = (
-    0.01,
-    0.99,
-)  # of the member centres along each axis: a stray Gaussian does not stretch it
 
 
 @dataclass(frozen=True, eq=False)
 class Instance:
     """One found thing, in scene units and world coordinates.
 
-    center, axes, extent: oriented box; row a of `axes` is the unit direction of full length extent[a],
-    longest first. score: mean score of its Gaussians weighted by opacity.
+    center, axes, extent: oriented box; row a of `axes` is the unit direction of full length extent[a].
+    Upright: the third axis is up, the first the longer of the others. Free: longest first. score: mean score of its Gaussians weighted by opacity.
     """
 
     center: Float64[np.ndarray, " 3"]
@@ -101,12 +98,14 @@ def locate(
     *,
     link_distance: float | None = None,
     min_gaussians: int = MIN_GAUSSIANS,
+    box: BoxKind = "upright",
 ) -> list[Instance]:
     """Find the things that the selection consists of, best score first; nothing found is [].
 
     scores, threshold: as for `select`, with the same defaults as `drsplat locate`. Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
     the median distance to the 8th neighbour within the selection. Groups with fewer than `min_gaussians`
     Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in the air.
+    box: "upright" stands on the ground, which `field.up` tells (without it boxes are free); "free" lies as the thing does.
 
     Raises: MismatchError: the field is of another scene. InputError: as `select`.
     Source: Dr. Splat Sec. B "Open-vocabulary 3D object localization".
@@ -116,12 +115,13 @@ def locate(
     if len(ids) < max(min_gaussians, 2):
         return []
     by_id = field.dense(_values(field, scores))
+    up = field.up if box == "upright" else None
     groups = _components(gaussians.means[ids].astype(np.float64), link_distance)
     order = np.argsort(groups, kind="stable")
     members = np.split(ids[order], np.flatnonzero(np.diff(groups[order])) + 1)
     solid = gaussians.opacities >= HAZE
     found = [
-        _instance(gaussians, by_id, group)
+        _instance(gaussians, by_id, group, up)
         for group in members
         if np.count_nonzero(solid[group]) >= min_gaussians
     ]
@@ -212,17 +212,12 @@ def _join_near_parts(
 
 
 def _instance(
-    gaussians: Gaussians, scores: Float32[np.ndarray, " n"], ids: Int64[np.ndarray, " m"]
+    gaussians: Gaussians,
+    scores: Float32[np.ndarray, " n"],
+    ids: Int64[np.ndarray, " m"],
+    up: Float64[np.ndarray, " 3"] | None,
 ) -> Instance:
-    points, mass = (
-        gaussians.means[ids].astype(np.float64),
-        gaussians.opacities[ids].astype(np.float64),
-    )
+    mass = gaussians.opacities[ids].astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
-    offsets = points - mass @ points
-    axes = np.linalg.eigh((offsets * mass[:, None]).T @ offsets)[1].T[::-1]
-    axes = axes * np.sign(axes[np.arange(3), np.abs(axes).argmax(1)])[:, None]
-    axes[2] = np.cross(axes[0], axes[1])  # right-handed
-    low, high = np.quantile(points @ axes.T, BOX_QUANTILES, axis=0)
     score = float(mass @ scores[ids].astype(np.float64))
-    return Instance((low + high) / 2 @ axes, axes, high - low, score, ids)
+    return Instance(*box_of(gaussians, ids, up), score, ids)

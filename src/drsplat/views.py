@@ -58,6 +58,14 @@ class View:
         """Camera centre in world coordinates."""
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
+    def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "View":
+        """The same camera in a world whose zero is at `origin`; itself where that is zero already."""
+        if not origin.any():
+            return self
+        pose = self.cam_from_world.copy()
+        pose[:3, 3] += pose[:3, :3] @ origin
+        return replace(self, cam_from_world=pose)
+
     def resized(self, width: int, height: int) -> "View":
         """The same camera on another raster: K and size scale together."""
         scale = np.diag([width / self.width, height / self.height, 1.0])

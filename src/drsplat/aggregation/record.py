@@ -1,7 +1,7 @@
 """What a field says about how its features were made."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 
 from ..errors import FormatError, InputError
 from ..formats.json_files import as_number, shown
@@ -49,13 +49,14 @@ def _sampling(document: object, where: str) -> Sampling | None:
         return None
     if not isinstance(document, dict):
         raise FormatError(f"{where}: sampling: expected an object, got {shown(document)}")
-    topk, first_hits, pixels = (document.get(key) for key in ("topk", "first_hits", "pixels"))
+    topk, first_hits, pixels, near = (document.get(field.name) for field in fields(Sampling))
     counted = all(count is None or type(count) is int for count in (topk, first_hits))
     if not counted or pixels not in ("all", "centre"):
         raise FormatError(
             f"{where}: sampling: expected topk and first_hits as integers or null, and pixels as 'all' or 'centre'"
         )
     try:
-        return Sampling(topk, first_hits, pixels)
+        distance = None if near is None else as_number(near, f"{where}: sampling: near")
+        return Sampling(topk, first_hits, pixels, distance)
     except InputError as error:
         raise FormatError(f"{where}: sampling: {error}") from None

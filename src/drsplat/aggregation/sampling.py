@@ -17,15 +17,18 @@ PIXELS_AT_ONCE = 1 << 16  # times about a hundred contributors of 12 bytes: 80 M
 class Sampling:
     """What W is made of. topk None: all contributors of a pixel. first_hits: only the first ones of each ray.
 
+    near: camera z up to which nothing is seen, scene units; None: the scene's own (`Gaussians.near`).
     pixels: "all" adds up the pixels of a mask; "centre" takes, of each view, only the pixel that holds the
     projected centre of the Gaussian, with all of its contributors, whatever their rank.
 
-    Raises: InputError: another kind of pixels; topk or first_hits with centres, or less than 1.
+    Raises: InputError: another kind of pixels; topk or first_hits with centres, or less than 1; a near plane
+    that is not in front of the camera.
     """
 
     topk: int | None = 40
     first_hits: int | None = None
     pixels: Literal["all", "centre"] = "all"
+    near: float | None = None
 
     def __post_init__(self) -> None:
         if self.pixels not in ("all", "centre"):
@@ -35,6 +38,8 @@ class Sampling:
                 raise InputError(
                     f"{name}: expected a positive integer, or None for all; got {value}"
                 )
+        if self.near is not None and not 0 < self.near < np.inf:
+            raise InputError(f"near: expected a distance in front of the camera, got {self.near}")
         if self.pixels == "centre" and (self.topk, self.first_hits) != (None, None):
             raise InputError(
                 "centre pixels count whatever their rank: leave topk and first_hits at None"
@@ -87,7 +92,7 @@ def centre_weights(
 
 def centre_pixels(splats: SplatArrays, view: View) -> Int64[np.ndarray, " n"]:
     """Per Gaussian the pixel (row by row) that its centre projects into; -1 outside or behind."""
-    pose, K = view.cam_from_world, view.K
+    pose, K = view.relative_to(splats.origin).cam_from_world, view.K
     x, y, z = (pose[row, :3] @ splats.means.astype(np.float64) + pose[row, 3] for row in range(3))
     ahead = z > 0
     depth = np.where(ahead, z, 1)

@@ -1,11 +1,12 @@
 """From a folder, or from files, to a scene that can be asked."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
 from ..adapters.loading import load_encoder
+from ..boxes import up_of
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
@@ -83,6 +84,8 @@ def open_scene(
     field = load_field(files.field)
     gaussians = registered_scene(files, field)[1]
     views = () if files.capture is None else _views(files.capture)
+    if field.up is None:  # registered by an older version
+        field = replace(field, up=up_of(views))
     return AskableScene(
         files.name,
         gaussians,

@@ -8,6 +8,7 @@ from ..gaussians import Gaussians
 
 FAR = 3.0  # standard deviations
 SLACK = 0.01  # of the scene's size: people and models round their numbers
+FLAT = 1e-9  # of a Gaussian's variance: what its thinnest axis has at least
 NEAREST = 64  # candidates by the distance of centres
 
 
@@ -27,6 +28,7 @@ def nearest_gaussian(
         raise InputError(f"expected a point of three finite numbers, got {point}")
     if not len(candidates):
         raise InputError("no Gaussian of this scene has a feature")
+    at = at - gaussians.origin
     means = gaussians.means[candidates].astype(np.float64)
     squares = np.einsum("ni,ni->n", means - at, means - at)
     near = np.argpartition(squares, min(NEAREST, len(squares)) - 1)[:NEAREST]
@@ -35,9 +37,9 @@ def nearest_gaussian(
     ids = np.asarray(candidates)[near].astype(np.int64)
     deviations = _deviations(gaussians, ids, at)
     if not np.isfinite(distance) or (deviations.min() > FAR and distance > SLACK * _size(means)):
-        x, y, z = means[near[0]]
+        x, y, z = means[near[0]] + gaussians.origin
         raise InputError(
-            f"nothing with a feature is at {at[0]:g}, {at[1]:g}, {at[2]:g}: the nearest Gaussian is "
+            f"nothing with a feature is at {point[0]:.8g}, {point[1]:.8g}, {point[2]:.8g}: the nearest Gaussian is "
             f"{distance:.3g} away, at {x:.3f}, {y:.3f}, {z:.3f}"
         )
     density = gaussians.opacities[ids] * np.exp(-0.5 * np.minimum(deviations, 30.0) ** 2)
@@ -51,7 +53,8 @@ def _deviations(
     few = gaussians.subset(ids)
     xx, xy, xz, yy, yz, zz = few.covariances().T
     matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)
-    matrices = matrices + 1e-12 * np.eye(3)
+    largest = np.trace(matrices, axis1=1, axis2=2)[:, None, None]
+    matrices = matrices + FLAT * largest * np.eye(3)
     offsets = point - few.means.astype(np.float64)
     solved = np.linalg.solve(matrices, offsets[..., None])[..., 0]
     deviations = np.sqrt(np.maximum((offsets * solved).sum(1), 0))

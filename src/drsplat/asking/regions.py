@@ -45,7 +45,7 @@ def region(
     names = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
     if not names:
         raise InputError(f"'{encoder.identity.name}' takes any words: say which to choose from")
-    means = scene.gaussians.means[field.gaussian_ids].astype(np.float64)
+    means = scene.gaussians.positions[field.gaussian_ids]
     with np.errstate(over="ignore"):  # further away than can be squared is outside
         inside = np.flatnonzero(np.linalg.norm(means - at, axis=1) <= radius)
     if not len(inside):

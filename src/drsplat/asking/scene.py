@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
 
+from ..boxes import BoxKind
 from ..defaults import MIN_GAUSSIANS
 from ..encoders import Encoder
 from ..errors import InputError
@@ -101,7 +102,7 @@ class AskableScene:
     @cached_property
     def box(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
         """Lowest and highest corner of the box of the middle 98 % of the Gaussians, along the world's axes."""
-        low, high = np.quantile(self.gaussians.means, (0.01, 0.99), axis=0).astype(np.float64)
+        low, high = np.quantile(self.gaussians.positions, (0.01, 0.99), axis=0)
         return low, high
 
     def view(self, name: str) -> View:
@@ -126,16 +127,21 @@ class AskableScene:
         return asking.like(self.feature_of(place))
 
     def find(
-        self, question: Question | Asked, min_gaussians: int = MIN_GAUSSIANS, top: int | None = None
+        self,
+        question: Question | Asked,
+        min_gaussians: int = MIN_GAUSSIANS,
+        top: int | None = None,
+        box: BoxKind = "upright",
     ) -> list[Found]:
         """The things that a question means, best first, with their evidence; nothing found is [].
 
-        top: how many of them. Raises: as `ask`.
+        top: how many of them. box: as for `locate`. Raises: as `ask`.
         """
         asked = question if isinstance(question, Asked) else self.ask(question)
         things = locate(
-            self.field, self.gaussians, asked.values, asked.threshold, min_gaussians=min_gaussians
-        )
+            self.field, self.gaussians, asked.values, asked.threshold, min_gaussians=min_gaussians,
+            box=box,
+        )  # fmt: skip
         return [Found(thing, self._support(thing, asked)) for thing in things[:top]]
 
     def classes(self, texts: Sequence[str], question: Question | None = None) -> Classes:
@@ -193,14 +199,14 @@ class AskableScene:
         """
         return nearest_gaussian(self.gaussians, self.field.gaussian_ids, point)
 
-    def point_at(self, click: tuple[str, float, float]) -> Float32[np.ndarray, " 3"]:
+    def point_at(self, click: tuple[str, float, float]) -> Float64[np.ndarray, " 3"]:
         """Centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
 
         Raises: InputError: no such view or pixel, or nothing with a feature there.
         """
         view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
         found = gaussian_at(self.field, self.gaussians, view, xy, threads=self.threads)
-        return np.asarray(self.gaussians.means[found])
+        return np.asarray(self.gaussians.positions[found])
 
     def picture(
         self,

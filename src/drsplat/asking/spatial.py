@@ -1,32 +1,14 @@
 """How things lie to each other."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
-from ..errors import InputError
 from ..gaussians import Gaussians
 from ..tasks import HAZE, Instance
-from ..views import View
 
 ABOVE = 0.5  # of its extent: how far a thing's lower side may hang above what it stands on
 REACH = 0.05  # of its size: how far a thing may stand out of what it stands on
-
-
-def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
-    """The unit direction that is up in most photos: people hold cameras upright.
-
-    Raises: InputError: no views, or they look up and down alike.
-    """
-    if not views:
-        raise InputError("which way is up is told by the photos, and this scene has none")
-    total = -np.sum([view.cam_from_world[1, :3] for view in views], axis=0)
-    length = float(np.linalg.norm(total))
-    if length < 0.1 * len(views):
-        raise InputError("the photos of this scene do not agree on which way is up")
-    return np.asarray(total / length)
 
 
 def gap(gaussians: Gaussians, one: Instance, other: Instance) -> float:
@@ -60,4 +42,4 @@ def _solid(gaussians: Gaussians, thing: Instance) -> Float64[np.ndarray, "n 3"]:
     """Centres of what can be seen of a thing."""
     ids = thing.gaussian_ids
     solid = ids[gaussians.opacities[ids] >= HAZE]
-    return np.asarray(gaussians.means[solid if len(solid) else ids], np.float64)
+    return np.asarray(gaussians.positions[solid if len(solid) else ids])

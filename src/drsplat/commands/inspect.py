@@ -103,8 +103,9 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "num_gaussians": len(scene),
         "sh_degree": scene.sh_degree,
-        "lowest": scene.means.min(0, initial=float("inf")) if len(scene) else None,
-        "highest": scene.means.max(0, initial=float("-inf")) if len(scene) else None,
+        "lowest": scene.positions.min(0) if len(scene) else None,
+        "highest": scene.positions.max(0) if len(scene) else None,
+        "near": scene.near,
         "opacity": _percentiles(scene.opacities),
         "scale": _percentiles(scene.scales.max(1)),
         "extra_columns": sorted(scene.extra),

@@ -22,7 +22,13 @@ def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -
     rgb[found] = class_colors(count)[labels[found]] / 255
     sh = ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None]
     return Gaussians(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, sh, gaussians.extra
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        sh,
+        gaussians.extra,
+        gaussians.origin,
     )
 
 

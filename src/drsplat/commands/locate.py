@@ -55,6 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
         help=f"smaller things are specks and left out (default: {MIN_GAUSSIANS})",
     )  # fmt: skip
+    parser.add_argument(
+        "--box", choices=("upright", "free"), default="upright",
+        help="upright: boxes stand on the ground, where the photos told which way is up; free: along the thing's own "
+        "axes (default: upright)",
+    )  # fmt: skip
     saved = "write the scene with two more columns: relevancy, what was measured; object_id, the number of the thing or -1"
     add_output_options(parser, saved)
 
@@ -76,7 +81,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if scene is None:
         return {**report, "found": len(ids) > 0, "instances": None}
     least = arguments.min_gaussians
-    things = locate(field, scene, answer.values, answer.threshold, min_gaussians=least)
+    things = locate(
+        field, scene, answer.values, answer.threshold, min_gaussians=least, box=arguments.box
+    )
     report |= {"found": bool(things), "num_instances": len(things)}
     report["instances"] = [_instance(answer, thing) for thing in things[: arguments.top]]
     if arguments.save:

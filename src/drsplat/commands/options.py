@@ -82,6 +82,14 @@ def words(text: str) -> str:
     return text
 
 
+def add_near(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--near", type=length, metavar="UNITS",
+        help="camera z up to which Gaussians are not seen, in scene units (default: 0.2 as published, less for scenes "
+        "smaller than four units)",
+    )  # fmt: skip
+
+
 def add_overwrite(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace output that exists (default: refuse)"

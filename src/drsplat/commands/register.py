@@ -3,6 +3,7 @@
 import argparse
 import shutil
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from .leaving_out import add_without, left_out
 from .options import (
     LEVEL_HELP,
     add_capture_options,
+    add_near,
     add_overwrite,
     count,
     count_or_all,
@@ -82,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
         "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
     )  # fmt: skip
+    add_near(method)
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
@@ -176,6 +179,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         **code_facts(field.code),
         "aggregator": how.name,
         "topk": sampling.topk,
+        "near": registration.sampling.near if registration.sampling else None,
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
         "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
@@ -253,13 +257,13 @@ def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
     given |= {"topk": arguments.topk} if hasattr(arguments, "topk") else {}
     own = how.sampling
     if own is None:
-        return Sampling(**({"topk": DEFAULT_TOPK} | given))
+        return Sampling(**({"topk": DEFAULT_TOPK} | given), near=arguments.near)
     for name, value in given.items():
         if value != getattr(own, name):
             raise InputError(
                 f"--aggregator {how.name} has its own --{name.replace('_', '-')}: drop that option"
             )
-    return own
+    return replace(own, near=arguments.near)
 
 
 def _level(text: str) -> str | int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from .options import (
     add_capture_options,
+    add_near,
     add_overwrite,
     add_query_encoders,
     finite,
@@ -63,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also NAME.alpha.png: opacity, 255 where nothing shines through",
     )
+    add_near(parser)
     parser.add_argument(
         "--query",
         type=words,
@@ -87,7 +89,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     views = views if arguments.all else [view_named(views, arguments.view)]
     selected = _selected(arguments, scene)
     watch.lap("read")
-    splats = splat_arrays(scene)
+    splats = splat_arrays(scene, arguments.near)
     written = [
         path
         for view in tracker(arguments)(views, "rendering")

@@ -253,7 +253,7 @@ def silhouette(
     """Where the selected Gaussians, alone in the world, are more opaque than 0.7."""
     if not len(selected):
         return np.zeros((view.height, view.width), bool)
-    alone = SplatArrays(*(np.ascontiguousarray(array[..., selected]) for array in splats))
+    alone = splats.subset(selected)
     drawn = render_channels(alone, view, np.zeros((len(selected), 1), np.float32), threads=threads)
     mask: np.ndarray = drawn.alpha > SILHOUETTE
     return mask

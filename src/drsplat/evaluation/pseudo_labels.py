@@ -36,6 +36,12 @@ class LabelledPoints(NamedTuple):
     positions: Float32[np.ndarray, "m 3"]
     labels: Int32[np.ndarray, " m"]
 
+    def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "LabelledPoints":
+        """The same points counted from `origin`."""
+        if not origin.any():
+            return self
+        return self._replace(positions=(self.positions - origin).astype(np.float32))
+
 
 class _Sources(NamedTuple):
     """Gaussians as the vote needs them: rows of `whiten` take offsets to standard deviations.
@@ -72,6 +78,7 @@ def pseudo_labels(
     Raises: InputError: as `density_labels`.
     """
     found = density_labels(gaussians, points, threads=threads)
+    points = points.relative_to(gaussians.origin)
     missing = np.flatnonzero(found < 0)
     tree = cKDTree(points.positions)
     distances, nearest = tree.query(gaussians.means[missing], workers=threads or -1)
@@ -101,6 +108,7 @@ def density_labels(
     Twin: evaluation.reference.density_labels.
     """
     _check(gaussians, points)
+    points = points.relative_to(gaussians.origin)
     present, dense = np.unique(points.labels, return_inverse=True)
     names = np.append(present, -1).astype(np.int32)  # found is -1 until there is a vote
     found = np.full(len(gaussians), -1, np.int32)
@@ -124,6 +132,7 @@ def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.nda
     Source: Dr. Splat Eq. 2.  Twin: evaluation.reference.printed_labels.
     """
     _check(gaussians, points)
+    points = points.relative_to(gaussians.origin)
     whiten = whitening(gaussians).astype(np.float64)
     means = gaussians.means.astype(np.float64)
     present = np.unique(points.labels)

@@ -65,13 +65,13 @@ def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
 
     Raises: MismatchError: not one Gaussian per point, or not at its place.
     """
-    means, positions = scene.gaussians.means, scene.points.positions
+    means, positions = scene.gaussians.positions, scene.points.positions
     if len(means) != len(positions):
         raise MismatchError(
             f"'{scene.name}': {len(means)} Gaussians for {len(positions)} labelled points: this protocol needs a "
             "scene trained with Gaussians frozen at the points; for free ones use scannet-volume@1"
         )
-    moved = float(np.abs(means.astype(np.float64) - positions).max(initial=0))
+    moved = float(np.abs(means - positions).max(initial=0))
     if moved > TOLERANCE * float(np.ptp(positions, axis=0).max(initial=0)):
         raise MismatchError(
             f"'{scene.name}': Gaussians are up to {moved:.3g} away from their points: they were not frozen, or "

@@ -194,7 +194,7 @@ class _Sources:
     """Gaussians in voxel terms: the box of voxels that each reaches."""
 
     def __init__(self, gaussians: Gaussians, grid: VoxelGrid) -> None:
-        self.grid, self.means = grid, gaussians.means.astype(np.float64)
+        self.grid, self.means = grid, gaussians.positions
         self.whiten = whitening(gaussians).astype(np.float64)
         scales = gaussians.scales.astype(np.float64)
         self.peaks = gaussians.opacities / ((2 * np.pi) ** 1.5 * scales.prod(1))

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt32
+from jaxtyping import Float32, Float64, Integer, UInt32
 
 from ..aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..codes import Best, Code, Codebook, Hits, PQCode
@@ -61,6 +61,7 @@ class LanguageField:
     fingerprint of the N Gaussians. evidence: rows aligned with gaussian_ids, or None where it was not kept:
     all that the photos said, also what the aggregator left out. aggregator: how a row of it became a feature.
     contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
+    up: the unit direction that is up in the photos, in the world; None where they do not tell.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -75,6 +76,7 @@ class LanguageField:
     negatives: Negatives | None = None
     aggregator: AggregatorRecord = MEAN_RECORD
     contrast: WordList | None = None
+    up: Float64[np.ndarray, " 3"] | None = None
 
     def __repr__(self) -> str:
         rows = f"{len(self):,} of {counted(self.num_gaussians, 'Gaussian')}"
@@ -102,6 +104,10 @@ class LanguageField:
                 f"the embeddings are of {_named(self.encoder)}, the codebook is of "
                 f"{_named(self.codebook.encoder)}: use a codebook of the same encoder"
             )
+        if self.up is not None and not (
+            self.up.shape == (3,) and abs(np.linalg.norm(self.up) - 1) < 1e-6
+        ):
+            raise InputError(f"up: expected a unit vector of three numbers, got {self.up}")
         if self.evidence is not None and (len(self.evidence), self.evidence.dim) != (
             rows,
             self.encoder.dim,
@@ -367,6 +373,7 @@ class LanguageField:
             "encoder": identity_json(self.encoder),
             "code": self._code_json(),
             "aggregator": record_json(self.aggregator),
+            "up": None if self.up is None else self.up.tolist(),
             "negatives": list(self.negatives.texts) if self.negatives else [],
             "contrast": list(self.contrast.texts) if self.contrast else [],
         }

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
 from ..aggregation import record_from_json
 from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
@@ -14,6 +15,7 @@ from ..errors import FormatError, InputError, MismatchError
 from ..evidence import Evidence, evidence_from_tensors
 from ..formats.checksums import check_checksums, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
+from ..formats.json_files import as_vector
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .language_field import (
@@ -83,6 +85,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             _negatives(files.get(NEGATIVES), manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
             _contrast(files.get(CONTRAST), manifest, code.dim),
+            _up(manifest.get("up"), path),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
@@ -112,6 +115,11 @@ def _compare(file: _File, evidence: Evidence | None) -> None:
         raise FormatError(f"{error}. {CURE}") from error
     except InputError as error:
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
+
+
+def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
+    """Fields of older versions have none."""
+    return None if document is None else as_vector(document, 3, f"{path}: up")
 
 
 def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:

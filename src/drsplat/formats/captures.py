@@ -33,6 +33,10 @@ class SparsePoints(NamedTuple):
     positions: Float64[np.ndarray, "n 3"]
     colors: UInt8[np.ndarray, "n 3"]
 
+    def moved(self, by: Float64[np.ndarray, " 3"]) -> "SparsePoints":
+        """The same points, further along by a vector."""
+        return SparsePoints(self.positions + by, self.colors) if by.any() else self
+
 
 class _Source(NamedTuple):
     kind: str

@@ -8,11 +8,14 @@ Properties are found by name, in any order and of any scalar type.
 Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models.
 """
 
+from dataclasses import replace
+
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from ..errors import FormatError, InputError
 from ..gaussians import SH_COEFFICIENTS, Gaussians
+from ..placing import local_origin
 from .activation import checked, exp, logit, sigmoid
 from .ply import Records, gather, read_elements
 from .ply_header import Header
@@ -43,14 +46,25 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
         )
     sh_names = _sh_names(names)
     rows = read_elements(buffer, header, {"vertex"})["vertex"]
-    return checked(
-        gather(rows, MEANS),
+    means, origin = _means(rows)
+    gaussians = checked(
+        means,
         gather(rows, QUATS),
         exp(gather(rows, SCALES)),
         sigmoid(gather(rows, ["opacity"])[:, 0]),
         gather(rows, sh_names).reshape(len(rows), len(sh_names) // 3, 3),
         extra_columns(rows, {*REQUIRED, *sh_names}),
     )
+    return replace(gaussians, origin=origin)
+
+
+def _means(rows: Records) -> tuple[Float32[np.ndarray, "n 3"], Float64[np.ndarray, " 3"]]:
+    """Positions and what they are counted from: doubles far from zero would lose as float32."""
+    if not any(rows.dtype[name].base == np.float64 for name in MEANS):
+        return gather(rows, MEANS), np.zeros(3)
+    positions = np.stack([rows[name] for name in MEANS], 1).astype(np.float64)
+    origin = local_origin(positions)
+    return (positions - origin).astype(np.float32), origin
 
 
 def _sh_names(names: list[str]) -> list[str]:
@@ -82,6 +96,8 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
 
     Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.
 
+    Positions are those of the world: float64 where they are counted from an origin, else float32.
+
     Raises: InputError: values that could not be read back.
     """
     _refuse_unwritable(gaussians)
@@ -89,8 +105,9 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
         gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])
     ]
     log_scales = np.log(gaussians.scales)
+    positions = gaussians.positions if gaussians.origin.any() else gaussians.means
     return {
-        **dict(zip(MEANS, gaussians.means.T, strict=True)),
+        **dict(zip(MEANS, positions.T, strict=True)),
         **{name: _normals(gaussians, name) for name in NORMALS},
         **dict(zip(DC, gaussians.sh[:, 0].T, strict=True)),
         **{f"f_rest_{i}": column for i, column in enumerate(rest)},

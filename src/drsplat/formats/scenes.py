@@ -1,6 +1,7 @@
 """`read_gaussians` and `write_gaussians`: any scene file in, PLY out."""
 
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
@@ -10,8 +11,9 @@ import numpy as np
 from jaxtyping import Shaped
 
 from ..contents import file_bytes
-from ..errors import FormatError, InputError
+from ..errors import DrSplatWarning, FormatError, InputError
 from ..gaussians import SH_COEFFICIENTS, Gaussians
+from ..units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import NORMALS, parse_gaussian_ply, vertex_columns
 from .ply import write_vertices
@@ -32,8 +34,9 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     In a folder, its SOG (meta.json, which may be named itself) or the PLY of the highest
     `point_cloud/iteration_*` is read. Row order is the file's.
     The result is in the axes of the trained scene (RDF for SPZ, see formats.spz) and owns its
-    memory.
+    memory. A scene far from zero for its size is counted from a local origin (`placing.local_origin`).
 
+    Warns: DrSplatWarning: such a scene in a file of float32 positions, which have lost precision already.
     Raises: InputError: nothing at `path`. FormatError: a format that is not known, a damaged or
     truncated file, or rows that are no Gaussians; the message says how many, which is the first,
     and the cure.
@@ -41,13 +44,20 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     path = scene_file(Path(path))
     try:
         if path.name == META:
-            return read_unpacked_sog(path)
+            return local(read_unpacked_sog(path), str(path))
         content = file_bytes(path)
         if not content.size:
             raise FormatError("the file is empty")
-        return parse_gaussians(content.data, path.suffix)
+        return local(parse_gaussians(content.data, path.suffix), str(path))
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
+
+
+def local(gaussians: Gaussians, where: str) -> Gaussians:
+    """Counted from a local origin where they are far from zero; with what float32 has lost by then."""
+    for loss in lost_precision(gaussians):
+        warnings.warn(f"{where}: {loss}", DrSplatWarning, stacklevel=3)
+    return gaussians.localized()
 
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end, row by row
@@ -112,7 +122,7 @@ def write_gaussians(
 
     SuperSplat shows and splat-transform filters any such property (`-V relevancy,gt,0.5`). A column
     takes the place of an extra of the same name. Positions are stored exactly, so the fingerprint
-    stays; the rest passes through a logarithm and back.
+    stays: as float32, or as double where they are counted from an origin. The rest passes through a logarithm and back.
 
     Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
     another length, type or name than a PLY can hold, or of a property that the format itself uses; a

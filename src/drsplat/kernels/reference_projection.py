@@ -12,7 +12,6 @@ from jaxtyping import Float, Float64, Int
 from ..views import View
 
 TILE = 16
-NEAR = 0.2
 FRUSTUM_MARGIN = 1.3
 BLUR = 0.3
 MIN_ALPHA = 1 / 255
@@ -24,7 +23,8 @@ ROUNDING = 4 * 2.0**-24  # four float32 roundings: about what a short sum of pro
 class Splats(Protocol):
     """Structure of arrays: what `drsplat.kernels.splat_arrays` gives, in any float type.
 
-    means: world positions. covariances: rows xx, xy, xz, yy, yz, zz. opacities: in [0, 1].
+    means: relative to origin, which is a world position. covariances: rows xx, xy, xz, yy, yz, zz. opacities: in
+    [0, 1]. near: camera z up to which nothing is drawn.
     """
 
     @property
@@ -33,6 +33,10 @@ class Splats(Protocol):
     def covariances(self) -> Float[np.ndarray, "6 n"]: ...
     @property
     def opacities(self) -> Float[np.ndarray, " n"]: ...
+    @property
+    def near(self) -> float: ...
+    @property
+    def origin(self) -> Float64[np.ndarray, " 3"]: ...
 
 
 class Projection(NamedTuple):
@@ -61,11 +65,12 @@ class Projection(NamedTuple):
 
 def project(splats: Splats, view: View) -> Projection:
     """Project every Gaussian that is, or by rounding could be, in front of the near plane."""
+    near, view = splats.near, view.relative_to(splats.origin)
     rotation, translation = view.cam_from_world[:3, :3], view.cam_from_world[:3, 3:]
     means = splats.means.astype(np.float64)
     points = (rotation @ means + translation).T
     error = ROUNDING * (np.abs(rotation) @ np.abs(means) + np.abs(translation)).T
-    visible = (points[:, 2] > NEAR - error[:, 2]) & (splats.opacities >= MIN_ALPHA)
+    visible = (points[:, 2] > near - error[:, 2]) & (splats.opacities >= MIN_ALPHA)
     # Sorted as float32, so that what is one depth to the native sort is one depth here.
     order = np.argsort(points[:, 2].astype(np.float32), kind="stable")
     ids = order[visible[order]]
@@ -101,14 +106,14 @@ def project(splats: Splats, view: View) -> Projection:
         conics=np.stack([c, -b, a], axis=1) / determinants[:, None],
         covariance_error=covariance_error,
         cancellation=cancellation,
-        tiles=_tile_rectangles(centers, np.ceil(radius), depths > NEAR),
+        tiles=_tile_rectangles(centers, np.ceil(radius), depths > near),
         certain_tiles=_tile_rectangles(
             centers,
             np.ceil(radius - radius_error) - margin,
-            solvable & (depths > NEAR + depth_error),
+            solvable & (depths > near + depth_error),
         ),
         possible_tiles=_tile_rectangles(
-            centers, np.ceil(radius + radius_error) + margin, depths > NEAR - depth_error
+            centers, np.ceil(radius + radius_error) + margin, depths > near - depth_error
         ),
     )
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 
+from ..placing import PUBLISHED_NEAR
 from ..views import View
 from .reference import sh_basis
 from .reference_compositing import ALPHA_BAND, MAX_ALPHA, contributors
@@ -75,14 +76,19 @@ class _Splats(NamedTuple):
     means: Float64[np.ndarray, "3 n"]
     covariances: Float64[np.ndarray, "6 n"]
     opacities: Float64[np.ndarray, " n"]
+    near: float
+    origin: Float64[np.ndarray, " 3"]
 
 
-def decide(parameters: Parameters, view: View, sh_degree: int) -> Decisions:
+def decide(
+    parameters: Parameters, view: View, sh_degree: int, near: float = PUBLISHED_NEAR
+) -> Decisions:
     """Take the decisions of the view's forward pass."""
     scene = float64_of(parameters)
     rows, columns = np.triu_indices(3)
     solid = np.ascontiguousarray(_covariances(scene)[:, rows, columns].T)
-    seen = contributors(_Splats(scene.means.T, solid, _sigmoid(scene.logits)), view)
+    splats = _Splats(scene.means.T, solid, _sigmoid(scene.logits), near, np.zeros(3))
+    seen = contributors(splats, view)
     slopes, limits = _slopes(scene, view), _limits(view)
     sides = (slopes > limits).astype(np.int64) - (slopes < -limits)
     branches = Branches(sides, _raw_colors(scene, view, sh_degree) > 0)

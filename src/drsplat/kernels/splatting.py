@@ -9,11 +9,12 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt32
+from jaxtyping import Bool, Float32, Float64, Int32, Integer, UInt32
 
 from .. import _native
 from ..errors import InputError
 from ..gaussians import Gaussians
+from ..placing import PUBLISHED_NEAR
 from ..views import View
 
 MAX_SIDE = 65536
@@ -21,11 +22,24 @@ MOST_COUNTED = 2**31 - 1  # no ray meets so many: as good as all
 
 
 class SplatArrays(NamedTuple):
-    """What the kernels need of a scene, as structure of arrays; make it once, use it for all views."""
+    """What the kernels need of a scene, as structure of arrays; make it once, use it for all views.
+
+    means: relative to origin. near: camera z up to which nothing is drawn.
+    """
 
     means: Float32[np.ndarray, "3 n"]
     covariances: Float32[np.ndarray, "6 n"]  # xx, xy, xz, yy, yz, zz
     opacities: Float32[np.ndarray, " n"]
+    near: float = PUBLISHED_NEAR
+    origin: Float64[np.ndarray, " 3"] = np.zeros(3)
+
+    def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "SplatArrays":
+        """Of the Gaussians at `index`, as `Gaussians.subset`; the near plane is that of the whole."""
+        return self._replace(
+            means=np.ascontiguousarray(self.means[:, index]),
+            covariances=np.ascontiguousarray(self.covariances[:, index]),
+            opacities=np.ascontiguousarray(self.opacities[index]),
+        )
 
 
 class Triples(NamedTuple):
@@ -70,18 +84,36 @@ def default_isa() -> str:
         ) from None
 
 
-def splat_arrays(gaussians: Gaussians) -> SplatArrays:
-    """Lay the scene out for the kernels: 40 bytes per Gaussian."""
+def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays:
+    """Lay the scene out for the kernels: 40 bytes per Gaussian.
+
+    near: camera z up to which nothing is drawn, scene units; None: `gaussians.near`.
+
+    Raises: InputError: a near plane that is not in front of the camera.
+    """
+    near = gaussians.near if near is None else near
+    if not 0 < near < np.inf:
+        raise InputError(f"near: expected a distance in front of the camera, got {near}")
     covariances = np.empty((6, len(gaussians)), np.float32)
     block = 1 << 16  # bounds the float64 temporaries
     for begin in range(0, len(gaussians), block):
         part = slice(begin, begin + block)
         covariances[:, part] = gaussians.subset(np.arange(len(gaussians))[part]).covariances().T
-    means = np.ascontiguousarray(gaussians.means.T)
-    return SplatArrays(means, covariances, np.ascontiguousarray(gaussians.opacities))
+    placed = gaussians.localized()
+    means = np.ascontiguousarray(placed.means.T)
+    opacities = np.ascontiguousarray(gaussians.opacities)
+    return SplatArrays(means, covariances, opacities, near, placed.origin)
 
 
-def _camera(view: View) -> Float32[np.ndarray, "16"]:
+def _camera_of(splats: SplatArrays, view: View) -> Float32[np.ndarray, "17"]:
+    return camera_numbers(view.relative_to(splats.origin), splats.near)
+
+
+def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
+    """A camera as the kernels take it: rotation, translation, fx, fy, cx, cy, near.
+
+    Raises: InputError: too large a raster, or skew.
+    """
     if max(view.width, view.height) > MAX_SIDE:
         raise InputError(
             f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE} pixels a side: resize it"
@@ -91,7 +123,7 @@ def _camera(view: View) -> Float32[np.ndarray, "16"]:
             f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported"
         )
     pose, K = view.cam_from_world, view.K
-    numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2], near]
     return np.array(numbers, np.float32)
 
 
@@ -135,8 +167,8 @@ def view_weights(
             f"the view {view.width}x{view.height}: resize one of them"
         )
     ids, segments, weights, _ = _native.view_weights(
-        *splats,
-        _camera(view),
+        *splats[:3],
+        _camera_of(splats, view),
         np.ascontiguousarray(segment_ids, np.int32),
         _positive("topk", topk),
         _positive("first_hits", first_hits),
@@ -163,8 +195,8 @@ def topk_contributions(
     Source: Dr. Splat Sec. A; 3DGS Eq. 3.  Twin: kernels.reference.topk_contributions.
     """
     ids, weights = _native.topk_contributions(
-        *splats,
-        _camera(view),
+        *splats[:3],
+        _camera_of(splats, view),
         view.width,
         view.height,
         _positive("k", k),
@@ -196,8 +228,8 @@ def render_channels(
             f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}"
         )
     image, alpha, depth = _native.render(
-        *splats,
-        _camera(view),
+        *splats[:3],
+        _camera_of(splats, view),
         view.width,
         view.height,
         np.ascontiguousarray(values),

@@ -12,8 +12,9 @@ from jaxtyping import Float32
 
 from .. import _native
 from ..errors import InputError
+from ..placing import PUBLISHED_NEAR
 from ..views import View
-from .splatting import _camera, _checked_isa
+from .splatting import _checked_isa, camera_numbers
 
 
 class SceneParameters(NamedTuple):
@@ -91,10 +92,13 @@ def forward(
     sh_degree: int,
     background: Float32[np.ndarray, "3"],
     *,
+    near: float = PUBLISHED_NEAR,
     threads: int = 0,
     isa: str = "",
 ) -> TrainingView:
     """Render the scene as it stands, with SH coefficients up to `sh_degree` (0-3).
+
+    near: camera z up to which nothing is drawn, scene units.
 
     Raises: InputError: a degree beyond what is stored; arrays that are not contiguous float32.
     Source: 3DGS Sec. 4-5.  Twin: kernels.reference_training.
@@ -107,7 +111,7 @@ def forward(
             raise InputError(f"{name}: expected contiguous float32, got {array.dtype}")
     native = _native.training_pass(
         *parameters,
-        _camera(view),
+        camera_numbers(view, near),
         view.width,
         view.height,
         active,

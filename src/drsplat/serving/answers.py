@@ -7,7 +7,6 @@ import numpy as np
 from pydantic import BaseModel
 
 from ..asking import AskableScene, Question
-from ..asking.spatial import upward
 from ..errors import InputError
 from .limits import Limits
 from .models import (
@@ -53,10 +52,6 @@ class Answering(NamedTuple):
 def details(scene: AskableScene, asked: Details, _: Limits) -> SceneDetails:
     low, high = scene.box
     digits = decimals_of(scene)
-    try:
-        up = rounded(upward(scene.views), 4)
-    except InputError:
-        up = None
     return SceneDetails(
         name=asked.name,
         num_gaussians=len(scene.gaussians),
@@ -66,7 +61,7 @@ def details(scene: AskableScene, asked: Details, _: Limits) -> SceneDetails:
         views=[view.name for view in scene.views],
         low=rounded(low, digits),
         high=rounded(high, digits),
-        up=up,
+        up=None if scene.field.up is None else rounded(scene.field.up, 4),
         field=scene.field.fingerprint,
     )
 
@@ -92,7 +87,7 @@ def selected(scene: AskableScene, asked: Ids, limits: Limits) -> Selected:
 
 def located(scene: AskableScene, asked: Locate, limits: Limits) -> Things:
     answer = scene.ask(question(asked, limits))
-    found = scene.find(answer, asked.min_gaussians)
+    found = scene.find(answer, asked.min_gaussians, box=asked.box)
     return Things(
         query=asked.text or "",
         num_found=len(found),

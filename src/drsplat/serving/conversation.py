@@ -7,7 +7,8 @@ from pydantic import Field
 
 from ..asking import AskableScene, Found, Question
 from ..asking.regions import region
-from ..asking.spatial import gap, stands_on, upward
+from ..asking.spatial import gap, stands_on
+from ..boxes import upward
 from ..errors import InputError
 from ..tasks import Instance
 from .catalog import Catalog
@@ -352,4 +353,4 @@ def _point(
 ) -> np.ndarray:
     if isinstance(place[0], str):
         return scene.point_at((place[0], place[1], place[2]))
-    return np.asarray(scene.gaussians.means[scene.nearest((place[0], place[1], place[2]))])
+    return np.asarray(scene.gaussians.positions[scene.nearest((place[0], place[1], place[2]))])

@@ -123,8 +123,10 @@ class Thing(Answer):
     """A found thing with its oriented box."""
 
     center: Vector
-    extent: Vector = Field(description="full lengths of the box along its axes, longest first")
-    axes: list[Vector] = Field(description="unit directions of the box, one per row")
+    extent: Vector = Field(description="full lengths of the box along its axes")
+    axes: list[Vector] = Field(
+        description="unit directions of the box, one per row: the third is up, or, of free boxes, the longest first"
+    )
     score: float
     num_gaussians: int
     support: list[Support]

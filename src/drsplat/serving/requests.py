@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from ..asking import Question
+from ..boxes import BoxKind
 from ..defaults import MIN_GAUSSIANS
 from ..errors import InputError
 from .limits import Limits
@@ -65,6 +66,10 @@ class Locate(Query):
 
     limit: Annotated[int, Field(ge=1, le=MOST.things)] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
+    box: BoxKind = Field(
+        "upright",
+        description="upright: the third axis of boxes is up, where the photos tell it; free: as things lie",
+    )
 
 
 class Details(Request):

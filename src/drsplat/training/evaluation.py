@@ -9,6 +9,7 @@ from jaxtyping import Float32, UInt8
 
 from ..kernels.training import SceneParameters, forward
 from ..pictures import as_pixels, write_picture
+from ..placing import PUBLISHED_NEAR
 from ..views import View
 from .metrics import psnr, ssim
 from .settings import TrainingSettings
@@ -45,18 +46,19 @@ def evaluate(
     photos: TrainingPhotos,
     settings: TrainingSettings,
     *,
+    near: float = PUBLISHED_NEAR,
     pictures: Path | None = None,
     threads: int = 0,
 ) -> Evaluation | None:
     """Render each view, clipped to [0, 1], and compare; None when nothing is held out.
 
-    pictures: folder for a PNG per view: photo, rendering, and their difference times 4.
+    near: camera z up to which nothing is drawn. pictures: folder for a PNG per view: photo, rendering, and their difference times 4.
     """
     if not views:
         return None
     scores = []
     for index, view in enumerate(views):
-        image = rendered(parameters, view, settings, threads)
+        image = rendered(parameters, view, settings, near, threads)
         photo = photos[index]
         scores.append(_score(view.name, image, photo))
         if pictures is not None:
@@ -69,11 +71,15 @@ def evaluate(
 
 
 def rendered(
-    parameters: SceneParameters, view: View, settings: TrainingSettings, threads: int = 0
+    parameters: SceneParameters,
+    view: View,
+    settings: TrainingSettings,
+    near: float = PUBLISHED_NEAR,
+    threads: int = 0,
 ) -> Float32[np.ndarray, "h w 3"]:
     """The picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
     backdrop = np.array(settings.backdrop, np.float32)
-    drawn = forward(parameters, view, settings.sh_degree, backdrop, threads=threads)
+    drawn = forward(parameters, view, settings.sh_degree, backdrop, near=near, threads=threads)
     clipped: np.ndarray = np.clip(drawn.image, 0, 1)
     return clipped
 

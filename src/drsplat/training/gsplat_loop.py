@@ -21,7 +21,7 @@ from .model_folder import model_folder
 from .optimizer import Optimizer
 from .result import Training
 from .settings import TrainingSettings
-from .start import first_gaussians, scene_extent, split_views
+from .start import first_gaussians, local_capture, scene_extent, split_views
 
 
 def train(
@@ -49,12 +49,12 @@ def train(
     if checkpoint_every < 1:
         raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
     require_what_gsplat_can(settings)
-    split = split_views(views, settings.test_every)
+    split, points, origin = local_capture(split_views(views, settings.test_every), points)
     extent, rng = scene_extent(split.train), np.random.default_rng(settings.seed)
     with model_folder(output_dir, overwrite) as folder:
-        start = beginning(folder, points, split.train, settings, rng)
+        start = beginning(folder, points, split.train, settings, rng, origin)
         optimizer = Optimizer(first_gaussians(start.points, settings))
-        run = DeviceRun(split.train, settings, extent, optimizer, rng, engine=engine)
+        run = DeviceRun(split.train, settings, extent, optimizer, rng, origin, engine=engine)
         keeper = Keeper(run, split, folder, save_at, checkpoint_every, threads)
         keeper.begin(points, start)
         with _full_precision(), _memory_explained(run), deferred_interrupt() as interrupted:

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float64
 from torch import Tensor
 
 from ..errors import DrSplatError
-from ..kernels.reference_projection import BLUR, NEAR
+from ..kernels.reference_projection import BLUR
 from ..kernels.training import photometric_loss as photometric_loss_on_host
 from ..views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
@@ -53,11 +54,12 @@ class DeviceRun(Run):
         extent: float,
         optimizer: Optimizer,
         rng: np.random.Generator,
+        origin: Float64[np.ndarray, " 3"] | None = None,
         *,
         engine: Engine,
     ) -> None:
         self._copy: Optimizer | None = optimizer
-        super().__init__(views, settings, extent, optimizer, rng)
+        super().__init__(views, settings, extent, optimizer, rng, origin)
         self.engine = engine
         self._upload()
 
@@ -129,7 +131,7 @@ class DeviceRun(Run):
             Ks=self._sent(view.K),
             width=view.width,
             height=view.height,
-            near_plane=NEAR,
+            near_plane=self.near,
             eps2d=BLUR,
             packed=False,
         )

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
@@ -31,13 +32,16 @@ def beginning(
     views: Sequence[View],
     settings: TrainingSettings,
     rng: np.random.Generator,
+    origin: Float64[np.ndarray, " 3"],
 ) -> Start:
     """`start_points`, or what the run in the folder started from, which need not be found again.
+
+    origin: of the frame of `points`, `views` and the answer, in the world, whose coordinates the folder has.
 
     Raises: as `start_points`.
     """
     if folder is not None and folder.goes_on and folder.start.is_file():
-        return Start(SparsePoints(*read_point_ply(folder.start)))
+        return Start(SparsePoints(*read_point_ply(folder.start)).moved(-origin))
     return start_points(points, views, settings, rng)
 
 
@@ -67,12 +71,13 @@ class Keeper:
             return
         views = sorted([*self.split.train, *self.split.test], key=lambda view: view.name)
         self.capture = capture_fingerprint(views, points)
+        views = [view.relative_to(-run.origin) for view in views]
         if folder.goes_on:
             load_checkpoint(folder.checkpoint, run, self.capture)
             folder.results.unlink(missing_ok=True)  # until there are those of this length
             folder.write_settings(views, run.settings)
         else:
-            folder.write_start(views, start.points)
+            folder.write_start(views, start.points.moved(run.origin))
             folder.write_settings(views, run.settings)
             self._checkpoint()  # whatever is written from here on can be gone on with
 
@@ -91,7 +96,7 @@ class Keeper:
     def _keep(self, folder: ModelFolder, interrupted: bool) -> None:
         run = self.run
         if run.iteration in self.save_at:
-            folder.write_scene(run.iteration, run.optimizer.gaussians())
+            folder.write_scene(run.iteration, run.gaussians())
         late = time.monotonic() - self.saved > CHECKPOINT_SECONDS
         # from the last but one, a longer run goes on as if it had been planned so
         last = run.iteration == run.settings.iterations - 1
@@ -126,7 +131,7 @@ class Keeper:
         run = self.run
         return evaluate(
             run.optimizer.parameters, self.split.test, self.test_photos, run.settings,
-            pictures=pictures, threads=self.threads,
+            near=run.near, pictures=pictures, threads=self.threads,
         )  # fmt: skip
 
     def _psnr_train(self, count: int) -> float:
@@ -135,15 +140,21 @@ class Keeper:
         chosen = np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)
         some = [views[index] for index in chosen]
         photos = TrainingPhotos(some, 0)
+        run = self.run
         scores = evaluate(
-            self.run.optimizer.parameters, some, photos, self.run.settings, threads=self.threads
+            run.optimizer.parameters,
+            some,
+            photos,
+            run.settings,
+            near=run.near,
+            threads=self.threads,
         )
         return scores.psnr if scores else float("nan")
 
     def finish(self) -> Training:
         """Measure, write the scene and, last, the results. The checkpoint stays, for a longer run."""
         run, folder = self.run, self.folder
-        gaussians = run.optimizer.gaussians()
+        gaussians = run.gaussians()
         if folder is not None:
             folder.write_scene(run.settings.iterations, gaussians)
         evaluation = self._tested(folder.test_pictures if folder else None)

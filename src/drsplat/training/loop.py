@@ -18,7 +18,7 @@ from .optimizer import Optimizer
 from .result import Training
 from .run import Outcome, Run
 from .settings import TrainingSettings
-from .start import first_gaussians, scene_extent, split_views
+from .start import first_gaussians, local_capture, scene_extent, split_views
 
 CHECKPOINT_EVERY = 1000
 PSNR_EVERY, PSNR_MEMORY = 10, 0.95
@@ -54,12 +54,12 @@ def train(
     settings = settings or TrainingSettings()
     if checkpoint_every < 1:
         raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
-    split = split_views(views, settings.test_every)
+    split, points, origin = local_capture(split_views(views, settings.test_every), points)
     extent, rng = scene_extent(split.train), np.random.default_rng(settings.seed)
     with model_folder(output_dir, overwrite) as folder:
-        start = beginning(folder, points, split.train, settings, rng)
+        start = beginning(folder, points, split.train, settings, rng, origin)
         optimizer = Optimizer(first_gaussians(start.points, settings))
-        run = Run(split.train, settings, extent, optimizer, rng)
+        run = Run(split.train, settings, extent, optimizer, rng, origin)
         keeper = Keeper(run, split, folder, save_at, checkpoint_every, threads)
         keeper.begin(points, start)
         _optimise(run, keeper, threads, report)

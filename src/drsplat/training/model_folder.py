@@ -31,6 +31,7 @@ from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
 from ..gaussians import Gaussians
+from ..placing import local_origin
 from ..views import View
 from .settings import TrainingSettings
 
@@ -148,6 +149,7 @@ def _source_and_images(view: View) -> tuple[Path, str]:
 
 def _point_columns(points: SparsePoints) -> dict[str, np.ndarray]:
     zeros = np.zeros(len(points.positions), np.float32)
-    columns = dict(zip("xyz", points.positions.astype(np.float32).T, strict=True))
+    kept = np.float64 if local_origin(points.positions).any() else np.float32
+    columns = dict(zip("xyz", points.positions.astype(kept).T, strict=True))
     columns |= dict.fromkeys(("nx", "ny", "nz"), zeros)
     return columns | dict(zip(("red", "green", "blue"), points.colors.T, strict=True))

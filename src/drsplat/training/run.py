@@ -4,13 +4,16 @@ import json
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from ..errors import DrSplatError
+from ..gaussians import Gaussians
 from ..kernels.training import Gradients, Loss, TrainingView, forward, photometric_loss
+from ..placing import near_plane
 from ..views import View
 from .density import AdaptiveDensity
 from .mcmc import MonteCarlo
@@ -41,7 +44,11 @@ class Run:
         extent: float,
         optimizer: Optimizer,
         rng: np.random.Generator,
+        origin: Float64[np.ndarray, " 3"] | None = None,
     ) -> None:
+        """origin: of the frame that views and Gaussians are in, in the world; None is zero."""
+        self.origin = np.zeros(3) if origin is None else origin
+        self.near = near_plane(optimizer.parameters.means)
         self.views, self.settings, self.extent = views, settings, extent
         self.optimizer, self.rng = optimizer, rng
         self.photos = TrainingPhotos(views, settings.photo_memory_bytes)
@@ -77,7 +84,12 @@ class Run:
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)
         drawn = forward(
-            self.optimizer.parameters, view, degree, self._background(), threads=threads
+            self.optimizer.parameters,
+            view,
+            degree,
+            self._background(),
+            near=self.near,
+            threads=threads,
         )
         self._lap("forward")
         return drawn
@@ -129,6 +141,10 @@ class Run:
         now = time.perf_counter()
         self.stage_seconds[stage] += now - self._since
         self._since = now
+
+    def gaussians(self) -> Gaussians:
+        """The scene as it is now, in the world's coordinates. Raises: as `Optimizer.gaussians`."""
+        return replace(self.optimizer.gaussians(), origin=self.origin)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """Arrays and texts from which `restore` goes on."""

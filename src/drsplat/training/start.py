@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
@@ -12,11 +13,14 @@ from ..formats.activation import SH_C0
 from ..formats.captures import SparsePoints
 from ..gaussians import SH_COEFFICIENTS
 from ..kernels.training import SceneParameters
+from ..placing import local_origin, size_of
 from ..views import View
 from .settings import TrainingSettings
 
 NEIGHBOURS = 3
 LEAST_DISTANCE2 = 1e-7  # scene units squared; of points that are in one place
+LEAST_SHARE = 1e-3  # of the points' size, where that is less
+IN_ONE_PLACE = 1e-8  # of the cameras' distance from zero: float64 rounding
 LEAST_VIEWS = 2
 
 
@@ -53,6 +57,25 @@ def split_views(views: Sequence[View], test_every: int) -> Split:
     return split
 
 
+class Local(NamedTuple):
+    """A capture counted from its local origin, which float32 can hold without loss."""
+
+    split: Split
+    points: SparsePoints | None
+    origin: Float64[np.ndarray, " 3"]
+
+
+def local_capture(split: Split, points: SparsePoints | None) -> Local:
+    """The same capture if it is not far from zero for its size, see `placing.local_origin`."""
+    given = points is not None and len(points.positions) > NEIGHBOURS
+    cameras = np.array([view.center for view in split.train])
+    origin = local_origin(points.positions if points is not None and given else cameras)
+    if not origin.any():
+        return Local(split, points, origin)
+    train, test = ([view.relative_to(origin) for view in views] for views in split)
+    return Local(Split(train, test), None if points is None else points.moved(-origin), origin)
+
+
 def _require_photos(views: Sequence[View]) -> None:
     without = [view.name for view in views if view.image_path is None]
     if without:
@@ -74,7 +97,7 @@ def scene_extent(views: Sequence[View]) -> float:
     centers = np.array([view.center for view in views])
     mean = centers.mean(axis=0)
     farthest = float(np.linalg.norm(centers - mean, axis=1).max())
-    if not farthest > 1e-6 * (1 + float(np.linalg.norm(mean))):
+    if not farthest > IN_ONE_PLACE * (1 + float(np.linalg.norm(mean))):
         raise InputError(
             f"all {len(views)} cameras are in one place, {np.array2string(mean, precision=3)}: "
             "depth cannot be learnt from there. Take photos from different places, and check that "
@@ -92,7 +115,8 @@ def first_gaussians(points: SparsePoints, settings: TrainingSettings) -> ScenePa
     count = len(points.positions)
     tree = cKDTree(points.positions)
     distances = tree.query(points.positions, k=min(NEIGHBOURS + 1, count), workers=1)[0]
-    mean2 = np.maximum((distances[:, 1:] ** 2).mean(axis=1), LEAST_DISTANCE2)
+    least = min(LEAST_DISTANCE2, (LEAST_SHARE * size_of(points.positions)) ** 2)
+    mean2 = np.maximum((distances[:, 1:] ** 2).mean(axis=1), least or LEAST_DISTANCE2)
     log_scales = np.log(settings.first_scale * np.sqrt(mean2))
     sh = np.zeros((count, SH_COEFFICIENTS[settings.sh_degree], 3), np.float32)
     sh[:, 0] = (points.colors / 255 - 0.5) / SH_C0

@@ -132,5 +132,5 @@ def _check_points(points: SparsePoints) -> None:
     if count <= NEIGHBOURS:
         raise InputError(
             f"{count} points are too few: sizes come from the {NEIGHBOURS} nearest neighbours. Pass "
-            "points=None to triangulate others, or pose the photos again"
+            "no points to triangulate others, or pose the photos again"
         )

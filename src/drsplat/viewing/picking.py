@@ -32,7 +32,7 @@ def hit_by_ray(
 
     Source: 3DGS Eq. 3, in 3D instead of in the picture.
     """
-    direction = direction / np.linalg.norm(direction)
+    direction, origin = direction / np.linalg.norm(direction), origin - gaussians.origin
     near = _near(gaussians, origin, direction)
     near = near if visible is None else near[visible[near]]
     depth, alpha = _met(gaussians.subset(near), origin, direction)
@@ -43,7 +43,7 @@ def hit_by_ray(
     alphas = np.minimum(alpha[order], MOST_ALPHA)
     weights = alphas * np.concatenate([[1.0], np.cumprod(1 - alphas)[:-1]])
     ranked = np.argsort(-weights, kind="stable")
-    point = origin + depth[order[ranked[0]]] * direction
+    point = gaussians.origin + origin + depth[order[ranked[0]]] * direction
     return Hit(near[order[ranked]], weights[ranked], point)
 
 

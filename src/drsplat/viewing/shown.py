@@ -79,7 +79,7 @@ def shown_of(gaussians: Gaussians, budget: int) -> Shown:
         covariances[rows] = part.subset(rows).covariances() * frame.scale**2
     return Shown(
         ids,
-        frame.shown(part.means.astype(np.float64)).astype(np.float32),
+        frame.shown(part.positions).astype(np.float32),
         np.clip(covariances, -MOST_VARIANCE, MOST_VARIANCE),
         base_colors(part),
         part.opacities,
@@ -107,8 +107,8 @@ def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m
 
 def frame_of(gaussians: Gaussians) -> Frame:
     """Centred on the median; `WITHIN` of the solid Gaussians are inside of `RADIUS`."""
-    solid = gaussians.means[gaussians.opacities >= 0.1].astype(np.float64)
-    points = solid if len(solid) else gaussians.means.astype(np.float64)
+    solid = gaussians.positions[gaussians.opacities >= 0.1]
+    points = solid if len(solid) else gaussians.positions
     center = np.median(points, axis=0)
     reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN))
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)

@@ -1,0 +1,49 @@
+"""Whether a scene and its cameras can be of one frame and of a sensible unit."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .gaussians import Gaussians
+from .placing import FEWEST, rounding, size_of
+from .views import View
+
+SMALLEST, LARGEST = 1e-3, 1e5  # scene units
+AWAY = 100.0  # sizes of the scene
+
+
+def lost_precision(gaussians: Gaussians) -> list[str]:
+    """What float32 positions far from zero have lost."""
+    placed = gaussians.localized()
+    if placed is gaussians:
+        return []
+    lost, typical = rounding(gaussians.means), float(np.median(gaussians.scales))
+    return [
+        f"the scene lies {np.abs(placed.origin).max():.3g} units from zero and its positions are float32, which "
+        f"rounds them there to {lost:.2g} units; half of its Gaussians are smaller than {typical:.2g}. Keep x, y and z "
+        "as double, or move scene and cameras towards zero before they are written"
+    ]
+
+
+def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
+    """What makes no sense about the lengths of a scene and the places of its cameras, a sentence each."""
+    size = size_of(gaussians.means)
+    if len(gaussians) < FEWEST or not size > 0:
+        return []
+    found = lost_precision(gaussians)
+    if not SMALLEST <= size <= LARGEST:
+        found.append(
+            f"the scene is {size:.3g} units large: is its unit meant? Expected was "
+            f"between {SMALLEST:g} and {LARGEST:g}"
+        )
+    middle = gaussians.origin + np.median(gaussians.means, axis=0)
+    away = (
+        float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0
+    )
+    if away > AWAY * size:
+        found.append(
+            f"half of the {len(views)} cameras are {away:.3g} units or more from the middle of the Gaussians, which are "
+            f"{size:.3g} units large: scene and cameras are hardly of one frame and scale (see --dataparser-transforms "
+            "for scenes that nerfstudio trained)"
+        )
+    return found

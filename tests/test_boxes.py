@@ -1,0 +1,178 @@
+"""Boxes hold the thing, stand upright, and are not stretched by strays."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.special import ndtri
+
+from drsplat import Gaussians, InputError, MismatchError, load_field, locate, register
+from drsplat.boxes import Box, box_of, mixture_quantile, up_of, upward
+from drsplat.formats.field_folder import MANIFEST
+from scenes import look_at_view, random_gaussians
+from test_registration import capture
+from test_tasks import boxes_scene, field_of, unit
+
+UP = np.array([0.0, 0, 1])
+SIZE = (0.6, 0.3, 0.9)
+
+
+def shell(size=SIZE, turn: float = 0.0, count: int = 4000, seed: int = 0) -> Gaussians:
+    """The surface of a cuboid, as trained scenes have it: flat Gaussians that lie on its faces."""
+    rng = np.random.default_rng(seed)
+    area = np.array([size[1] * size[2], size[0] * size[2], size[0] * size[1]])
+    face = rng.choice(3, count, p=area / area.sum())
+    points = rng.uniform(-0.5, 0.5, (count, 3))
+    points[np.arange(count), face] = rng.choice([-0.5, 0.5], count)
+    scales = np.full((count, 3), 0.02)
+    scales[np.arange(count), face] = 0.001
+    about = Rotation.from_euler("z", turn, degrees=True)
+    x, y, z, w = about.as_quat()
+    return Gaussians(
+        about.apply(points * size).astype(np.float32),
+        np.tile(np.array([w, x, y, z], np.float32), (count, 1)),
+        scales.astype(np.float32),
+        rng.uniform(0.3, 1, count).astype(np.float32),
+        np.zeros((count, 1, 3), np.float32),
+    )
+
+
+def everything(gaussians: Gaussians, up: np.ndarray | None = UP) -> Box:
+    return box_of(gaussians, np.arange(len(gaussians)), up)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0, 180))
+def test_a_cuboid_is_found_whichever_way_it_is_turned(turn: float) -> None:
+    found = everything(shell(turn=turn))
+    assert_allclose(found.center, 0, atol=0.01)
+    assert_allclose(found.extent, SIZE, atol=0.04)
+    assert (found.extent > np.array(SIZE) - 0.005).all()
+    assert_allclose(found.axes[2], UP, atol=1e-9)
+    assert np.linalg.det(found.axes) == pytest.approx(1)
+    along = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn)), 0])
+    assert abs(found.axes[0] @ along) > 0.99
+
+
+def test_a_flat_thing_has_the_size_of_its_gaussians() -> None:
+    """Of one large Gaussian in the middle the centres know nothing."""
+    one = replace(random_gaussians(1), scales=np.array([[0.5, 0.2, 0.01]], np.float32))
+    one = replace(one, quats=np.array([[1, 0, 0, 0]], np.float32))
+    expected = 2 * ndtri(1 - 0.003) * one.scales[0]
+    assert_allclose(everything(one).extent, expected, rtol=1e-5)
+    assert_allclose(everything(one, None).extent[0], expected[0], rtol=1e-5)
+
+
+def test_strays_and_haze_do_not_stretch_it() -> None:
+    thing = shell()
+    stray = thing.means.copy()
+    stray[:8] += np.float32(5)
+    faint = thing.opacities.copy()
+    stray[8:200] *= np.float32(3)
+    faint[8:200] = 0.004
+    dirty = replace(thing, means=stray, opacities=faint)
+    clean = thing.subset(np.arange(200, len(thing)))
+    assert_allclose(everything(dirty).extent, everything(clean).extent, atol=0.03)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.tuples(*[st.floats(-1e7, 1e7)] * 3), st.floats(1e-3, 1e3))
+def test_boxes_move_and_grow_with_the_scene(place, unit_of_length) -> None:
+    thing, by = shell(turn=30), np.array(place)
+    grown = replace(
+        thing,
+        means=thing.means * np.float32(unit_of_length),
+        scales=thing.scales * np.float32(unit_of_length),
+        origin=by,
+    )
+    own, found = everything(thing), everything(grown)
+    assert_allclose(
+        found.center - by, own.center * unit_of_length, atol=1e-4 * unit_of_length + 1e-8
+    )
+    assert_allclose(found.extent, own.extent * unit_of_length, rtol=1e-4)
+    assert_allclose(found.axes, own.axes, atol=1e-4)
+
+
+def test_free_boxes_lie_as_the_thing_does_longest_first() -> None:
+    tilt = Rotation.from_euler("xyz", [30, 40, 10], degrees=True)
+    scene, _ = boxes_scene([(0, 0, 0)], size=(0.2, 0.8, 0.4), turn=tilt)
+    found = everything(scene, None)
+    assert (np.diff(found.extent) < 0).all()
+    assert np.linalg.det(found.axes) == pytest.approx(1)
+    assert_allclose(found.extent, (0.8, 0.4, 0.2), rtol=0.05)
+    assert everything(scene).extent.prod() > 1.3 * found.extent.prod()
+
+
+def test_the_quantile_of_a_mixture_of_normals() -> None:
+    one = mixture_quantile(np.array([[3.0]]), np.array([[2.0]]), np.ones(1), 0.1)
+    assert_allclose(one, 3 + 2 * ndtri(0.1), rtol=1e-7)
+    two = mixture_quantile(np.array([[0.0], [100.0]]), np.ones((2, 1)), np.array([0.25, 0.75]), 0.1)
+    assert_allclose(two, ndtri(0.4), rtol=1e-6)
+    points = mixture_quantile(np.arange(5.0)[:, None], np.zeros((5, 1)), np.full(5, 0.2), 0.5)
+    assert_allclose(points, 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("pitch", [-60.0, -20.0, 0.0])
+def test_up_is_told_by_tilted_photos_from_one_side(pitch: float) -> None:
+    """Their mean would lean: all of them look down, and none from behind."""
+    down = np.radians(pitch)
+    eyes = [
+        (5 * np.cos(a) * np.cos(down), 5 * np.sin(a) * np.cos(down), -5 * np.sin(down))
+        for a in np.radians([0, 30, 60, 90])
+    ]
+    assert_allclose(upward([look_at_view(eye) for eye in eyes]), UP, atol=1e-6)
+
+
+def test_photos_that_do_not_tell_which_way_is_up() -> None:
+    upright = look_at_view((4, 0, 0))
+    pose = np.diag([-1.0, -1, 1, 1]) @ upright.cam_from_world
+    assert up_of([upright, replace(upright, cam_from_world=pose)]) is None
+    assert up_of([]) is None
+    assert_allclose(upward([upright]), UP, atol=1e-6)
+
+
+def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None:
+    gaussians, (views, features) = random_gaussians(400, seed=3), capture()
+    registration = register(gaussians, views, features, 10)
+    assert registration.up is not None
+    assert_allclose(registration.up, upward(views))
+    field = registration.to_field(num_subvectors=4)
+    field.save(tmp_path / "a.field")
+    again = load_field(tmp_path / "a.field")
+    assert again.up is not None
+    assert_allclose(again.up, registration.up, rtol=1e-12)
+    (thing,) = locate(again, gaussians, np.ones(len(again), np.float32), link_distance=9.0)
+    assert_allclose(thing.axes[2], registration.up)
+    (free,) = locate(
+        again, gaussians, np.ones(len(again), np.float32), link_distance=9.0, box="free"
+    )
+    assert (np.diff(free.extent) <= 0).all()
+
+
+def test_without_up_boxes_are_free() -> None:
+    scene, labels = boxes_scene([(0, 0, 0)], turn=Rotation.from_euler("x", 40, degrees=True))
+    field = field_of(scene, labels)
+    assert field.up is None
+    upright, free = (
+        locate(field, scene, field.scores(unit(0)), 0.5, box=box)[0] for box in ("upright", "free")
+    )
+    assert_allclose(upright.axes, free.axes)
+    standing = locate(replace(field, up=UP), scene, field.scores(unit(0)), 0.5)[0]
+    assert_allclose(standing.axes[2], UP)
+
+
+@pytest.mark.parametrize("up", ["[0, 0]", "[0, 0, 2]", '"z"', "[0, 0, 1e999]"])
+def test_a_damaged_up_is_refused(tmp_path: Path, up: str) -> None:
+    scene, labels = boxes_scene([(0, 0, 0)])
+    path = tmp_path / "a.field"
+    replace(field_of(scene, labels), up=UP).save(path)
+    text = (path / MANIFEST).read_text()
+    start, end = text.index('"up": '), text.index("]", text.index('"up": ')) + 1
+    (path / MANIFEST).write_text(f'{text[:start]}"up": {up}{text[end:]}')
+    with pytest.raises((InputError, MismatchError, ValueError), match="up"):
+        load_field(path)
