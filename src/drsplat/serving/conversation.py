@@ -8,7 +8,6 @@ from pydantic import Field
 from ..asking import AskableScene, Found, Question
 from ..asking.regions import region
 from ..asking.spatial import gap, stands_on
-from ..boxes import upward
 from ..errors import InputError
 from ..tasks import Instance
 from .catalog import Catalog
@@ -128,10 +127,7 @@ class Conversation:
     def about_scene(self, scene: str) -> About:
         name, opened = self._named(scene)
         digits, names = decimals_of(opened), [view.name for view in opened.views]
-        try:
-            up = rounded(upward(opened.views), 4)
-        except InputError:
-            up = None
+        up = None if opened.field.up is None else rounded(opened.field.up, 4)
         low, high = opened.box
         return About(
             scene=name,
@@ -313,7 +309,9 @@ class Conversation:
         supports = self._things(scene, on)
         if not supports:
             raise InputError(_absent(on))
-        support, up = max(supports, key=len), upward(scene.views)
+        support, up = max(supports, key=len), scene.field.up
+        if up is None:
+            raise InputError("the photos of this scene do not tell which way is up: ask without 'on'")
         return [one for one in found if stands_on(scene.gaussians, one.thing, support, up)]
 
 
