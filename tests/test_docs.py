@@ -158,7 +158,8 @@ def field_folder(capture, tmp_path_factory) -> Path:
     features = ds.read_features(capture / "capture/language_features", encoder=encoder.identity)
     views = ds.read_views(capture / "capture")
     field = ds.register(ds.read_gaussians(capture / "scene.ply"), views, features).to_field()
-    field.with_negatives(encoder.encode_texts(NEGATIVES), tuple(NEGATIVES)).save(folder)
+    texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
+    field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
     return folder
 
 
@@ -167,7 +168,8 @@ def test_the_layout_of_a_field_is_as_documented(field_folder):
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
     documented = {(file, name): dtype for file, name, dtype in listed}
-    for file in ("codes.safetensors", "evidence.safetensors", "negatives.safetensors"):
+    for part in ("codes", "evidence", "negatives", "contrast"):
+        file = f"{part}.safetensors"
         tensors, _ = map_tensors(field_folder / file)
         for name, array in tensors.items():
             assert documented.pop((file, name), None) == array.dtype.name, f"{file}: {name}"

