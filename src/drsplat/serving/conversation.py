@@ -311,7 +311,9 @@ class Conversation:
             raise InputError(_absent(on))
         support, up = max(supports, key=len), scene.field.up
         if up is None:
-            raise InputError("the photos of this scene do not tell which way is up: ask without 'on'")
+            raise InputError(
+                "the photos of this scene do not tell which way is up: ask without 'on'"
+            )
         return [one for one in found if stands_on(scene.gaussians, one.thing, support, up)]
 
 
