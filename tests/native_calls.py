@@ -74,11 +74,12 @@ class Rogue:
 
 
 def camera(rogue: Rogue, width: int, height: int) -> np.ndarray:
-    numbers = np.zeros(16, np.float32)
+    numbers = np.zeros(17, np.float32)
     numbers[[0, 4, 8]] = 1
     numbers[9:12] = rogue.rng.standard_normal(3)
     numbers[12:14] = rogue.one((width, 50.0, 1e-3, 1e30, -5.0))
     numbers[14:16] = rogue.one(((width / 2, height / 2), (1e30, -1e9), (-5e4, 5e4)))
+    numbers[16] = rogue.one((0.2, 0.2, 1e-4, 1e-30, 1e-45, 1e30))
     return rogue.spoiled(numbers)
 
 
