@@ -226,6 +226,11 @@ def _give_back_free_memory() -> None:
         trim(ctypes.c_size_t(0))
 
 
+def seeded(*numbers: int) -> np.random.Generator:
+    """The same numbers for the same seed, others where DRSPLAT_SEED is set, for a long run by hand."""
+    return np.random.default_rng([*numbers, *map(int, os.environ.get("DRSPLAT_SEED", "").split())])
+
+
 def quota(count: int) -> int:
     """How many mutants a reader gets: `count`, or DRSPLAT_MUTANTS for a long run by hand."""
     return int(os.environ.get("DRSPLAT_MUTANTS", count))

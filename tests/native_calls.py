@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from drsplat import _native
+from mutations import seeded
 
 Call = Callable[[], object]
 REFUSALS = (ValueError, TypeError, MemoryError)
@@ -24,7 +25,7 @@ class Rogue:
     """A source of arguments, the same for the same seed; every fourth array is spoiled."""
 
     def __init__(self, seed: int) -> None:
-        self.rng = np.random.default_rng(seed)
+        self.rng = seeded(seed)
 
     def one(self, choices: tuple) -> object:
         return choices[self.rng.integers(len(choices))]
@@ -73,11 +74,12 @@ class Rogue:
 
 
 def camera(rogue: Rogue, width: int, height: int) -> np.ndarray:
-    numbers = np.zeros(16, np.float32)
+    numbers = np.zeros(17, np.float32)
     numbers[[0, 4, 8]] = 1
     numbers[9:12] = rogue.rng.standard_normal(3)
     numbers[12:14] = rogue.one((width, 50.0, 1e-3, 1e30, -5.0))
     numbers[14:16] = rogue.one(((width / 2, height / 2), (1e30, -1e9), (-5e4, 5e4)))
+    numbers[16] = rogue.one((0.2, 0.2, 1e-4, 1e-30, 1e-45, 1e30))
     return rogue.spoiled(numbers)
 
 

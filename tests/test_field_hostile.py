@@ -15,7 +15,7 @@ from drsplat.field import build_field, load_field
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
 from fields import SCENE, as_version_2, random_evidence, unit_rows, without_checksums
-from mutations import bounded_allocations, mutants, quota
+from mutations import bounded_allocations, mutants, quota, seeded
 
 MUTANTS = quota(5_000)  # of each family
 ALLOWANCE = 48 << 20  # bytes of address space that reading a file of some kilobytes may take
@@ -69,7 +69,7 @@ def survivors(path: Path, seed: int, read: Callable[[Path], object], count: int 
     """How many mutants of a file are read; anything but our own errors fails the test."""
     good, survived = path.read_bytes(), 0
     read(path)
-    for mutant in mutants(good, np.random.default_rng(seed), count):
+    for mutant in mutants(good, seeded(seed), count):
         path.write_bytes(mutant)
         try:
             read(path)

@@ -16,7 +16,7 @@ import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.gaussians import Gaussians
-from mutations import bounded_allocations, mutants, quota
+from mutations import bounded_allocations, mutants, quota, seeded
 from scene_files import random_gaussians
 
 MUTANTS = quota(5_200)  # of each family
@@ -80,7 +80,7 @@ def assert_sound(g: Gaussians, size: int) -> None:
 @pytest.mark.parametrize("family", ["ply", "compressed", "splat", "spz", "sog"])
 @pytest.mark.usefixtures("bounded_memory")
 def test_mutants(family: str) -> None:
-    rng = np.random.default_rng([1, *family.encode()])
+    rng = seeded(1, *family.encode())
     originals = seeds(family)
     read = refused = 0
     with warnings.catch_warnings():

@@ -10,7 +10,7 @@ from drsplat.errors import FormatError
 from drsplat.formats.lvis import Annotations, read_annotations
 from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
 from lvis_files import document
-from mutations import quota
+from mutations import quota, seeded
 from test_views_hostile import bounded_memory, memory_path, survive  # noqa: F401
 
 DECODED_PIXELS = 1 << 20  # masks of larger photos are only made beside a photo of that size
@@ -41,7 +41,7 @@ def test_annotations(memory_path: Path, bounded_memory: None, first: int) -> Non
 
 def test_text_of_runs(bounded_memory: None) -> None:  # noqa: F811
     """Any text is numbers or refused; numbers are a mask or refused."""
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     sound = 0
     for _ in range(quota(3000)):
         text = "".join(map(chr, rng.integers(47, 113, rng.integers(0, 40))))

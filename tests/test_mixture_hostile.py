@@ -10,7 +10,7 @@ from drsplat.codes.mixture import encode_mixture, mixture_from_tensors
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.formats.tensors import map_tensors, write_tensors
 from fields import random_evidence
-from mutations import bounded_allocations, mutants, quota
+from mutations import bounded_allocations, mutants, quota, seeded
 
 MUTANTS = quota(2_000)
 ALLOWANCE = 48 << 20
@@ -118,7 +118,7 @@ def test_damaged_files(tmp_path: Path) -> None:
     write_tensors(path, tensors())
     good, survived = path.read_bytes(), 0
     with bounded_allocations(ALLOWANCE):
-        for mutant in mutants(good, np.random.default_rng(1), MUTANTS):
+        for mutant in mutants(good, seeded(1), MUTANTS):
             path.write_bytes(mutant)
             try:
                 arrays = map_tensors(path)[0]

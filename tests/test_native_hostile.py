@@ -76,8 +76,8 @@ def test_features_of_any_length_are_encoded() -> None:
 
 def training_pass(count: int) -> _native.TrainingPass:
     rng = np.random.default_rng(0)
-    camera = np.zeros(16, np.float32)
-    camera[[0, 4, 8]], camera[12:14], camera[14:16] = 1, 60, (40, 30)
+    camera = np.zeros(17, np.float32)
+    camera[[0, 4, 8]], camera[12:14], camera[14:] = 1, 60, (40, 30, 0.2)
     shapes = (count, 3), (count, 3), (count, 4), (count,), (count, 4, 3)
     arrays = [rng.uniform(-4, -1, shape).astype(np.float32) for shape in shapes]
     arrays[0][:, 2] += 8

@@ -13,8 +13,8 @@ from drsplat import _native
 
 PYTHON_THREADS, ROUNDS, INSIDE = 6, 4, 3
 WIDTH, HEIGHT = 60, 44
-SEEN = np.zeros(16, np.float32)
-SEEN[[0, 4, 8]], SEEN[12:14], SEEN[14:16] = 1, 50, (30, 22)
+SEEN = np.zeros(17, np.float32)
+SEEN[[0, 4, 8]], SEEN[12:14], SEEN[14:] = 1, 50, (30, 22, 0.2)
 
 
 def floats(*shape: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from drsplat.formats.photo_files import safe_name
 from drsplat.formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from drsplat.photos import load_image, photo_size
 from drsplat.views import View
-from mutations import bounded_allocations, mutants, quota
+from mutations import bounded_allocations, mutants, quota, seeded
 from written_captures import (
     IMAGES,
     cameras_json_document,
@@ -71,7 +71,7 @@ def survive(paths: list[Path], read: Callable[[], None], count: int = MUTANTS) -
 
     Both must happen: a fuzzer whose files are all refused tests one line of the reader.
     """
-    rng, sound, refused = np.random.default_rng(len(paths)), 0, 0
+    rng, sound, refused = seeded(len(paths)), 0, 0
     with warnings.catch_warnings(), unchecked_types():
         warnings.simplefilter("ignore", DrSplatWarning)
         read()
