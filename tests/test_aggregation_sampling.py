@@ -15,6 +15,7 @@ from drsplat.aggregation import sampling as sampling_module
 from drsplat.aggregation.sampling import centre_pixels, centre_weights
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import load_field
+from drsplat.formats.checksums import sealed
 from drsplat.kernels import reference, splat_arrays, view_weights
 from drsplat.registration import Registration, register
 from fields import toy_field
@@ -218,4 +219,4 @@ def saved_manifest(folder: Path) -> dict:
 
 
 def write_manifest(folder: Path, manifest: dict) -> None:
-    (folder / "a.field" / "field.json").write_text(json.dumps(manifest))
+    (folder / "a.field" / "field.json").write_text(json.dumps(sealed(manifest)))

@@ -146,10 +146,10 @@ def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None
     again = load_field(tmp_path / "a.field")
     assert again.up is not None
     assert_allclose(again.up, registration.up, rtol=1e-12)
-    (thing,) = locate(again, gaussians, np.ones(len(again), np.float32), link_distance=9.0)
+    (thing,) = locate(again, gaussians, np.ones(len(again), np.float32), 0.5, link_distance=9.0)
     assert_allclose(thing.axes[2], registration.up)
     (free,) = locate(
-        again, gaussians, np.ones(len(again), np.float32), link_distance=9.0, box="free"
+        again, gaussians, np.ones(len(again), np.float32), 0.5, link_distance=9.0, box="free"
     )
     assert (np.diff(free.extent) <= 0).all()
 

@@ -110,7 +110,7 @@ def test_inspect_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 def test_empty_names_are_refused(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     """They would be the current folder, or the default."""
     assert main(["embed", "capture", *given]) == 2
-    assert "after --output, got an empty one" in capsys.readouterr().err
+    assert "--output is empty: give a value" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "encoding"), [("v\xe4se", "ascii"), ("v\udcffse", "utf-8")])

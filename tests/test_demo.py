@@ -150,7 +150,7 @@ def test_album_and_page_show_every_answer(household_story: Story, tmp_path: Path
 
 def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("precious")
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="overwrite=True"):
         tell(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
     unpack_household(tmp_path, overwrite=True)

@@ -120,7 +120,7 @@ def test_a_field_that_does_not_know_its_encoder_takes_one_that_fits(clip: Path) 
 
 
 def test_without_an_encoder_the_message_says_how(field: LanguageField) -> None:
-    with pytest.raises(InputError, match=r"tiny-clip.*--encoder NAME.*\{text: \[numbers\]\}"):
+    with pytest.raises(InputError, match=r"tiny-clip.*encoder=NAME.*\{text: \[numbers\]\}"):
         asked(field, Ask(text="mug"))
 
 

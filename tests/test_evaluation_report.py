@@ -245,7 +245,7 @@ def test_command_shows_tables(judged: dict[str, str], capsys) -> None:
 
 def test_command_needs_to_know_which_scenes(judged: dict[str, str], capsys) -> None:
     for wrong, message in (
-        (("--scene", judged["scene"]), "--features is given 1 times and --scene 2 times"),
+        (("--scene", judged["scene"]), "--features is given 1 time and --scene 2 times"),
         (("--field", "f"), "and not both"),
         (("--name", "hall"), "expected a folder of LERF-OVS labels"),
     ):

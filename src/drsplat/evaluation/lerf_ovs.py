@@ -12,11 +12,11 @@ Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
@@ -125,24 +125,14 @@ def predict(
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
     categories = track(scene.categories, f"{scene.name}: queries")
     for category, scores in zip(categories, scorer.each(scene.categories), strict=True):
-        at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
-        for name, (choose, _) in chosen.items():
-            picked[name][category] = at[name] = _finite(choose(scores))
-        asked = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
-        if asked is not None:
-            picked[AUTOMATIC][category] = asked[1]
-            at.pop(AUTOMATIC)
+        cuts = _cuts(scorer, category, scores, chosen)
+        for name in chosen:
+            picked[name][category] = next(cut.at[name] for cut in cuts if name in cut.at)
         for frame in (f for f in scene.frames if category in f.polygons):
             view = scene.views[frame.name]
-            own = {} if asked is None else {AUTOMATIC: asked[1]}
-            answered = _masks(splats, view, scores if asked is None else asked[0], own, threads)
-            for column, mask in chain(_masks(splats, view, scores, at, threads), answered):
-                write_mask(mask_path(folder, scene.name, column, frame.name, category), mask)
-            whole = _whole_picture(splats, view, scores, at, threads)
-            for column, share in zip(at, whole[1:], strict=True):
-                path = mask_path(folder, scene.name, seen_column(column), frame.name, category)
-                write_mask(path, share > MAJORITY)
-            peaks.setdefault(frame.name, {})[category] = _peak(whole[0])
+            path = partial(mask_path, folder, scene.name, frame=frame.name, category=category)
+            drawn = [_write_masks(splats, view, cut, path, threads) for cut in cuts]
+            peaks.setdefault(frame.name, {})[category] = _peak(drawn[0])
     inputs = {
         "gaussians": gaussians.fingerprint,
         "scorer": dict(scorer.about),
@@ -231,17 +221,48 @@ def _finite(threshold: float) -> float:
     return threshold if np.isfinite(threshold) else MAX_THRESHOLD
 
 
-def _masks(
-    splats: SplatArrays,
-    view: View,
+class _Cut(NamedTuple):
+    """Scores of a query, and by column the thresholds that they are compared with."""
+
+    scores: Float32[np.ndarray, " N"]
+    at: dict[str, float]
+
+
+def _cuts(
+    scorer: Scorer,
+    category: str,
     scores: Float32[np.ndarray, " N"],
-    thresholds: Mapping[str, float],
-    threads: int,
+    chosen: Mapping[str, tuple[Chooser, str]],
+) -> list[_Cut]:
+    """Of the scores, and where the scorer can be asked, of its answer."""
+    at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
+    asked = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
+    for name, (choose, _) in chosen.items():
+        if asked is None or name != AUTOMATIC:
+            at[name] = _finite(choose(scores))
+    return [_Cut(scores, at)] + ([] if asked is None else [_Cut(asked[0], {AUTOMATIC: asked[1]})])
+
+
+def _write_masks(
+    splats: SplatArrays, view: View, cut: _Cut, path: Callable[..., Path], threads: int
+) -> Float32[np.ndarray, "h w"]:
+    """Write, by column, what is selected alone and what is seen of it; the scores in the whole picture."""
+    for column, mask in _masks(splats, view, cut, threads):
+        write_mask(path(column=column), mask)
+    whole = _whole_picture(splats, view, cut, threads)
+    for column, share in zip(cut.at, whole[1:], strict=True):
+        write_mask(path(column=seen_column(column)), share > MAJORITY)
+    scores: Float32[np.ndarray, "h w"] = whole[0]
+    return scores
+
+
+def _masks(
+    splats: SplatArrays, view: View, cut: _Cut, threads: int
 ) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
     """Each column's mask; equal selections are rendered once."""
     count, mask = -1, np.zeros((view.height, view.width), bool)
-    for column, threshold in sorted(thresholds.items(), key=lambda item: item[1]):
-        selected = np.flatnonzero(scores > np.float32(threshold))  # NaN is not
+    for column, threshold in sorted(cut.at.items(), key=lambda item: item[1]):
+        selected = np.flatnonzero(cut.scores > np.float32(threshold))  # NaN is not
         if len(selected) != count:  # selections by threshold are nested
             count, mask = len(selected), silhouette(splats, view, selected, threads)
         yield column, mask
@@ -260,16 +281,12 @@ def silhouette(
 
 
 def _whole_picture(
-    splats: SplatArrays,
-    view: View,
-    scores: Float32[np.ndarray, " N"],
-    thresholds: Mapping[str, float],
-    threads: int,
+    splats: SplatArrays, view: View, cut: _Cut, threads: int
 ) -> Float32[np.ndarray, "c h w"]:
     """sum_i w_i v_i of the whole scene: first of v = max(s, 0), then of each threshold's selection (v = 1)."""
-    positive = np.nan_to_num(np.maximum(scores, 0), nan=0.0)
-    bars = np.array([*thresholds.values()], np.float32)
-    values = np.column_stack([positive, scores[:, None] > bars]).astype(np.float32)
+    positive = np.nan_to_num(np.maximum(cut.scores, 0), nan=0.0)
+    bars = np.array([*cut.at.values()], np.float32)
+    values = np.column_stack([positive, cut.scores[:, None] > bars]).astype(np.float32)
     return np.moveaxis(render_channels(splats, view, values, threads=threads).channels, 2, 0)
 
 
