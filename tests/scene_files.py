@@ -128,6 +128,67 @@ def splat_bytes(g: Gaussians) -> bytes:
     )
 
 
+def ksplat_bytes(parts: list[Gaussians], level: int, bucket: int = 8) -> bytes:
+    """A section for each part, rows in their order; of a part's last rows buckets of at most three."""
+    further = [c for g in parts for c in g.sh[:, 1:].ravel().tolist()] or [0]
+    bounds = min(further), max(further)
+    head = bytearray(4096 + 1024 * len(parts))
+    count = sum(map(len, parts))
+    struct.pack_into("<4B4IH", head, 0, 0, 1, 0, 0, len(parts), len(parts), count, count, level)
+    struct.pack_into("<5f", head, 24, 7, 8, 9, *bounds)
+    bodies = []
+    for i, g in enumerate(parts):
+        full = len(g) // bucket if level else 0
+        rest = [min(3, len(g) - k) for k in range(full * bucket, len(g), 3)] if level else []
+        sizes = [bucket] * full + rest
+        starts = np.cumsum([0, *sizes])[:-1]
+        centres = [
+            g.means[a : a + k].mean(0).astype("<f4") for a, k in zip(starts, sizes, strict=True)
+        ]
+        of_row = [centre for centre, k in zip(centres, sizes, strict=True) for _ in range(k)]
+        offsets = g.means - np.array(of_row).reshape(-1, 3) if level else np.zeros((1, 3))
+        side = 2 * float(np.abs(offsets).max(initial=1e-3))
+        rows = [
+            _ksplat_row(g, j, level, (of_row[j], side) if level else None, bounds)
+            for j in range(len(g))
+        ]
+        body = b"".join(struct.pack("<I", k) for k in rest) + b"".join(c.tobytes() for c in centres)
+        bodies.append(body + b"".join(rows))
+        at = 4096 + 1024 * i
+        struct.pack_into("<2I", head, at, len(g), len(g))
+        struct.pack_into("<H", head, at + 40, g.sh_degree)
+        if level:
+            struct.pack_into("<2IfH", head, at + 8, bucket, len(sizes), side, 12)
+            struct.pack_into("<4I", head, at + 24, 32767, len(bodies[-1]), full, len(rest))
+    return bytes(head) + b"".join(bodies)
+
+
+def _ksplat_row(
+    g: Gaussians,
+    i: int,
+    level: int,
+    place: tuple[np.ndarray, float] | None,
+    bounds: tuple[float, float],
+) -> bytes:
+    number = "e" if level else "f"
+    if place is None:
+        where = struct.pack("<3f", *g.means[i])
+    else:
+        centre, side = place
+        steps = (g.means[i].astype(np.float64) - centre) / (side / 2) * 32767
+        where = struct.pack("<3H", *(round(float(s)) + 32767 for s in steps))
+    shape = struct.pack(f"<7{number}", *g.scales[i], *g.quats[i])
+    colour = np.clip(np.append(g.sh[i, 0] * C0 + 0.5, g.opacities[i]) * 255, 0, 255).round()
+    ends = [(a * a, (a + 1) * (a + 1)) for a in range(1, g.sh_degree + 1)]
+    rest = [float(g.sh[i, k, rgb]) for a, b in ends for rgb in range(3) for k in range(a, b)]
+    if level == 2:
+        low, high = bounds
+        coded = bytes(round((c - low) / (high - low) * 255) for c in rest)
+    else:
+        coded = struct.pack(f"<{len(rest)}{number}", *rest)
+    return where + shape + bytes(map(int, colour)) + coded
+
+
 def spz_planes(g: Gaussians, version: int) -> list[bytes]:
     """Attribute planes of Gaussians whose axes are RUB already."""
     fixed = (g.means.astype(np.float64) * 4096).round().astype(int).ravel().tolist()

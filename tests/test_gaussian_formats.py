@@ -239,6 +239,7 @@ def test_format_is_told_by_content_not_by_name(tmp_path: Path) -> None:
         "c.zip": scene_files.spz_bytes(turned(g), 4),
         "d": scene_files.compressed_ply_bytes(g),
         "e.SPLAT": scene_files.splat_bytes(g),
+        "k.ply": scene_files.ksplat_bytes([g], 1),
     }.items():
         (tmp_path / name).write_bytes(data)
         assert np.abs(read_gaussians(tmp_path / name).means - g.means).max() < 4e-3

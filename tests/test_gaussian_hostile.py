@@ -51,6 +51,9 @@ def seeds(family: str) -> list[tuple[bytes, str]]:
             ]
         case "splat":
             return [(scene_files.splat_bytes(g), ".splat") for g in scenes]
+        case "ksplat":
+            made = [([g], 0) for g in scenes[:3]] + [(scenes[:3], level) for level in (1, 2)]
+            return [(scene_files.ksplat_bytes(parts, level), ".ksplat") for parts, level in made]
         case "sog":
             made = [scene_files.sog_files(g, v) for g in scenes[:2] for v in (1, 2)]
             return [(scene_files.zip_bytes(files), ".sog") for files in made]
@@ -77,7 +80,7 @@ def assert_sound(g: Gaussians, size: int) -> None:
     assert (np.abs(np.linalg.norm(g.quats, axis=1) - 1) < 1e-5).all()
 
 
-@pytest.mark.parametrize("family", ["ply", "compressed", "splat", "spz", "sog"])
+@pytest.mark.parametrize("family", ["ply", "compressed", "splat", "spz", "sog", "ksplat"])
 @pytest.mark.usefixtures("bounded_memory")
 def test_mutants(family: str) -> None:
     rng = seeded(1, *family.encode())

@@ -17,7 +17,7 @@ from .encoding import Load, encoder_for
 from .scene import AskableScene
 
 FIELD_SUFFIX = ".field"
-SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat")
+SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
 CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
 

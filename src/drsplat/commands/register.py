@@ -42,7 +42,7 @@ A run that was stopped goes on where it was when the same command is given again
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "scene", help="the Gaussians: .ply, .spz, .sog, .splat or a trained model's folder"
+        "scene", help="the Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
     )
     parser.add_argument(
         "capture", help="the poses: a folder with a COLMAP model, transforms.json or cameras.json"

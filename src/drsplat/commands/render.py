@@ -35,7 +35,7 @@ BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5,
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "scene", help="the Gaussians: .ply, .spz, .sog, .splat or a trained model's folder"
+        "scene", help="the Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
     )
     parser.add_argument("--views", required=True, metavar="CAPTURE", help="the poses to look from")
     which = parser.add_mutually_exclusive_group(required=True)

@@ -16,6 +16,8 @@ from ..gaussians import SH_COEFFICIENTS, Gaussians
 from ..units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import NORMALS, parse_gaussian_ply, vertex_columns
+from .ksplat import MAGIC as KSPLAT_MAGIC
+from .ksplat import parse_ksplat
 from .ply import write_vertices
 from .ply_header import read_header
 from .sog import parse_sog, read_unpacked_sog
@@ -28,7 +30,7 @@ GZIP_DEFLATE = b"\x1f\x8b\x08"
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, `.splat`, or a trained model's folder.
+    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, or a trained model's folder.
 
     The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
     In a folder, its SOG (meta.json, which may be named itself) or the PLY of the highest
@@ -76,11 +78,13 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
         return parse_spz(buffer)
     if start == ZIP_MAGIC:
         return parse_sog(buffer)
+    if start == KSPLAT_MAGIC or suffix.lower() == ".ksplat":
+        return parse_ksplat(buffer)
     if suffix.lower() == ".splat":
         return parse_splat(buffer)
     raise FormatError(
-        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG and .splat can be read. "
-        "Convert others first, e.g. `splat-transform scene.ksplat scene.ply`"
+        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG, KSPLAT and .splat can be "
+        "read. Convert others first, e.g. `splat-transform scene.lcc scene.ply`"
     )
 
 
