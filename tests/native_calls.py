@@ -103,8 +103,11 @@ def weights(rogue: Rogue) -> Call:
 
 
 def contributions(rogue: Rogue) -> Call:
-    width, height = int(rogue.one((*SIDES, 0, -1, 65536, 65537))), int(rogue.one((1, 16, 0, -5)))
-    topk = rogue.one((0, 1, 2, 40, -1, 2**31))
+    width, height = (
+        int(rogue.one((*SIDES, 0, -1, 65536, 65537))),
+        int(rogue.one((1, 16, 16, 17, 0, -5))),
+    )
+    topk = rogue.one((1, 2, 3, 16, 40, 0, -1, 2**31))
     seen = *scene(rogue), camera(rogue, width, height), width, height
     return partial(_native.topk_contributions, *seen, topk, rogue.one(LIMITS), *rogue.how())
 
@@ -298,13 +301,14 @@ FAMILIES = (
 )
 
 
-def refused_or_answered(seed: int) -> bool:
-    """Make one call; whether it was refused. Any other end is a defect."""
+def refused_or_answered(seed: int) -> tuple[str, bool]:
+    """Make one call; of which family it is, and whether it was refused. Any other end is a defect."""
     rogue = Rogue(seed)
+    family = FAMILIES[rogue.rng.integers(len(FAMILIES))]
     with np.errstate(all="ignore"):
-        call = FAMILIES[rogue.rng.integers(len(FAMILIES))](rogue)
+        call = family(rogue)
         try:
             call()
         except REFUSALS:
-            return True
-    return False
+            return family.__name__, True
+    return family.__name__, False

@@ -30,8 +30,12 @@ def in_own_process(code: str, seconds: float = 60) -> str:
 
 
 def test_rogue_calls_are_answered_or_refused() -> None:
-    refused = [refused_or_answered(seed) for seed in range(CALLS)]
-    assert 0.1 < np.mean(refused) < 0.9  # else the calls are all bad, or none is
+    refused: dict[str, list[bool]] = {}
+    for family, was_refused in map(refused_or_answered, range(CALLS)):
+        refused.setdefault(family, []).append(was_refused)
+    rates = {family: np.mean(ends) for family, ends in refused.items()}
+    assert max(rates.values()) < 0.95, rates  # of a family that is always refused, little is tried
+    assert np.mean(list(rates.values())) > 0.1
 
 
 # Every weight falls below zero when the last atom joins: found among random unit vectors.
