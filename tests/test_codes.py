@@ -152,6 +152,17 @@ def test_a_code_that_does_not_fit_its_codebook_is_refused() -> None:
             replace(code, **changes)
 
 
+@pytest.mark.parametrize("worst", [np.nan, np.inf, 1e30])
+def test_centroids_whose_norms_are_no_float32_are_refused(worst: float) -> None:
+    book = small_codebook(True)
+    assert book.coarse is not None
+    for name in ("centroids", "coarse"):
+        spoiled = getattr(book, name).copy()
+        spoiled[-1, -1] = worst
+        with pytest.raises(InputError, match="finite, and not beyond 1e"):
+            replace(book, **{name: spoiled})
+
+
 def test_short_rows_get_finer_tables() -> None:
     """Scores are divided by norms: of a row ten times too short the error would be ten times as large."""
     book, rng = small_codebook(), np.random.default_rng(5)

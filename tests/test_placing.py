@@ -21,6 +21,7 @@ from drsplat.kernels import reference
 from drsplat.placing import PUBLISHED_NEAR, local_origin, near_plane
 from drsplat.training import TrainingSettings, train
 from drsplat.viewing.picking import hit_by_ray
+from drsplat.viewing.shown import shown_of
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
 
@@ -192,6 +193,20 @@ def test_single_positions_far_away_are_warned_of_with_the_number(gaussians, tmp_
         warnings.simplefilter("error")
         ds.write_gaussians(tmp_path / "b.ply", gaussians)
         ds.read_gaussians(tmp_path / "b.ply")
+
+
+@pytest.mark.parametrize(("field", "value"), [("means", 3.4e38), ("scales", 1.6e38)])
+def test_numbers_that_float32_only_just_holds_are_no_noise(
+    gaussians, views, tmp_path: Path, field: str, value: float
+) -> None:
+    extreme = replace(gaussians, **{field: getattr(gaussians, field).copy()})
+    getattr(extreme, field)[:, 0] = value
+    ds.write_gaussians(tmp_path / "scene.ply", extreme)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DrSplatWarning)
+        found = ds.read_gaussians(tmp_path / "scene.ply")
+        assert np.isfinite(ds.render(found, views[0]).rgb).all()
+        assert np.isfinite(shown_of(found, 100).covariances).all()
 
 
 def test_places_are_in_the_coordinates_of_the_world(gaussians) -> None:

@@ -465,6 +465,11 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
         text = reason(service("POST", "/scenes/room/query", json=VASE), 422)
         assert "secret" not in text
         assert "words.json: expected JSON" in text
+    away = str(tmp_path / "secret" / "model")
+    with closing(Service(folder, sources=Sources(encoder=away))) as service:
+        text = reason(service("POST", "/scenes/room/query", json=VASE), 422)
+        assert "secret" not in text
+        assert "model: " in text
     for root, name in ((folder / "room", "."), (folder, ".")):
         monkeypatch.chdir(root)
         scene = (root / "room" if root == folder else root).resolve().name

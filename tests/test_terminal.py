@@ -39,7 +39,9 @@ def test_what_is_harmless_stays() -> None:
 
 def test_hostile_names_in_files_and_errors(tmp_path: Path, capsys: Capture) -> None:
     words = tmp_path / "words.json"
-    words.write_text(json.dumps({EVIL: [1.0, 0.0], "vase": [0.0, 1.0]}))
+    words.write_text(
+        json.dumps({EVIL[:-1]: [1.0, 0.0], "vase": [0.0, 1.0]})
+    )  # no half surrogate: no JSON
     said = text_of(capsys, "inspect", words)
     assert "\\x1b[2J" in said
     assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f]", said)
@@ -160,6 +162,17 @@ def test_errors_of_the_command_line_speak_its_words(tmp_path: Path, capsys: Capt
         main(["train", str(room / "capture"), "-o", str(room / "n"), "--max-gaussians", "1"]) == 1
     )
     assert "--max-gaussians: expected at least 4, got 1" in capsys.readouterr().err
+
+
+def test_what_looks_like_markup_is_shown_as_it_is(capsys: Capture, tmp_path: Path) -> None:
+    names = ["[/red]", "[bold]vase", ":warning: cup"]
+    show_table("words", names, [names])
+    show_facts("words", {"texts": ", ".join(names)})
+    said = capsys.readouterr().out
+    assert all(said.count(name) == 3 for name in names)
+    words = tmp_path / "words.json"
+    words.write_text(json.dumps({name: [1.0, at + 1.0] for at, name in enumerate(names)}))
+    assert all(name in text_of(capsys, "inspect", words) for name in names)
 
 
 def test_plurals() -> None:

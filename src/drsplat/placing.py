@@ -26,6 +26,11 @@ def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(high.astype(np.float64) - low.astype(np.float64)))
 
 
+def middle_of(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
+    """The median along each axis, in float64: the sum of two float32 may be beyond float32."""
+    return np.asarray(np.median(positions.astype(np.float64), axis=0))
+
+
 def near_plane(
     means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None
 ) -> float:
@@ -50,7 +55,7 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3
     size = size_of(positions)
     if not size > 0:
         return origin
-    middle = np.median(positions, axis=0).astype(np.float64)
+    middle = middle_of(positions)
     far = np.abs(middle) > FAR * size
     step = 2.0 ** np.floor(np.log2(size))
     origin[far] = np.round(middle[far] / step) * step
@@ -59,5 +64,5 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3
 
 def rounding(positions: Float32[np.ndarray, "n 3"]) -> float:
     """Scene units by which the largest coordinates of the middle of a scene may be off in float32."""
-    largest = np.abs(np.median(positions, axis=0)).max(initial=0.0)
+    largest = np.abs(middle_of(positions)).max(initial=0.0)
     return float(np.spacing(np.float32(largest)) / 2)

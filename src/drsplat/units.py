@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .gaussians import Gaussians
-from .placing import FEWEST, rounding, size_of
+from .placing import FEWEST, middle_of, rounding, size_of
 from .views import View
 
 SMALLEST, LARGEST = 1e-3, 1e5  # scene units
@@ -36,7 +36,7 @@ def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
             f"the scene is {size:.3g} units large: is its unit meant? Expected was "
             f"between {SMALLEST:g} and {LARGEST:g}"
         )
-    middle = gaussians.origin + np.median(gaussians.means, axis=0)
+    middle = gaussians.origin + middle_of(gaussians.means)
     away = (
         float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0
     )

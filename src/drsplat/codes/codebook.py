@@ -18,6 +18,7 @@ from .kmeans import Track, train_centroids, untracked
 
 BLOCK = 8192  # rows worked on at once: bounds what is decoded
 TRAINING_POINTS = 64 * CENTROIDS
+LARGEST = 1e15  # centroids: their squared norms are float32
 
 
 class Codes(NamedTuple):
@@ -64,10 +65,9 @@ class Codebook:
                 f"coarse: expected float32 (up to 65535, {self.dim}), "
                 f"got {coarse.dtype} {coarse.shape}"
             )
-        if not all(
-            np.isfinite(part).all() for part in (self.centroids, coarse) if part is not None
-        ):
-            raise InputError("centroids must be finite")
+        parts = [part for part in (self.centroids, coarse) if part is not None]
+        if not all(np.abs(part).max(initial=0) <= LARGEST for part in parts):  # NaN is not either
+            raise InputError(f"centroids must be finite, and not beyond {LARGEST:g}")
 
     @property
     def num_subvectors(self) -> int:

@@ -1,6 +1,10 @@
 """Tables on the terminal."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 BOUNDLESS = 100_000  # columns
 
@@ -23,7 +27,6 @@ def show_table(
     Nothing is cut: a headed table is as wide as it needs to be, facts are folded where a terminal ends.
     """
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(
@@ -36,10 +39,17 @@ def show_table(
     for row in rows:
         table.add_row(*row)
     print(title)
-    console, boundless = Console(), Console(width=BOUNDLESS, height=1)
+    console, boundless = _console(None), _console(BOUNDLESS)
     folded = console.is_terminal and not headed
-    width = console.width if folded else boundless.measure(table).maximum
-    Console(width=width, height=1, highlight=False, markup=False, emoji=False).print(table)
+    _console(console.width if folded else boundless.measure(table).maximum).print(table)
+
+
+def _console(width: int | None) -> "Console":
+    """Shows texts as they are: [red] and :warning: are no commands. width: None for the terminal's."""
+    from rich.console import Console
+
+    height = None if width is None else 1
+    return Console(width=width, height=height, highlight=False, markup=False, emoji=False)
 
 
 def said(value: object) -> str:

@@ -98,7 +98,9 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
     block = 1 << 16  # bounds the float64 temporaries
     for begin in range(0, len(gaussians), block):
         part = slice(begin, begin + block)
-        covariances[:, part] = gaussians.subset(np.arange(len(gaussians))[part]).covariances().T
+        with np.errstate(over="ignore"):  # infinite ones are drawn nowhere
+            rows = np.arange(len(gaussians))[part]
+            covariances[:, part] = gaussians.subset(rows).covariances().T
     placed = gaussians.localized()
     means = np.ascontiguousarray(placed.means.T)
     opacities = np.ascontiguousarray(gaussians.opacities)

@@ -77,7 +77,7 @@ class Catalog:
     def roots(self) -> tuple[Path, ...]:
         """Folders that clients are not told: of the scenes, and of the files that embed words."""
         given = (self.sources.vocabulary, self.sources.encoder)
-        files = [Path(one) for one in given if one is not None and Path(one).exists()]
+        files = [Path(one) for one in given if one is not None and _is_file(one)]
         return (self.folder, *(way.parent for one in files for way in (one, one.resolve())))
 
     def folders(self) -> dict[str, Path]:
@@ -211,6 +211,11 @@ def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
                 continue
             found.add((str(path), now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns))
     return found
+
+
+def _is_file(given: str) -> bool:
+    """Whether it names a file or folder of this machine, be it there or not, and no model of a hub."""
+    return Path(given).is_absolute() or Path(given).exists()
 
 
 def _has_field(folder: Path) -> bool:

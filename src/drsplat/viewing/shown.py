@@ -76,11 +76,12 @@ def shown_of(gaussians: Gaussians, budget: int) -> Shown:
     block = 1 << 16  # bounds the float64 temporaries
     for begin in range(0, len(part), block):
         rows = np.arange(begin, min(begin + block, len(part)))
-        covariances[rows] = part.subset(rows).covariances() * frame.scale**2
+        shown = part.subset(rows).covariances() * frame.scale**2
+        covariances[rows] = np.clip(shown, -MOST_VARIANCE, MOST_VARIANCE)
     return Shown(
         ids,
         frame.shown(part.positions).astype(np.float32),
-        np.clip(covariances, -MOST_VARIANCE, MOST_VARIANCE),
+        covariances,
         base_colors(part),
         part.opacities,
         frame,
