@@ -37,6 +37,13 @@ def vector(text: str) -> np.ndarray:
     return np.asarray(MiniEncoder().encode_texts([text])[0], np.float32)
 
 
+@pytest.mark.parametrize("color", ["green", "blue"])
+def test_a_thing_is_not_found_in_another_colour(color: str, room: AskableScene) -> None:
+    """The vase is red; no other name fits it better."""
+    assert room.ask(Question(text="red vase")).gaussian_ids.size > 1000
+    assert not room.ask(Question(text=f"{color} vase")).gaussian_ids.size
+
+
 def test_a_question_in_words_and_its_vector_have_the_same_scores(room: AskableScene) -> None:
     words = room.ask(Question(text="red vase"))
     same = room.ask(Question(vector=vector("red vase") * 4))

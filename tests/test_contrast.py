@@ -13,6 +13,7 @@ from drsplat.contrast import CROWD, NEAR, TILT, contrast, relevancy_threshold
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
+from drsplat.mini import MiniEncoder
 from drsplat.nouns import NOUNS
 from drsplat.thresholds import PEAK
 from fields import SCENE, unit_rows
@@ -183,3 +184,38 @@ def test_the_kept_scores_are_let_go_with_the_field(world: World) -> None:
     del field
     gc.collect()
     assert known() is None
+
+
+MINI = MiniEncoder()
+
+
+def faint_room(level: float, mug: float) -> LanguageField:
+    """Floor and table are at a cosine of `level` of their words, a mug at `mug` times that of its own; the
+    rest of every picture is nothing that a word speaks of."""
+    words = MINI.encode_texts(["floor", "table", "mug"])
+    nothing = np.linalg.svd(MINI.encode_texts(MINI.nouns), full_matrices=True)[2][-1]
+    shown = np.repeat([0, 1, 2], [400, 400, 2 * PEAK])
+    share = (np.array([1.0, 1.0, mug]) * level)[shown, None]
+    pictures = share * words[shown] + np.sqrt(1 - share**2) * nothing
+    return build_field(
+        evidence_of(pictures.astype(np.float32)), SCENE, MINI.identity, atoms_per_row=1
+    )
+
+
+@pytest.mark.parametrize("level", [0.12, 0.8])
+@pytest.mark.parametrize(("mug", "found"), [(0.6, 2 * PEAK), (0.3, 0)])
+def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(
+    level: float, mug: float, found: int
+) -> None:
+    """A mug fits its rows best in all of these; where it hardly fits, for this scene, there is none."""
+    field = faint_room(level, mug)
+    answer = query(field, MINI, "mug")
+    assert (answer.values[-2 * PEAK :] > 0.5).all()
+    assert len(select(field, answer)) == found
+
+
+def test_the_height_of_a_list_is_what_enough_rows_reach() -> None:
+    field = faint_room(0.5, 1.0)
+    vectors = MINI.encode_texts(MINI.nouns)
+    expected = np.sort(field.scores(vectors).max(0))[-PEAK]
+    assert_allclose(contrast(field, vectors).height, expected, atol=1e-5)

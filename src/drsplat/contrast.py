@@ -6,13 +6,14 @@ cosine with the pictures of the scene counts half. See docs/method.md.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
 from .field import LanguageField
-from .thresholds import clear_threshold
+from .thresholds import clear_threshold, peak_score
 
 TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
 NEAR = 0.5  # cosine of two texts, seen from their mean: they mean the same and do not compete
@@ -37,6 +38,12 @@ class Contrast:
     spread: float
     scores: Float32[np.ndarray, "r t"]
     words: UInt16[np.ndarray, "r t"]
+
+    @cached_property
+    def height(self) -> float:
+        """The cosine that enough rows for a thing reach with a word of the list, whichever fits them best."""
+        levels = (self.vectors @ self.usual)[self.words]
+        return peak_score((self.scores + levels).max(1)) if len(self.scores) else 0.0
 
     def relevancy(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]

@@ -17,12 +17,21 @@ BINS, STEPS, SETTLED = 512, 200, 1e-4
 Scores = Float[np.ndarray, " r"]
 
 
+def peak_score(scores: Scores, peak: int = PEAK) -> float:
+    """The `peak`-th highest, the lowest of fewer: what as many rows reach as make a thing.
+
+    Raises: InputError: no scores, or some that are not finite.
+    """
+    _check(scores)
+    return _largest(scores, min(peak, len(scores)))
+
+
 def rise(scores: Scores, peak: int = PEAK) -> float:
     """How far the `peak`-th highest score stands above the median.
 
     Raises: InputError: no scores, or some that are not finite.
     """
-    return float(_peak(scores, peak) - _median(scores))
+    return float(peak_score(scores, peak) - _median(scores))
 
 
 def automatic_threshold(
@@ -54,7 +63,7 @@ def threshold_above(scores: Scores, least: float, *, peak: int = PEAK) -> float:
     For scores of which 0 means "as well as not": what answers half of a query ("red", of "red mug") is left out
     where something answers all of it. No scores: `least`.
     """
-    return max(least, CUT * _peak(scores, peak)) if len(scores) else least
+    return max(least, CUT * peak_score(scores, peak)) if len(scores) else least
 
 
 def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = PEAK) -> float:
@@ -64,7 +73,7 @@ def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = P
     """
     if not len(scores):
         return least
-    return least if _peak(scores, peak) > clear else float(scores.max())
+    return least if peak_score(scores, peak) > clear else float(scores.max())
 
 
 def share_threshold(scores: Scores, share: float) -> float:
@@ -156,11 +165,6 @@ def _largest(scores: Scores, rank: int) -> float:
     """The `rank`-th largest, counted from 1."""
     at = len(scores) - rank
     return float(np.partition(scores, at)[at])
-
-
-def _peak(scores: Scores, peak: int) -> float:
-    _check(scores)
-    return _largest(scores, min(peak, len(scores)))
 
 
 def _median(scores: Scores) -> float:

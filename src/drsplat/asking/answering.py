@@ -35,7 +35,7 @@ from ..search import (
     without,
 )
 from ..tasks import select
-from ..thresholds import automatic_threshold, share_threshold, threshold_above
+from ..thresholds import automatic_threshold, peak_score, share_threshold, threshold_above
 from .questions import Question
 from .word_list import list_vectors
 
@@ -100,6 +100,14 @@ class Background:
         """What a list of words reaches at each Gaussian; None where no list is known."""
         vectors = list_vectors(self.encoder)
         return contrast(self.field, vectors, threads=self.threads) if len(vectors) else None
+
+    @cached_property
+    def least_peak(self) -> float:
+        """Cosine that a thing's best rows exceed: the encoder's share of what the list reaches in this scene."""
+        share = getattr(self.encoder, "least_share", None) if self.kept_contrast is None else None
+        if share is None or self.contrast is None:
+            return -np.inf
+        return float(share * self.contrast.height)
 
     @cached_property
     def negatives(self) -> Negatives:
@@ -187,7 +195,14 @@ class Asking:
         values = None if self.question.measures_relevancy else self._contrasted(query, scores)
         if values is None:
             return self._measured(query, scores, (AUTO, AUTO))
-        return self._cut(query, scores, values, (relevancy_threshold(values), LIST))
+        return self._cut(query, scores, values, (self._list_threshold(scores, values), LIST))
+
+    def _list_threshold(
+        self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
+    ) -> float:
+        """As relevancies have it, or the highest where cosines are too low for this scene."""
+        low = len(scores) > 0 and peak_score(scores) <= self.background.least_peak
+        return float(values.max()) if low else relevancy_threshold(values)
 
     def _contrasted(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]

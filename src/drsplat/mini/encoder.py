@@ -22,14 +22,16 @@ _ROWS = {word: row for row, word in enumerate(WORDS)}
 class MiniEncoder:
     """Knows the things, colours and materials of `lexicon`, and nothing else.
 
-    A text is the sum of its words. nouns: what queries are contrasted with. threshold: the fixed cosine
-    that finds most in fields which `world/mini/cutting.py` makes of rooms of the training split; queries follow
-    the scene instead.
+    A text is the sum of its words. nouns: what queries are contrasted with. least_share: of the cosine that
+    these reach in a scene, what a query has to reach there too: "blue mug" fits a red one better than any
+    other name does, but not well. threshold: the fixed cosine that finds most in fields which
+    `world/mini/cutting.py` makes of rooms of the training split; queries follow the scene instead.
     """
 
     name = "drsplat-mini"
     threshold = 0.2
     nouns = (*NAMES, *STRUCTURES)
+    least_share = 0.42
 
     def __init__(self) -> None:
         from safetensors.numpy import load

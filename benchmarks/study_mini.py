@@ -1,0 +1,145 @@
+"""Which rule cuts the answers of the built-in encoder `mini`.
+
+    python benchmarks/study_mini.py world/scenes/table_2 world/scenes/table_4 ... --kept FOLDER
+    python benchmarks/study_mini.py --field photos.field --ask "something red" "something blue"
+
+Masks of the segmenter `graph` in packed rooms of world/scenes. Asked are each name and each "colour name" of
+what is in a room, the names that are not there, and 30 names that are there in colours that they do not
+have. IoU is over Gaussians, by the weight that the photos give them; "nothing": how often rightly nothing is
+found, fewer than 40 Gaussians. The numbers of the rule were chosen on table_1, table_3, room_5 and room_7.
+--kept: where fields and truth of rooms are kept (minutes a room), and found the next time.
+--field, --ask: a field of any scene, and what of several texts is found in it, without a truth.
+"""
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from scipy.sparse import csr_array
+from study_thresholds import registered
+from world.benchmark.masks import features_of
+from world.benchmark.scenes import read_scene
+
+from drsplat import LanguageField, MiniEncoder, load_field, query, register
+from drsplat.asking.word_list import list_vectors
+from drsplat.contrast import contrast, relevancy_threshold
+from drsplat.mini.lexicon import COLORS, NAMES
+from drsplat.thresholds import PEAK, peak_score, threshold_above
+
+SHARES = (0.3, 0.36, 0.42, 0.48)
+VISIBLE = 60  # Gaussians of a thing that is asked for
+IN_OTHER_COLORS = 30
+MINI = MiniEncoder()
+
+
+def kept_room(folder: Path, kept: Path) -> tuple[LanguageField, np.ndarray, np.ndarray]:
+    """A field; per Gaussian of the scene the number of its thing, and the weight that photos give it."""
+    path = kept / folder.name
+    if not (path.with_suffix(".npz")).is_file():
+        kept.mkdir(parents=True, exist_ok=True)
+        scene = read_scene(folder)
+        made = register(scene.gaussians, scene.views, features_of(scene, "graph", MINI))
+        made = replace(made, encoder=MINI.identity)
+        made.to_field(atoms_per_row=4).save(path.with_suffix(".field"), overwrite=True)
+        exact, owners = registered(scene, "true")
+        known = np.flatnonzero(owners >= 0)
+        shape = (len(owners), owners.max() + 1)
+        one = csr_array((np.ones(len(known), np.float32), (known, owners[known])), shape=shape)
+        votes = (exact.weights @ one).toarray()
+        labels = np.where(votes.any(1), votes.argmax(1), -1)
+        np.savez(path.with_suffix(".npz"), labels=labels, mass=votes.sum(1))
+    with np.load(path.with_suffix(".npz")) as known_labels:
+        labels, mass = known_labels["labels"], known_labels["mass"]
+    field = load_field(path.with_suffix(".field"))
+    return field, labels[field.gaussian_ids], mass[field.gaussian_ids]
+
+
+def questions(folder: Path, labels: np.ndarray) -> dict[tuple[str, str], list[int]]:
+    """By kind and text, the things that are meant."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    meant: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for thing in (*truth["objects"], *truth["structures"]):
+        name, color, number = thing["name"], thing.get("color", ""), thing["id"]
+        if (labels == number).sum() < VISIBLE:
+            continue
+        meant["names" if color else "structures", name].append(number)
+        if color and color != name:
+            meant["colour and name", f"{color} {name}"].append(number)
+    there = {thing["name"] for thing in truth["objects"]}
+    right = {f"{thing['color']} {thing['name']}" for thing in truth["objects"]}
+    meant |= {("absent", name): [] for name in NAMES if name not in there}
+    texts = [f"{color} {name}" for name in sorted(there) for color in COLORS if color != name]
+    wrong = np.random.default_rng(0).permutation([text for text in texts if text not in right])
+    return meant | {("other colour", str(text)): [] for text in wrong[:IN_OTHER_COLORS]}
+
+
+def selections(field: LanguageField, text: str) -> Iterator[tuple[str, np.ndarray]]:
+    """By rule, which rows it selects."""
+    vector = MINI.encode_texts([text])[0]
+    cosines, known = field.scores(vector), contrast(field, list_vectors(MINI))
+    yield "cosine above 0.2 and 0.6 of the peak (before)", cosines > threshold_above(cosines, 0.2)
+    values = known.relevancy(vector, cosines)
+    assert values is not None
+    listed = values > relevancy_threshold(values)
+    yield "list", listed
+    for share in SHARES:
+        yield f"list, {share} of its height", listed & (peak_score(cosines) > share * known.height)
+    answer = query(field, MINI, text)
+    yield "the rule", answer.values > answer.threshold
+
+
+def study(folders: list[Path], kept: Path) -> None:
+    found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for folder in folders:
+        field, labels, mass = kept_room(folder, kept)
+        for (kind, text), ids in questions(folder, labels).items():
+            truth = np.isin(labels, ids)
+            for rule, selected in selections(field, text):
+                enough = selected.sum() >= PEAK
+                both, either = mass[selected & truth].sum(), mass[selected | truth].sum()
+                iou = float(both / either) if enough else 0.0
+                found[rule][kind].append(iou if ids else float(not enough))
+    kinds = ["names", "colour and name", "structures", "absent", "other colour"]
+    asked = next(iter(found.values()))
+    print("| rule |", " | ".join(f"{kind} ({len(asked[kind])})" for kind in kinds), "|")
+    print("|---" * (1 + len(kinds)) + "|")
+    for rule, results in found.items():
+        print(f"| {rule} |", " | ".join(f"{np.mean(results[kind]):.3f}" for kind in kinds), "|")
+
+
+def ask(field: LanguageField, texts: list[str]) -> None:
+    print("| text | selected | cosine above 0.2 (before) | 40th highest cosine, of the list's |")
+    print("|---|---|---|---|")
+    height = contrast(field, list_vectors(MINI)).height
+    for text in texts:
+        answer = query(field, MINI, text)
+        before = (answer.scores > threshold_above(answer.scores, 0.2)).sum()
+        share = peak_score(answer.scores) / height
+        print(f"| {text} | {len(answer.gaussian_ids):,} | {before:,} | {share:.2f} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("rooms", type=Path, nargs="*")
+    parser.add_argument("--kept", type=Path, default=Path("kept"))
+    parser.add_argument("--field", type=Path)
+    parser.add_argument("--ask", nargs="+", default=[])
+    arguments = parser.parse_args()
+    if arguments.rooms:
+        study(arguments.rooms, arguments.kept)
+    if arguments.field:
+        ask(load_field(arguments.field), arguments.ask)
+
+
+if __name__ == "__main__":
+    main()
