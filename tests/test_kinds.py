@@ -105,7 +105,7 @@ def test_reprs_are_a_line(room: Path) -> None:
     features = ds.read_features(room / "capture/language_features", encoder=ds.WordEncoder.identity)
     registration = ds.register(gaussians, views, features)
     field = registration.to_field()
-
+    answer = ds.query(field, ds.WordEncoder(), "red mug")
     things = ds.locate(field, gaussians, answer.relevancy, 0.5)
     scene = AskableScene("balls", gaussians, field, tuple(views), ds.WordEncoder)
     values = [

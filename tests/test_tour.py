@@ -59,7 +59,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_demo(folder)
     shutil.rmtree(folder / "capture/language_features")
     write_poses_and_points(folder)
-    write_model(folder / CLIP, "clip", dim=DIM)
+    write_model(folder / CLIP, "clip", dim=DIM, tokens=40)  # for the longest noun
     encoder = ds.load_encoder(str(folder / CLIP), "cpu")
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))

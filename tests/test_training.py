@@ -216,7 +216,7 @@ def unfinished(folder: Path, views: list[ds.View], points: ds.SparsePoints) -> P
 def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, tmp_path):
     checkpoint = unfinished(tmp_path / "model", views, points)
     before = checkpoint.read_bytes()
-    with pytest.raises(ds.MismatchError, match=r"other settings.*--overwrite"):
+    with pytest.raises(ds.MismatchError, match=r"other settings.*overwrite=True"):
         ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
     with pytest.raises(ds.MismatchError, match="other poses and photos:"):
         ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")

@@ -22,8 +22,13 @@ _TEXT = {
 _VISION = {"patch_size": PATCH, "image_size": SIDE, **_SIZES}
 
 
-def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None) -> Path:
-    """A model and its tokenizer; the preprocessing is left to the published one. dim: of a clip's vectors."""
+def write_model(
+    folder: Path, kind: str, seed: int = 0, dim: int | None = None, tokens: int = TOKENS
+) -> Path:
+    """A model and its tokenizer; the preprocessing is left to the published one. dim: of a clip's vectors.
+
+    tokens: that it reads; letters are tokens where a word is none of WORDS.
+    """
     import torch
     import transformers
 
@@ -34,6 +39,8 @@ def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None) 
     settings = config(kind)
     if dim is not None:
         settings.projection_dim = dim
+    if kind != "dinov2":
+        settings.text_config.max_position_embeddings = tokens
     model = getattr(transformers, f"{name}Model")(settings)
     with torch.no_grad():  # as in training: fresh ones are so small that all texts look alike
         for weight in model.parameters():

@@ -33,7 +33,13 @@ def parsed(text: str | bytes) -> object:
     text = text.decode("utf-8-sig") if isinstance(text, bytes) else text
     document: object = json.loads(text, object_pairs_hook=unique_names)
     if "\\u" in text:  # only so may half a character come in
-        json.dumps(document, ensure_ascii=False).encode()
+        try:
+            json.dumps(document, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:
+            half = ascii(error.object[error.start])
+            raise ValueError(
+                f"expected text that can be written, got half a character, {half}"
+            ) from None
     return document
 
 
