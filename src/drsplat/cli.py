@@ -148,8 +148,8 @@ def _run(argv: list[str]) -> int:
     with _warnings_as_lines(arguments.flags):
         try:
             answer = arguments.command.run(arguments)
-        except DrSplatError as error:
-            error.args = (spelled(str(error), arguments.flags),)
+        except (DrSplatError, KeyboardInterrupt) as error:
+            error.args = tuple(spelled(str(part), arguments.flags) for part in error.args)
             raise
     if arguments.json:
         print(json.dumps(answer, default=_as_json))
