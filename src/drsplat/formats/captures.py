@@ -113,7 +113,7 @@ def _points_of(source: _Source) -> tuple[np.ndarray, np.ndarray] | None:
     if named is None:
         return None
     if not named.is_file():
-        text = f"{source.path}: its ply_file_path, {named}, is missing: name one with points=FILE (--points)"
+        text = f"{source.path}: its ply_file_path, {named}, is missing: name one with points=FILE"
         warnings.warn(text, DrSplatWarning, stacklevel=3)
         return None
     return read_point_ply(named)

@@ -113,7 +113,7 @@ class Keeper:
         at = f"after iteration {self.run.iteration:,} of {self.run.settings.iterations:,}"
         if self.folder is None:
             return at
-        return f"{at}, which {self.folder.checkpoint} holds: the same command, without --overwrite, goes on from there"
+        return f"{at}, which {self.folder.checkpoint} holds: the same command, without overwrite=True, goes on from there"
 
     def _note(self) -> None:
         scores = self._tested(None)
@@ -176,7 +176,7 @@ def _tell_of_fog(training: Training) -> None:
     warnings.warn(
         f"held-out photos are rendered at {test.psnr:.1f} dB, those trained on at {training.psnr_train:.1f}: the scene "
         "looks right only from where it was photographed, as fog does, and searching it will disappoint. More photos "
-        "from places in between help, as do sharper ones, right poses, and points to start from (--points)",
+        "from places in between help, as do sharper ones, right poses, and points to start from (points=FILE)",
         DrSplatWarning,
         stacklevel=4,
     )
