@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zlib
@@ -99,8 +100,17 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path: Path) -> None:
 
 def test_inspect_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = saved_field(tmp_path)
+    (path / "notes.txt").write_text("not of the field")
+    manifest = json.loads((path / "field.json").read_text())
     assert main(["inspect", str(path), "--verify", "--json"]) == 0
-    assert "codes.safetensors" in json.loads(capsys.readouterr().out)["verified"]
+    verified = json.loads(capsys.readouterr().out)["verified"]
+    del manifest["crc32"]
+    assert verified == sorted(["field.json", *manifest["files"]])
+    old = tmp_path / "old.field"
+    shutil.copytree(path, old)
+    (old / "field.json").write_text(json.dumps({**manifest, "version": 2}))
+    assert main(["inspect", str(old), "--verify", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verified"] == []  # it has no checksums
     damage(path / "negatives.safetensors", "maxima")
     assert main(["inspect", str(path), "--verify"]) == 1
     assert "'maxima' is not what was written" in capsys.readouterr().err

@@ -68,7 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return _failed(error, type(error).__name__, FAILED, as_json)
     except KeyboardInterrupt as interrupt:
-        print(": ".join(["drsplat: interrupted", *map(str, interrupt.args)]), file=sys.stderr)
+        said = ": ".join(["drsplat: interrupted", *map(str, interrupt.args)])
+        print(spelled(said, {"overwrite": "--overwrite"}), file=sys.stderr)
         return INTERRUPTED
     except SystemExit as ending:  # argparse, after --help or --version
         return ending.code if isinstance(ending.code, int) else 0

@@ -179,8 +179,17 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "negatives": list(field.negatives.texts) if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},
         "fingerprint": field.fingerprint,
-        **({"verified": [file.name for file in files]} if arguments.verify else {}),
+        **({"verified": _verified(Path(arguments.path))} if arguments.verify else {}),
     }
+
+
+def _verified(field: Path) -> list[str]:
+    """The files of a field that have checksums: none of older ones, and nothing that lies beside them."""
+    from ..field.loading import SUMMED
+    from ..formats.field_folder import MANIFEST, read_manifest
+
+    manifest: dict[str, Any] = read_manifest(field)
+    return sorted([*manifest["files"], MANIFEST]) if manifest["version"] >= SUMMED else []
 
 
 def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
