@@ -44,6 +44,12 @@ def test_a_thing_is_not_found_in_another_colour(color: str, room: AskableScene) 
     assert not room.ask(Question(text=f"{color} vase")).gaussian_ids.size
 
 
+def test_what_fits_half_of_a_query_is_left_out(room: AskableScene) -> None:
+    """The room has a red bookcase too, which fits "red vase" better than any name of the list."""
+    (vase,) = room.find(Question(text="red vase"))
+    assert max(vase.thing.extent) < 0.3
+
+
 def test_a_question_in_words_and_its_vector_have_the_same_scores(room: AskableScene) -> None:
     words = room.ask(Question(text="red vase"))
     same = room.ask(Question(vector=vector("red vase") * 4))

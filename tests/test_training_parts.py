@@ -165,7 +165,7 @@ def test_extent_is_a_tenth_more_than_the_farthest_camera():
         ([], 8, "got 0"),
         (circle(1), 8, "got 1"),
         (circle(2), 8, "test_every=0"),
-        (circle(8, path=None), 8, "8 of 8 views have no photo.*--images"),
+        (circle(8, path=None), 8, "8 of 8 views have no photo.*images=FOLDER"),
         (circle(8, radius=1e-9), 8, "in one place"),
         ([*circle(4), *circle(4)], 8, "one name"),
     ],

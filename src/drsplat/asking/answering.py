@@ -39,6 +39,8 @@ from ..thresholds import automatic_threshold, peak_score, share_threshold, thres
 from .questions import Question
 from .word_list import list_vectors
 
+HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
+
 _Default = tuple[float | str, str]
 
 
@@ -195,7 +197,8 @@ class Asking:
         values = None if self.question.measures_relevancy else self._contrasted(query, scores)
         if values is None:
             return self._measured(query, scores, (AUTO, AUTO))
-        return self._cut(query, scores, values, (self._list_threshold(scores, values), LIST))
+        default = self._list_threshold(scores, values), LIST
+        return self._cut(query, scores, self._whole(scores, values), default)
 
     def _list_threshold(
         self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
@@ -209,6 +212,18 @@ class Asking:
     ) -> Float32[np.ndarray, " r"] | None:
         known = self.background.kept_contrast or self.background.contrast
         return None if known is None else known.relevancy(query, scores)
+
+    def _whole(
+        self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
+    ) -> Float32[np.ndarray, " r"]:
+        """Relevancies, those of rows that fit half of the query lowered where others fit all of it.
+
+        "Red vase" is not asking for a red shelf. Of encoders only whose texts are sums of words, see `least_peak`.
+        """
+        if not len(scores) or not np.isfinite(self.background.least_peak):
+            return values
+        half = scores <= HALF * peak_score(scores)
+        return np.where(half, np.minimum(values, np.float32(RELEVANCY_THRESHOLD)), values)
 
     def _measured(
         self,
