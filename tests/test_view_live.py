@@ -124,15 +124,17 @@ def test_what_is_suggested_is_found(live: Live) -> None:
 
 
 def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Live) -> None:
-    live.ask("book; brown table; window")
+    live.ask("wooden table; brown table; window")
     total = sum(len(one.found) for one in live.session.results)
     assert total > 12
-    live.page.get_by_role("button", name="1 book ·").wait_for()
+    live.page.get_by_role("button", name="1 wooden table ·").wait_for()
     assert live.page.get_by_role("button", name=re.compile("^12 ")).is_visible()
     assert not live.page.get_by_role("button", name=re.compile("^13 ")).is_visible()
     live.page.get_by_text(f"{total - 12} more", exact=True).click()
     live.page.get_by_role("button", name=re.compile("^13 ")).wait_for()
-    assert "1 book" in [mark.text for mark in live.panel.window._marks if hasattr(mark, "text")]
+    assert "1 wooden table" in [
+        mark.text for mark in live.panel.window._marks if hasattr(mark, "text")
+    ]
     live.ask("red vase")
     assert not live.page.get_by_role("button", name=re.compile("^2 ")).is_visible()
 
