@@ -138,7 +138,7 @@ def test_any_name_is_printed_on_any_terminal(name: str, encoding: str, tmp_path:
     ("text", "reason"),
     [
         ('{"vase": [1, 0], "vase": [0, 1]}', "'vase' is given twice"),
-        (r'{"\ud800": [1, 0]}', "surrogates"),
+        (r'{"\ud800": [1, 0]}', "half a character"),
     ],
 )
 def test_vocabularies_whose_names_are_no_names_are_refused(
