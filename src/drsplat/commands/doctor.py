@@ -23,12 +23,15 @@ PACKAGES = {
     "numpy": "core", "scipy": "core", "pillow": "core", "safetensors": "core", "zstandard": "core",
     "rich": "core", "jaxtyping": "core", "torch": "models, cuda", "transformers": "models",
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1", "torchvision": "not needed",
-    "gsplat": "cuda", "viser": "viewer", "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve",
+    "gsplat": "cuda", "viser": "viewer", "msgspec": "viewer", "websockets": "viewer", "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve",
     "mcp": "mcp", "faiss-cpu": "not needed",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
-    "see and ask scenes in a browser (drsplat view)": ("viewer", ("viser",)),
+    "see and ask scenes in a browser (drsplat view)": (
+        "viewer",
+        ("viser", "msgspec", "websockets"),
+    ),
     "serve scenes over HTTP (drsplat serve)": (
         "serve",
         ("fastapi", "uvicorn", "prometheus_client"),
