@@ -178,7 +178,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
             ("find", {}, "find: text: Field required"),
             (
                 "show",
-                {"save": "/tmp/x.png"},
+                {"save": "x.png"},
                 "show: no argument save; there are: text, view, scene",
             ),
             ("show", {"view": "photo"}, "there is no view 'photo'"),
