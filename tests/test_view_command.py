@@ -135,13 +135,14 @@ def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path) 
 
 
 @pytest.mark.parametrize(
-    "options", [["--port", "99999999999"], ["--host", "300.1.1.1"], ["--host", "a" * 300]]
+    ("options", "code"),
+    [(["--port", "99999999999"], 2), (["--host", "300.1.1.1"], 1), (["--host", "a" * 300], 1)],
 )
 def test_where_it_cannot_listen_is_said(
-    folder: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+    folder: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int
 ) -> None:
     pytest.importorskip("viser")
-    assert main(["view", str(folder), *options]) in (1, 2)
+    assert main(["view", str(folder), *options]) == code
     assert re.search("listen|port", capsys.readouterr().err)
 
 
