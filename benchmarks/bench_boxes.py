@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 
 import drsplat as ds
 from drsplat.boxes import Box, box_of, upward
-from drsplat.tasks import _components
+from drsplat.query.tasks import _components
 
 SCENES = Path(__file__).parent.parent / "world" / "scenes"
 LEAST, SOLID = 40, 0.1

@@ -83,7 +83,7 @@ class Client:
             return "locate", {"text": NAMES[thing]}
         if which == 1:
             return "what-is", {"point": self.points[thing].tolist(), "names": NAMES}
-        return "query", {"text": NAMES[thing]}
+        return "select", {"text": NAMES[thing]}
 
 
 async def exchange(

@@ -18,7 +18,7 @@ from bench_search import IDENTITY, random_code
 from machine import describe
 
 from drsplat import Gaussians, LanguageField, write_gaussians
-from drsplat.asking import AskableScene, SceneFiles, open_scene
+from drsplat.query import Scene, SceneFiles, open_scene
 from drsplat.viewing.panel import Panel
 from drsplat.viewing.session import Session
 from drsplat.viewing.window import Window
@@ -57,7 +57,7 @@ def drawn_scene(count: int) -> tuple[Gaussians, LanguageField]:
 
 def seconds_to_ask(count: int, rounds: int, threads: int) -> np.ndarray:
     scene, field = drawn_scene(count)
-    source = AskableScene("drawn", scene, field, (), lambda: ThingEncoder(field), threads)
+    source = Scene(field, scene, (), lambda: ThingEncoder(field), name="drawn", threads=threads)
     window = Window(Session(source), UP, port=8935)
     panel, seconds = Panel(window, Path()), []
     for number in range(rounds + 1):

@@ -29,10 +29,10 @@ from world.benchmark.masks import features_of
 from world.benchmark.scenes import read_scene
 
 from drsplat import LanguageField, MiniEncoder, load_field, query, register
-from drsplat.asking.word_list import list_vectors
-from drsplat.contrast import contrast, relevancy_threshold
 from drsplat.mini.lexicon import COLORS, NAMES
-from drsplat.thresholds import PEAK, peak_score, threshold_above
+from drsplat.query.contrast import contrast, relevancy_threshold
+from drsplat.query.thresholds import PEAK, peak_score, threshold_above
+from drsplat.query.word_list import list_vectors
 
 SHARES = (0.3, 0.36, 0.42, 0.48)
 VISIBLE = 60  # Gaussians of a thing that is asked for

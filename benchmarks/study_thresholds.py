@@ -34,11 +34,11 @@ from world.benchmark.scenes import BenchScene, read_scene
 
 from drsplat import EncoderIdentity, ViewFeatures, load_image, read_faiss_codebook, register
 from drsplat.aggregation import aggregator
-from drsplat.contrast import CLEAR, Contrast, _contrast
 from drsplat.evidence import Evidence
 from drsplat.mask_selection import segment_maps
+from drsplat.query.contrast import CLEAR, Contrast, _contrast
+from drsplat.query.thresholds import PEAK, automatic_threshold, clear_threshold
 from drsplat.segments import LEVELS
-from drsplat.thresholds import PEAK, automatic_threshold, clear_threshold
 
 ROWS, OF = 12_000, 50_000  # Gaussians looked at, and of a scene
 PEAK_HERE = round(PEAK * ROWS / OF)

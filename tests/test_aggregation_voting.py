@@ -17,7 +17,7 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.gaussians import Gaussians
-from drsplat.smoothing import field_neighbours, smoothed
+from drsplat.query.smoothing import field_neighbours, smoothed
 from scenes import random_gaussians
 from test_aggregation import evidence_of
 

@@ -11,9 +11,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from drsplat import Gaussians, InputError, MismatchError, load_field, locate, register
+from drsplat import Answer, Gaussians, InputError, MismatchError, Scene, load_field, register
 from drsplat.boxes import Box, box_of, mixture_quantile, up_of, upward
 from drsplat.formats.field_folder import MANIFEST
+from drsplat.query.tasks import locate
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
 from test_tasks import boxes_scene, field_of, unit
@@ -146,11 +147,11 @@ def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None
     again = load_field(tmp_path / "a.field")
     assert again.up is not None
     assert_allclose(again.up, registration.up, rtol=1e-12)
-    (thing,) = locate(again, gaussians, np.ones(len(again), np.float32), 0.5, link_distance=9.0)
-    assert_allclose(thing.axes[2], registration.up)
-    (free,) = locate(
-        again, gaussians, np.ones(len(again), np.float32), 0.5, link_distance=9.0, box="free"
-    )
+    scene, every = Scene(again, gaussians), Answer.of(again, np.ones(len(again), np.float32), 0.5)
+    assert_allclose(scene.up, registration.up, rtol=1e-12)
+    (match,) = locate(every, gaussians, link_distance=9.0, up=scene.up)
+    assert_allclose(match.axes[2], registration.up)
+    (free,) = locate(every, gaussians, link_distance=9.0)
     assert (np.diff(free.extent) <= 0).all()
 
 
@@ -159,10 +160,12 @@ def test_without_up_boxes_are_free() -> None:
     field = field_of(scene, labels)
     assert field.up is None
     upright, free = (
-        locate(field, scene, field.scores(unit(0)), 0.5, box=box)[0] for box in ("upright", "free")
+        Scene(field, scene).locate(Answer.of(field, field.scores(unit(0)), 0.5), box=box)[0]
+        for box in ("upright", "free")
     )
     assert_allclose(upright.axes, free.axes)
-    standing = locate(replace(field, up=UP), scene, field.scores(unit(0)), 0.5)[0]
+    known = replace(field, up=UP)
+    standing = Scene(known, scene).locate(Answer.of(known, field.scores(unit(0)), 0.5))[0]
     assert_allclose(standing.axes[2], UP)
 
 

@@ -29,7 +29,7 @@ from drsplat import (
 )
 from drsplat.cli import VERBS, main
 from drsplat.demo import story as household
-from drsplat.demo.questions import QUESTIONS
+from drsplat.demo.probes import PROBES
 from drsplat.formats.npy import write_npy
 from drsplat.progress import peak_memory_bytes, track
 
@@ -94,13 +94,13 @@ def test_version(capsys: Capture) -> None:
     [
         [],
         ["bogus"],
-        ["query"],
+        ["locate"],
         ["inspect", "x", "--threads", "-1"],
         ["inspect", "x", "--jso"],
-        ["query", "x", "mug", "--threshold", "nan"],
-        ["query", "x", "mug", "--threshold", "high"],
-        ["query", "x", "mug", "--top", "0"],
-        ["query", "x", "mug", "--min-gaussians", "-1"],
+        ["locate", "x", "mug", "--threshold", "nan"],
+        ["locate", "x", "mug", "--threshold", "high"],
+        ["locate", "x", "mug", "--top", "0"],
+        ["locate", "x", "mug", "--min-gaussians", "-1"],
         ["render", "x", "--views", "x", "--all", "--threshold", "inf"],
     ],
 )
@@ -328,31 +328,31 @@ def test_parts_of_other_settings_are_not_used(
 
 def test_query_in_words(room: Path, story: Story, capsys: Capture) -> None:
     scene = ["--scene", room / "scene.ply"]
-    answer = answer_of(capsys, "query", room / "room.field", "blue cup", *scene)
+    answer = answer_of(capsys, "locate", room / "room.field", "blue cup", *scene)
     assert (answer["found"], answer["measure"]) == (True, "cosine")
     assert answer["threshold"] == WordEncoder.threshold
     truth = story.gaussians.means[story.room.members("blue mug")]
-    thing = answer["instances"][0]
+    thing = answer["matches"][0]
     np.testing.assert_allclose(thing["center"], (truth.min(0) + truth.max(0)) / 2, atol=0.03)
     assert thing["support"][0]["view"].startswith("photo_")
     assert 0 < thing["support"][0]["share"] <= 1
     assert answer["score_range"][0] < answer["score_p99"] <= answer["score_range"][1] <= 1
-    out = text_of(capsys, "query", room / "room.field", "blue cup", *scene)
+    out = text_of(capsys, "locate", room / "room.field", "blue cup", *scene)
     assert "1 found for 'blue cup'" in out
     assert "threshold 0.6" in out
 
 
 def test_query_that_finds_nothing_says_so(room: Path, capsys: Capture) -> None:
-    argv = ["query", room / "room.field", "elephant", "--scene", room / "scene.ply"]
+    argv = ["locate", room / "room.field", "elephant", "--scene", room / "scene.ply"]
     answer = answer_of(capsys, *argv)
-    assert (answer["found"], answer["instances"], answer["num_selected"]) == (False, [], 0)
+    assert (answer["found"], answer["matches"], answer["num_selected"]) == (False, [], 0)
     assert text_of(capsys, *argv).startswith("Nothing found for 'elephant'.")
 
 
 def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:
-    argv = ["query", room / "room.field", "mug", "--scene", room / "scene.ply", "--min-gaussians"]
-    larger, smaller = (t["num_gaussians"] for t in answer_of(capsys, *argv, 40)["instances"])
-    only_one = answer_of(capsys, *argv, max(larger, smaller))["instances"]
+    argv = ["locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--min-gaussians"]
+    larger, smaller = (t["num_gaussians"] for t in answer_of(capsys, *argv, 40)["matches"])
+    only_one = answer_of(capsys, *argv, max(larger, smaller))["matches"]
     assert [thing["num_gaussians"] for thing in only_one] == [max(larger, smaller)]
     assert larger != smaller
 
@@ -360,15 +360,15 @@ def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:
 def test_query_by_vector_equals_query_in_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
     write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
     by_vector = answer_of(
-        capsys, "query", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6
+        capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6
     )
-    in_words = answer_of(capsys, "query", room / "room.field", "ball")
+    in_words = answer_of(capsys, "locate", room / "room.field", "ball")
     assert by_vector["num_selected"] == in_words["num_selected"] > 0
     assert by_vector["score_range"] == in_words["score_range"]
-    default = answer_of(capsys, "query", room / "room.field", "--vector", tmp_path / "q.npy")
+    default = answer_of(capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy")
     assert default["threshold_rule"] == "auto"
     assert default["num_selected"] == pytest.approx(in_words["num_selected"], rel=0.2)
-    assert by_vector["instances"] is None
+    assert by_vector["matches"] is None
 
 
 def test_query_by_relevancy(room: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -376,16 +376,16 @@ def test_query_by_relevancy(room: Path, tmp_path: Path, capsys: Capture) -> None
     encoder = WordEncoder()
     negatives = encoder.encode_texts(["object", "things", "stuff", "texture"])
     expected = field.relevancy(encoder.encode_texts(["ball"])[0], negatives)
-    answer = answer_of(capsys, "query", room / "room.field", "ball", "--relevancy")
+    answer = answer_of(capsys, "locate", room / "room.field", "ball", "--relevancy")
     assert (answer["measure"], answer["threshold"]) == ("relevancy", 0.5)
     np.testing.assert_allclose(answer["score_range"], [expected.min(), expected.max()], rtol=1e-6)
     assert answer["num_selected"] == (expected > 0.5).sum()
     write_npy(tmp_path / "n.npy", negatives)
     same = answer_of(
-        capsys, "query", room / "room.field", "ball", "--negatives", tmp_path / "n.npy"
+        capsys, "locate", room / "room.field", "ball", "--negatives", tmp_path / "n.npy"
     )
     assert same["score_range"] == answer["score_range"]
-    other = answer_of(capsys, "query", room / "room.field", "ball", "--negatives", "orange, floor")
+    other = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", "orange, floor")
     assert other["score_range"][1] < answer["score_range"][1]
 
 
@@ -398,46 +398,46 @@ def test_query_needs_the_right_encoder(
     assert answer_of(capsys, *registering(room, output, codebook))["encoder"] == encoder.name
     wrong = [*registering(room, tmp_path / "x.field", codebook), "--encoder-name", "drsplat-words"]
     assert "codebook" in error_of(capsys, *wrong)
-    message = error_of(capsys, "query", output, "red mug")
+    message = error_of(capsys, "locate", output, "red mug")
     assert "ViT-B-16/any" in message
     assert "--vocabulary FILE" in message
     texts = ["red mug", "object", "things", "stuff", "texture"]
     vectors = WordEncoder().encode_texts(texts)
     vocabulary = tmp_path / "texts.json"
     vocabulary.write_text(json.dumps(dict(zip(texts, vectors.tolist(), strict=True))))
-    argv = ["query", output, "red mug", "--vocabulary", vocabulary]
+    argv = ["locate", output, "red mug", "--vocabulary", vocabulary]
     answer = answer_of(capsys, *argv)
     assert (answer["threshold_rule"], answer["measure"]) == ("list", "relevancy")
-    alone = answer_of(capsys, "query", room / "room.field", "red mug")
+    alone = answer_of(capsys, "locate", room / "room.field", "red mug")
     assert answer["num_selected"] >= alone["num_selected"] > 0
     assert answer_of(capsys, *argv, "--relevancy")["num_selected"] > 0
-    assert "blue mug" in error_of(capsys, "query", output, "blue mug", "--vocabulary", vocabulary)
+    assert "blue mug" in error_of(capsys, "locate", output, "blue mug", "--vocabulary", vocabulary)
     short = tmp_path / "short.json"
     short.write_text('{"red mug": [1.0, 0.0]}')
-    message = error_of(capsys, "query", output, "red mug", "--vocabulary", short)
+    message = error_of(capsys, "locate", output, "red mug", "--vocabulary", short)
     assert "its vectors have 2 numbers, those of this field 512" in message
 
 
 def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Capture) -> None:
     field, scene = room / "room.field", room / "scene.ply"
-    assert "--vector" in error_of(capsys, "query", field)
-    assert "--scene" in error_of(capsys, "query", field, "mug", "--save", tmp_path / "x.ply")
+    assert "--vector" in error_of(capsys, "locate", field)
+    assert "--scene" in error_of(capsys, "locate", field, "mug", "--save", tmp_path / "x.ply")
     assert "--views" in error_of(
-        capsys, "query", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png"
+        capsys, "locate", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png"
     )
     assert "--overwrite" in error_of(
-        capsys, "query", field, "mug", "--scene", scene, "--save", scene
+        capsys, "locate", field, "mug", "--scene", scene, "--save", scene
     )
     nowhere = tmp_path / "nowhere" / "x.ply"
     message = error_of(
-        capsys, "query", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere
+        capsys, "locate", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere
     )
     assert "there is no folder" in message  # said before the field is looked for
     write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
-    assert "512" in error_of(capsys, "query", field, "--vector", tmp_path / "short.npy")
+    assert "512" in error_of(capsys, "locate", field, "--vector", tmp_path / "short.npy")
     other = tmp_path / "other.ply"
     write_gaussians(other, read_gaussians(scene).subset(np.arange(100)))
-    answer = answer_of(capsys, "query", field, "mug", "--scene", other, code=1)
+    answer = answer_of(capsys, "locate", field, "mug", "--scene", other, code=1)
     assert answer["kind"] == "MismatchError"
 
 
@@ -446,7 +446,7 @@ def test_query_writes_columns_and_a_picture(
 ) -> None:
     out, picture = tmp_path / "mugs.ply", tmp_path / "mugs.png"
     answer = answer_of(
-        capsys, "query", room / "room.field", "mug", "--scene", room / "scene.ply", "--save", out,
+        capsys, "locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--save", out,
         "--picture", picture, "--views", room,
     )  # fmt: skip
     saved = read_gaussians(out)
@@ -455,7 +455,7 @@ def test_query_writes_columns_and_a_picture(
     scores = field.dense(field.scores(WordEncoder().encode_texts(["mug"])[0]))
     np.testing.assert_array_equal(saved.extra["relevancy"], scores)
     sizes = [(saved.extra["object_id"] == number).sum() for number in range(2)]
-    assert sizes == [thing["num_gaussians"] for thing in answer["instances"]]
+    assert sizes == [thing["num_gaussians"] for thing in answer["matches"]]
     assert set(np.unique(saved.extra["object_id"])) == {-1, 0, 1}
     assert answer["view"] in {view.name for view in story.views}
     pixels = pixels_of(picture)
@@ -513,17 +513,17 @@ def test_demo_verb_tells_its_story(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The story and its pictures are tested elsewhere; here, what is printed of them."""
-    count = len(QUESTIONS)
+    count = len(PROBES)
     pictures = [tmp_path / "overview.png", *(tmp_path / f"{k}.png" for k in range(count))]
     monkeypatch.setattr("drsplat.demo.story.tell", lambda *_args, **_options: household_story)
     monkeypatch.setattr("drsplat.demo.album.write_album", lambda *_args, **_options: pictures)
     answer = answer_of(capsys, "demo", "--output-dir", tmp_path)
-    assert [query["text"] for query in answer["queries"]] == [q.text for q in QUESTIONS]
+    assert [query["text"] for query in answer["queries"]] == [q.text for q in PROBES]
     wanted = {"text", "found", "is_right", "iou", "num_selected", "center", "seconds"}
     assert all(wanted <= query.keys() for query in answer["queries"])
     last = answer["queries"][-1]
     assert (last["found"], last["iou"], last["center"]) == (False, None, None)
-    assert answer["num_right"] == sum(a.is_right for a in household_story.answers)
+    assert answer["num_right"] == sum(a.is_right for a in household_story.verdicts)
     assert (answer["overview"], answer["page"]) == (str(pictures[0]), str(tmp_path / "index.html"))
     printed = text_of(capsys, "demo", "--output-dir", tmp_path, "--overwrite")
     assert "made-up room" in " ".join(printed.split())

@@ -7,15 +7,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array, eye_array
 
-from drsplat import EncoderIdentity, LanguageField, load_field, query, select
-from drsplat.asking.word_list import MOST, list_vectors
-from drsplat.contrast import CROWD, NEAR, TILT, contrast, relevancy_threshold
+from drsplat import EncoderIdentity, LanguageField, Scene, load_field
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.mini import MiniEncoder
-from drsplat.nouns import NOUNS
-from drsplat.thresholds import PEAK
+from drsplat.query.contrast import CROWD, NEAR, TILT, contrast, relevancy_threshold
+from drsplat.query.nouns import NOUNS
+from drsplat.query.thresholds import PEAK
+from drsplat.query.word_list import MOST, list_vectors
 from fields import SCENE, unit_rows
 
 DIM, GAP = 64, 0.25
@@ -76,7 +76,7 @@ def scene(world: World) -> tuple[LanguageField, np.ndarray]:
 @pytest.mark.parametrize("word", SHARES)
 def test_what_is_there_is_found_large_or_small(word: int, world: World, scene: tuple) -> None:
     field, truth = scene
-    found = select(field, query(field, words_of(world), f"word {word}"))
+    found = Scene(field, encoder=words_of(world)).ask(f"word {word}").gaussian_ids
     meant = np.flatnonzero(truth == word)
     assert len(np.intersect1d(found, meant)) / len(np.union1d(found, meant)) > 0.9
 
@@ -84,7 +84,9 @@ def test_what_is_there_is_found_large_or_small(word: int, world: World, scene: t
 def test_what_is_not_there_is_not_found(world: World, scene: tuple) -> None:
     field, _ = scene
     absent = [word for word in range(60) if word not in SHARES]
-    found = [len(select(field, query(field, words_of(world), f"word {w}"))) > 0 for w in absent]
+    found = [
+        len(Scene(field, encoder=words_of(world)).ask(f"word {w}").gaussian_ids) > 0 for w in absent
+    ]
     assert np.mean(found) <= 0.1
 
 
@@ -141,9 +143,9 @@ def test_few_rows_that_fit_are_no_thing() -> None:
 def test_any_vocabulary_answers(count: int, world: World, scene: tuple) -> None:
     field, truth = scene
     few = VocabularyEncoder(CLIP, [f"word {n}" for n in range(count)], world.texts[:count])
-    answer = query(field, few, "word 0")
-    assert answer.asked.rule == ("auto" if count == 1 else "list")
-    found = select(field, answer)
+    answer = Scene(field, encoder=few).ask("word 0")
+    assert answer.rule == ("auto" if count == 1 else "list")
+    found = answer.gaussian_ids
     assert np.intersect1d(found, np.flatnonzero(truth == 0)).size > 0.2 * (truth == 0).sum()
 
 
@@ -152,12 +154,14 @@ def test_the_list_that_is_kept_with_the_field_takes_the_place_of_a_vocabulary(
 ) -> None:
     field, _ = scene
     alone = VocabularyEncoder(CLIP, ["word 9"], world.texts[9:10])
-    assert len(select(field, query(field, alone, "word 9"))) > 0  # nothing to contrast it with
+    assert (
+        len(Scene(field, encoder=alone).ask("word 9").gaussian_ids) > 0
+    )  # nothing to contrast it with
     field.with_contrast(world.texts, words_of(world).texts).save(tmp_path / "a.field")
     kept = load_field(tmp_path / "a.field")
     assert kept.contrast is not None
     assert kept.contrast.texts == words_of(world).texts
-    assert len(select(kept, query(kept, alone, "word 9"))) == 0
+    assert len(Scene(kept, encoder=alone).ask("word 9").gaussian_ids) == 0
 
 
 def test_large_vocabularies_are_thinned() -> None:
@@ -209,9 +213,9 @@ def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(
 ) -> None:
     """A mug fits its rows best in all of these; where it hardly fits, for this scene, there is none."""
     field = faint_room(level, mug)
-    answer = query(field, MINI, "mug")
+    answer = Scene(field, encoder=MINI).ask("mug")
     assert (answer.values[-2 * PEAK :] > 0.5).all()
-    assert len(select(field, answer)) == found
+    assert len(answer.gaussian_ids) == found
 
 
 def test_the_height_of_a_list_is_what_enough_rows_reach() -> None:

@@ -13,7 +13,7 @@ from drsplat import InputError, read_features, read_views
 from drsplat.demo.album import note, write_album
 from drsplat.demo.household import read_household, unpack_household
 from drsplat.demo.page import write_page
-from drsplat.demo.questions import QUESTIONS
+from drsplat.demo.probes import PROBES
 from drsplat.demo.story import Answer, Story, tell
 from drsplat.pictures import visible_share
 
@@ -31,11 +31,11 @@ def test_no_model_has_learned_from_the_scene() -> None:
 
 def test_every_question_is_about_things_in_the_room_or_about_none() -> None:
     categories = set(read_household(SHIPPED).categories.values())
-    assert len(QUESTIONS) >= 12
-    assert all(set(question.meant) <= categories for question in QUESTIONS)
-    assert sum(not question.meant for question in QUESTIONS) >= 2
+    assert len(PROBES) >= 12
+    assert all(set(probe.meant) <= categories for probe in PROBES)
+    assert sum(not probe.meant for probe in PROBES) >= 2
     names = {category.split()[-1] for category in categories}
-    absent = [question.text.split()[-1] for question in QUESTIONS if not question.meant]
+    absent = [probe.text.split()[-1] for probe in PROBES if not probe.meant]
     assert not names & set(absent)
 
 
@@ -57,9 +57,9 @@ def test_masks_of_the_truth_are_the_ids() -> None:
 
 
 def test_most_answers_are_right(household_story: Story) -> None:
-    answers = household_story.answers
-    assert [answer.question for answer in answers] == list(QUESTIONS)
-    asked = [answer for answer in answers if answer.question.meant]
+    answers = household_story.verdicts
+    assert [answer.probe for answer in answers] == list(PROBES)
+    asked = [answer for answer in answers if answer.probe.meant]
     assert sum(answer.is_right for answer in answers) >= 10
     assert sum(answer.is_right for answer in asked) / len(asked) > 0.6
     right = [answer for answer in asked if answer.is_right]
@@ -69,7 +69,7 @@ def test_most_answers_are_right(household_story: Story) -> None:
 def test_centres_are_where_the_things_are(household_story: Story, household_folder: Path) -> None:
     known = json.loads((household_folder / "truth.json").read_text())["objects"]
     centers = {thing["category"]: np.array(thing["center"]) for thing in known}
-    vase = next(a for a in household_story.answers if a.question.text == "red vase")
+    vase = next(a for a in household_story.verdicts if a.probe.text == "red vase")
     assert vase.center is not None
     assert np.linalg.norm(vase.center - centers["red vase"]) < 0.1  # metres
 
@@ -91,21 +91,21 @@ def test_held_out_photos_were_not_registered(
 def test_iou_is_over_the_pixels_of_the_held_out_photos(
     household_story: Story, household_folder: Path
 ) -> None:
-    answer = next(a for a in household_story.answers if a.question.text == "toy duck")
+    answer = next(a for a in household_story.verdicts if a.probe.text == "toy duck")
     household, both, either = read_household(household_folder), 0, 0
     for view in household_story.held_out:
-        truth = household.mask(view.name, answer.question.meant)
+        truth = household.mask(view.name, answer.probe.meant)
         seen = visible_share(household_story.gaussians, view, answer.gaussian_ids) > 0.5
         both, either = both + (truth & seen).sum(), either + (truth | seen).sum()
     assert answer.iou == pytest.approx(both / either)
 
 
 def made_up(answer: Answer, iou: float | None, places: int) -> Answer:
-    return replace(answer, iou=iou, num_instances=places)
+    return replace(answer, iou=iou, num_matches=places)
 
 
 def test_misses_are_told_as_misses(household_story: Story) -> None:
-    present, absent = household_story.answers[0], household_story.answers[-1]
+    present, absent = household_story.verdicts[0], household_story.verdicts[-1]
     assert (made_up(present, 0.8, 1).is_right, note(made_up(present, 0.8, 1))) == (
         True,
         "found, IoU 0.80",
@@ -134,7 +134,7 @@ class Sources(HTMLParser):
 def test_album_and_page_show_every_answer(household_story: Story, tmp_path: Path) -> None:
     paths = write_album(tmp_path, household_story)
     assert [path.name for path in paths[:2]] == ["overview.png", "yellow_apple.png"]
-    assert len(paths) == 1 + len(QUESTIONS)
+    assert len(paths) == 1 + len(PROBES)
     pictures = {path.stem: np.asarray(Image.open(path), int) for path in paths}
     assert len({picture.shape for name, picture in pictures.items() if name != "overview"}) == 1
     red = pictures["red_vase"]
@@ -145,7 +145,7 @@ def test_album_and_page_show_every_answer(household_story: Story, tmp_path: Path
     shown = Sources()
     shown.feed(page.read_text(encoding="utf-8"))
     assert [tmp_path / source for source in shown.found] == paths[1:]
-    assert shown.misses == sum(not answer.is_right for answer in household_story.answers)
+    assert shown.misses == sum(not answer.is_right for answer in household_story.verdicts)
 
 
 def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:

@@ -48,13 +48,13 @@ def test_snippets_run(document, capture, tmp_path, monkeypatch):
     names: dict[str, object] = {"__name__": "snippet"}
     for number, snippet in enumerate(snippets):
         exec(compile(snippet, f"{document}, python block {number}", "exec"), names)
-    assert_is_the_mug(names["things"])
+    assert_is_the_mug(names["matches"])
 
 
-def assert_is_the_mug(things: list[ds.Instance]) -> None:
-    assert len(things) == 1
-    assert np.abs(things[0].center - THINGS["red mug"]).max() < 0.1
-    assert things[0].gaussian_ids.max() < PER_THING
+def assert_is_the_mug(matches: list[ds.Match]) -> None:
+    assert len(matches) == 1
+    assert np.abs(matches[0].center - THINGS["red mug"]).max() < 0.1
+    assert matches[0].gaussian_ids.max() < PER_THING
 
 
 def test_commands_run(capture, tmp_path, monkeypatch, capsys):

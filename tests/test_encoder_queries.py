@@ -10,15 +10,16 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
+from drsplat import Answer, Query, Scene
 from drsplat.adapters.loading import load_encoder
-from drsplat.asking.word_list import list_vectors
 from drsplat.cli import main
-from drsplat.commands.answers import Ask, asked
 from drsplat.commands.query_inputs import read_picture
-from drsplat.contrast import contrast
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import LanguageField, build_field
+from drsplat.query.contrast import contrast
+from drsplat.query.encoding import encoder_for
+from drsplat.query.word_list import list_vectors
 from fields import SCENE, random_evidence
 from tiny_encoders import write_model
 
@@ -44,6 +45,12 @@ def field_of(identity: EncoderIdentity) -> LanguageField:
     return build_field(evidence, SCENE, identity)
 
 
+def asked(field: LanguageField, query: Query, encoder: Path | str | None = None) -> Answer:
+    return Scene(field, encoder=lambda: encoder_for(field, encoder=encoder and str(encoder))).ask(
+        query
+    )
+
+
 @pytest.fixture(scope="module")
 def field(clip: Path) -> LanguageField:
     return field_of(load_encoder(str(clip), "cpu").identity)
@@ -52,9 +59,9 @@ def field(clip: Path) -> LanguageField:
 def test_words_through_the_encoder_of_the_field(clip: Path, field: LanguageField) -> None:
     encoder: Any = load_encoder(str(clip), "cpu")
     expected = encoder.encode_texts(["a red mug"])[0]
-    answer = asked(field, Ask(text="a red mug", encoder=str(clip)))
+    answer = asked(field, Query("a red mug"), clip)
     assert (answer.measure, answer.rule) == ("relevancy", "list")
-    assert_allclose(answer.query, expected, atol=1e-6)
+    assert_allclose(answer.vector, expected, atol=1e-6)
     listed = contrast(field, list_vectors(encoder)).relevancy(expected, answer.scores)
     assert listed is not None
     assert_allclose(answer.values, listed, atol=1e-3)
@@ -62,7 +69,7 @@ def test_words_through_the_encoder_of_the_field(clip: Path, field: LanguageField
 
 def test_lerfs_relevancy_is_measured_when_asked_for(clip: Path, field: LanguageField) -> None:
     encoder: Any = load_encoder(str(clip), "cpu")
-    answer = asked(field, Ask(text="a red mug", encoder=str(clip), relevancy=True))
+    answer = asked(field, Query("a red mug", relevancy=True), clip)
     assert (answer.measure, answer.threshold, answer.rule) == ("relevancy", 0.5, "default")
     query, *negatives = encoder.encode_texts(["a red mug", "object", "things", "stuff", "texture"])
     assert_allclose(answer.values, field.relevancy(query, np.stack(negatives)), atol=1e-4)
@@ -75,8 +82,8 @@ def test_an_image_is_padded_to_a_square_as_masks_are(
     square = np.zeros((20, 20, 3), np.uint8)
     square[4:16] = THING
     encoder: Any = load_encoder(str(clip), "cpu")
-    answer = asked(field, Ask(image=str(tmp_path / "thing.png"), encoder=str(clip)))
-    assert_allclose(answer.query, encoder.encode_images([square])[0], atol=1e-6)
+    answer = asked(field, Query(image=read_picture(str(tmp_path / "thing.png"))), clip)
+    assert_allclose(answer.vector, encoder.encode_images([square])[0], atol=1e-6)
 
 
 def test_on_the_command_line(
@@ -84,14 +91,14 @@ def test_on_the_command_line(
 ) -> None:
     field.save(tmp_path / "a.field")
     Image.fromarray(THING).save(tmp_path / "thing.png")
-    given, shown = ["query", str(tmp_path / "a.field")], ["--image", str(tmp_path / "thing.png")]
+    given, shown = ["locate", str(tmp_path / "a.field")], ["--image", str(tmp_path / "thing.png")]
     options = ["--encoder", str(clip), "--device", "cpu", "--json"]
     assert main([*given, "red mug", *options]) == 0
     assert json.loads(capsys.readouterr().out)["query"] == "red mug"
     assert main([*given, *shown, *options]) == 0
     assert json.loads(capsys.readouterr().out)["query"].endswith("thing.png")
     assert main([*given, "red mug", *shown, *options]) == 1
-    assert "one of these" in json.loads(capsys.readouterr().out)["error"]
+    assert "exactly one of" in json.loads(capsys.readouterr().out)["error"]
     assert main([*given, "red mug", "--vocabulary", "x.json", *options]) == 1
     assert "drop one" in json.loads(capsys.readouterr().out)["error"]
 
@@ -103,36 +110,36 @@ def test_another_encoder_is_refused_and_both_are_named(clip: Path, field: Langua
         replace(field.encoder, preprocessing="224 px"),
     ):
         with pytest.raises(MismatchError, match="tiny-clip") as caught:
-            asked(field_of(other), Ask(text="mug", encoder=str(clip)))
+            asked(field_of(other), Query("mug"), clip)
         assert other.name in str(caught.value)
     with pytest.raises(MismatchError, match="drsplat-words"):
-        asked(field, Ask(text="mug", encoder="drsplat-words"))
+        asked(field, Query("mug"), "drsplat-words")
 
 
 def test_a_field_that_does_not_know_its_encoder_takes_one_that_fits(clip: Path) -> None:
     for dim in (8, 16):
         field = field_of(EncoderIdentity("unknown", dim))
         if dim == 8:
-            assert asked(field, Ask(text="mug", encoder=str(clip))).measure == "relevancy"
+            assert asked(field, Query("mug"), clip).measure == "relevancy"
             continue
         with pytest.raises(MismatchError, match="tiny-clip"):
-            asked(field, Ask(text="mug", encoder=str(clip)))
+            asked(field, Query("mug"), clip)
 
 
 def test_without_an_encoder_the_message_says_how(field: LanguageField) -> None:
     with pytest.raises(InputError, match=r"tiny-clip.*encoder=NAME.*\{text: \[numbers\]\}"):
-        asked(field, Ask(text="mug"))
+        asked(field, Query("mug"))
 
 
 def test_self_referencing_queries(dinov2: Path, tmp_path: Path) -> None:
     field = field_of(load_encoder(str(dinov2), "cpu").identity)
     Image.fromarray(THING).save(tmp_path / "thing.png")
-    ask = Ask(image=str(tmp_path / "thing.png"), encoder=str(dinov2))
-    assert len(asked(field, ask).values) == len(field)
+    picture = read_picture(str(tmp_path / "thing.png"))
+    assert len(asked(field, Query(image=picture), dinov2).values) == len(field)
     with pytest.raises(InputError, match="self-referencing"):
-        asked(field, Ask(text="mug", encoder=str(dinov2)))
+        asked(field, Query("mug"), dinov2)
     with pytest.raises(InputError, match="self-referencing"):
-        asked(field, replace(ask, relevancy=True))
+        asked(field, Query(image=picture, relevancy=True), dinov2)
 
 
 def test_the_words_encoder_sees_no_images(tmp_path: Path) -> None:
@@ -140,7 +147,9 @@ def test_the_words_encoder_sees_no_images(tmp_path: Path) -> None:
 
     Image.fromarray(THING).save(tmp_path / "thing.png")
     with pytest.raises(InputError, match="drsplat-words sees no images"):
-        asked(field_of(WordEncoder.identity), Ask(image=str(tmp_path / "thing.png")))
+        asked(
+            field_of(WordEncoder.identity), Query(image=read_picture(str(tmp_path / "thing.png")))
+        )
 
 
 def test_pictures(tmp_path: Path) -> None:

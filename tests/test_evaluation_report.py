@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat import WordEncoder, cli
-from drsplat.asking.query import query
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import published, report, svg, tables, thresholds
 from drsplat.evaluation.choosers import automatic_choosers
@@ -24,6 +23,7 @@ from drsplat.evaluation.scorers import (
     read_features,
     relevant,
 )
+from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 from test_lerf_ovs import PER_THING, THINGS, balls, data  # noqa: F401
 from test_scannet_protocols import write_scene
@@ -38,12 +38,13 @@ def test_examples(module) -> None:
 
 def test_scorers_of_a_field_are_the_query_path() -> None:
     field, encoder = toy_field(), ToyEncoder()
-    answer = query(field, encoder, "red mug")
+    scene = Scene(field, encoder=encoder)
+    answer, measured = scene.ask("red mug"), scene.ask(Query("red mug", relevancy=True))
     cosines = cosine_scorer(field, encoder)
     assert_array_equal(cosines.scores("red mug"), field.dense(answer.scores, fill=np.nan))
     assert np.isnan(cosines.scores("red mug")).sum() == field.num_gaussians - len(field) > 0
     relevancies = relevant(cosines).scores("red mug")
-    assert_allclose(relevancies, field.dense(answer.relevancy, fill=np.nan), rtol=1e-5)
+    assert_allclose(relevancies, field.dense(measured.values, fill=np.nan), rtol=1e-5)
     assert cosines.views == ("a.jpg", "b.jpg", "c.jpg")
     assert cosines.about["field"] == field.fingerprint
     assert (cosines.threshold, relevant(cosines).threshold) == (0.5, 0.5)

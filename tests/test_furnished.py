@@ -9,7 +9,7 @@ from world.furnished import surfaces
 from world.furnished.cameras import look_at, walk
 from world.furnished.capture import write_model
 from world.furnished.masks import MISSED_SHARE, MaskMaker, exact_labels, perturbed
-from world.furnished.questions import QUESTIONS
+from world.furnished.probes import PROBES
 from world.furnished.room import INVENTORY, _facing, build_room
 from world.furnished.story import Setup, Story, intersection_over_union, tell
 
@@ -76,8 +76,8 @@ def test_room_is_deterministic_and_depends_on_the_seed() -> None:
 
 def test_every_question_is_about_things_in_the_room_or_about_none() -> None:
     names = {entry[0] for entry in INVENTORY}
-    assert all(set(question.meant) <= names for question in QUESTIONS)
-    assert sum(not question.meant for question in QUESTIONS) >= 2
+    assert all(set(probe.meant) <= names for probe in PROBES)
+    assert sum(not probe.meant for probe in PROBES) >= 2
 
 
 def test_lit_room_has_shadow_under_the_table() -> None:
@@ -160,16 +160,16 @@ def test_cameras_look_where_they_say() -> None:
 
 
 def test_answers_are_right(story: Story) -> None:
-    wrong = {a.question.text: a.iou for a in story.answers if not a.is_right}
+    wrong = {a.probe.text: a.iou for a in story.verdicts if not a.is_right}
     assert wrong == {}
-    assert [a.question for a in story.answers] == list(QUESTIONS)
-    absent = [a for a in story.answers if not a.question.meant]
+    assert [a.probe for a in story.verdicts] == list(PROBES)
+    absent = [a for a in story.verdicts if not a.probe.meant]
     assert not any(a.found for a in absent)
 
 
 def test_iou_is_against_the_labels_of_the_scene_file(story: Story) -> None:
     assert len(story.room.labels) == len(story.gaussians)
-    mug = next(a for a in story.answers if a.question.text == "red mug")
+    mug = next(a for a in story.verdicts if a.probe.text == "red mug")
     truth = story.gaussians.means[story.room.members("red mug")]
     assert mug.center is not None
     np.testing.assert_allclose(mug.center, (truth.min(0) + truth.max(0)) / 2, atol=0.03)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import drsplat as ds
-from drsplat.asking import AskableScene
 from drsplat.kinds import _annotations
 from drsplat.viewing.session import Session
 from toy_capture import balls, write_toy_capture
@@ -61,11 +60,11 @@ def test_the_mistakes_that_people_make(room: Path) -> None:
 
     mistakes = {
         r"render: view: expected View \(one of read_views\(...\)\), got 'frame_00001' \(str\)": lambda: ds.render(gaussians, "frame_00001"),
-        r"locate: scores: expected an array \(r\)( or .*)?, got 'red mug' \(str\)": lambda: ds.locate(field, gaussians, "red mug"),
+        r"Query: text: expected a text or None, got Gaussians": lambda: ds.Query(gaussians),
         r"register: gaussians: expected Gaussians \(read_gaussians\(...\)\), got list of View": lambda: ds.register(views, gaussians, features),
-        r"select: scores: expected an array \(r\)( or .*)?, got Gaussians": lambda: ds.select(field, gaussians, 0.5),
-        r"query: text: expected a text, got list of str": lambda: ds.query(field, ds.WordEncoder(), ["mug"]),
-        r"query: negatives: expected a list of a text or None, got 'object' \(str\)": lambda: ds.query(field, ds.WordEncoder(), "mug", "object"),
+        r"Scene: field: expected LanguageField .*, got Gaussians": lambda: ds.Scene(gaussians, field),
+        r"Query: text: expected a text or None, got list of str": lambda: ds.Query(["mug"]),
+        r"Query: negatives: expected a list of a text or .*, got 'object' \(str\)": lambda: ds.Query("mug", negatives="object"),
         r"render: gaussians: expected Gaussians .*, got LanguageField": lambda: ds.render(field, views[0]),
         r"View: K: expected an array \(3 3\), got list": lambda: ds.View("x", [[1, 0], [0, 1]], np.eye(4), 4, 4),
         r"write_cameras_json: views: expected a list of View .*, got list of str": lambda: ds.write_cameras_json("x", ["a"]),
@@ -105,9 +104,8 @@ def test_reprs_are_a_line(room: Path) -> None:
     features = ds.read_features(room / "capture/language_features", encoder=ds.WordEncoder.identity)
     registration = ds.register(gaussians, views, features)
     field = registration.to_field()
-    answer = ds.query(field, ds.WordEncoder(), "red mug")
-    things = ds.locate(field, gaussians, answer.relevancy, 0.5)
-    scene = AskableScene("balls", gaussians, field, tuple(views), ds.WordEncoder)
+    scene = ds.Scene(field, gaussians, views, ds.WordEncoder, name="balls")
+    answer = scene.ask("red mug")
     values = [
         gaussians,
         views[0],
@@ -115,7 +113,8 @@ def test_reprs_are_a_line(room: Path) -> None:
         features["photo_0"],
         registration,
         field,
-        things[0],
+        answer,
+        scene.locate(answer)[0],
         scene,
     ]
     for value in (*values, Session(scene)):

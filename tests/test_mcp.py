@@ -30,7 +30,7 @@ from mcp import Client, StdioServerParameters
 
 COMMAND = ["-W", "ignore", "-m", "drsplat", "mcp"]
 TOOLS = {
-    "list_scenes", "about_scene", "find", "count", "where_is", "how_far_apart", "what_is_at", "what_is_at_pixel", "describe_region", "show",
+    "list_scenes", "about_scene", "locate", "count", "where_is", "how_far_apart", "what_is_at", "what_is_at_pixel", "describe_region", "show",
 }  # fmt: skip
 Talk = Callable[[Client], Awaitable[Any]]
 
@@ -98,8 +98,8 @@ def test_ten_calls_tell_how_many_toys_are_on_the_table_and_which_is_nearest_to_t
         (scene,) = (await told(client, "list_scenes"))["scenes"]
         name = scene["name"]
         assert scene["num_gaussians"] > scene["num_registered"] > 90_000
-        toys = await told(client, "find", text="toys", scene=name)
-        assert toys["num_found"] == 2
+        toys = await told(client, "locate", text="toys", scene=name)
+        assert toys["num_matches"] == 2
         on_table = await told(client, "count", text="toys", on="table", scene=name)
         assert (on_table["count"], on_table["of"]) == (2, 2)
         near = [
@@ -110,7 +110,7 @@ def test_ten_calls_tell_how_many_toys_are_on_the_table_and_which_is_nearest_to_t
         assert np.linalg.norm(np.array(where["best"]["center"]) - candle) < 0.03
         first, second = on_table["centers"]
         names = [
-            (await told(client, "what_is_at", point=at, scene=name))["names"][0]["name"]
+            (await told(client, "what_is_at", point=at, scene=name))["words"][0]["name"]
             for at in (first, second)
         ]
         names.sort(reverse=True)
@@ -125,7 +125,7 @@ def test_ten_calls_tell_how_many_toys_are_on_the_table_and_which_is_nearest_to_t
             assert told_["units"] == "scene units"
         assert distances[0]["center_distance"] < distances[1]["center_distance"]
         region = await told(client, "describe_region", center=where["best"]["center"], radius=0.35)
-        present = {part["name"] for part in region["things"]}
+        present = {part["name"] for part in region["parts"]}
         assert {"table", "candle"} <= present
         assert present & {"green toy duck", "toy duck"}
         shown = await client.call_tool("show", {"text": "toy duck", "scene": name})
@@ -149,10 +149,10 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         assert not absent["found"]
         assert "synonym" in absent["advice"]
         assert (await told(client, "count", text="laptop"))["count"] == 0
-        assert "It knows apple" in await refused(client, "find", text="zeppelin")
+        assert "It knows apple" in await refused(client, "locate", text="zeppelin")
         for name in ("../..", "/etc", "room/../room", "room\0"):
             assert f"there are: {room.name!r}" in await refused(
-                client, "find", text="toy", scene=name
+                client, "locate", text="toy", scene=name
             )
         assert "nothing found for 'laptop'" in await refused(
             client, "how_far_apart", first="laptop", second="candle"
@@ -163,7 +163,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         far = await refused(client, "what_is_at", point=[50.0, 0.0, 0.0])
         assert "the nearest Gaussian is" in far
         assert str(room) not in far
-        assert "at most 200" in await refused(client, "find", text="x" * 300)
+        assert "at most 200" in await refused(client, "locate", text="x" * 300)
         assert "no view 'photo'" in await refused(client, "show", view="photo")
         assert "640x480" in await refused(
             client, "what_is_at_pixel", view="frame_00001", x=1e9, y=0
@@ -173,9 +173,9 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         assert "none on the sofa" in none_on["advice"]
         assert "nearest Gaussian" in await refused(client, "what_is_at", point=[1e300, 0.0, 0.0])
         for name, arguments, said in (
-            ("find", {"text": "toy", "limit": 21}, "find: limit: Input should be less than"),
-            ("find", {"text": 5}, "find: text: Input should be a valid string"),
-            ("find", {}, "find: text: Field required"),
+            ("locate", {"text": "toy", "limit": 21}, "locate: limit: Input should be less than"),
+            ("locate", {"text": 5}, "locate: text: Input should be a valid string"),
+            ("locate", {}, "locate: text: Field required"),
             (
                 "show",
                 {"save": "x.png"},
@@ -194,12 +194,14 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
 
 def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> None:
     async def talk(client: Client) -> None:
-        every = await told(client, "find", text="toys")
-        on_table = await told(client, "find", text="toys", on="table")
-        assert (every["num_found"], on_table["num_found"]) == (2, 2)
-        assert [one for one in every["things"] if one in on_table["things"]] == on_table["things"]
-        nothing = await told(client, "find", text="toys", on="sofa")
-        assert (nothing["num_found"], "none on the sofa" in nothing["advice"]) == (0, True)
+        every = await told(client, "locate", text="toys")
+        on_table = await told(client, "locate", text="toys", on="table")
+        assert (every["num_matches"], on_table["num_matches"]) == (2, 2)
+        assert [one for one in every["matches"] if one in on_table["matches"]] == on_table[
+            "matches"
+        ]
+        nothing = await told(client, "locate", text="toys", on="sofa")
+        assert (nothing["num_matches"], "none on the sofa" in nothing["advice"]) == (0, True)
         about = await told(client, "about_scene")
         assert about["up"][2] > 0.99
         assert (about["units"], about["num_photos"]) == ("scene units", 48)
@@ -262,14 +264,14 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
         async with Client(url) as client:
             scenes = (await told(client, "list_scenes"))["scenes"]
             assert [scene["name"] for scene in scenes] == ["a room", "another"]
-            assert "say which scene" in await refused(client, "find", text="candle")
-            found = await told(client, "find", text="candle", scene="a room")
+            assert "say which scene" in await refused(client, "locate", text="candle")
+            found = await told(client, "locate", text="candle", scene="a room")
             pixel = {"view": "frame_00008", "x": 10.0, "y": 10.0}
             here = await told(
                 client, "what_is_at_pixel", **pixel, scene="another", names=["wall", "floor"]
             )
-            assert {word["name"] for word in here["names"]} == {"wall", "floor"}
-            assert found["num_found"] == 1
+            assert {word["name"] for word in here["words"]} == {"wall", "floor"}
+            assert found["num_matches"] == 1
 
     with http_server(tmp_path) as url:
         asyncio.run(talk(url))

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from world.mini.augment import cut_out
 from world.mini.texts import bank, said_of, truth
 
+from drsplat import Ask, asked
 from drsplat.adapters.loading import load_encoder
-from drsplat.commands.answers import Ask, asked
 from drsplat.crops import crop
 from drsplat.encoders import Encoder, ImageEncoder
 from drsplat.errors import InputError

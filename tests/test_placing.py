@@ -14,11 +14,11 @@ import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat import DrSplatWarning, Gaussians, InputError, View
 from drsplat.aggregation import Sampling
-from drsplat.asking.places import nearest_gaussian
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
 from drsplat.kernels import reference
 from drsplat.placing import PUBLISHED_NEAR, local_origin, near_plane
+from drsplat.query.places import nearest_gaussian
 from drsplat.training import TrainingSettings, train
 from drsplat.viewing.picking import hit_by_ray
 from drsplat.viewing.shown import shown_of

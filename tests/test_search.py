@@ -10,10 +10,10 @@ from numpy.testing import assert_array_equal
 from world.furnished.story import Story
 
 from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
-from drsplat.asking.query import query
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.search import (
+from drsplat.query import Answer, Query, Scene
+from drsplat.query.search import (
     LOWEST,
     NEGATIVES,
     embed_query,
@@ -27,14 +27,19 @@ from drsplat.search import (
 from fields import ToyEncoder, toy_field, unit_rows
 
 
+def relevancy_of(scene: Scene, text: str) -> Answer:
+    return scene.ask(Query(text, relevancy=True))
+
+
 def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:
     field, encoder = toy_field(), ToyEncoder()
-    answer = query(field, encoder, "a red apple")
+    answer = relevancy_of(Scene(field, encoder=encoder), "a red apple")
     vector = embed_query(encoder, field, "a red apple")
     assert_array_equal(answer.scores, field.scores(vector))
     expected = field.relevancy(vector, encoder.encode_texts(NEGATIVES))
-    assert_array_equal(answer.relevancy, expected)
-    assert answer.relevancy.min() < 0.5 < answer.relevancy.max()
+    assert_array_equal(answer.values, expected)
+    assert (answer.measure, answer.threshold, answer.rule) == ("relevancy", 0.5, "default")
+    assert answer.values.min() < 0.5 < answer.values.max()
 
 
 def test_the_negatives_are_those_of_lerf() -> None:
@@ -45,23 +50,23 @@ def test_negatives_are_embedded_once() -> None:
     encoder = ToyEncoder()
     plain = toy_field()
     field = plain.with_negatives(encoder.encode_texts(NEGATIVES), NEGATIVES)
-    expected = query(plain, encoder, "sofa").relevancy
-    encoder.asked = 0
-    assert_array_equal(query(field, encoder, "sofa").relevancy, expected)
+    expected = relevancy_of(Scene(plain, encoder=encoder), "sofa").values
+    encoder.asked, scene = 0, Scene(field, encoder=encoder)
+    assert_array_equal(relevancy_of(scene, "sofa").values, expected)
     assert encoder.asked == 1
-    query(field, encoder, "sofa", ("wall",))
+    scene.ask(Query("sofa", negatives=("wall",)))
     assert encoder.asked == 3
     assert text_negatives(field, encoder) is field.negatives
 
 
 def test_another_encoder_and_no_negatives_are_refused() -> None:
     field, other = toy_field(), ToyEncoder(EncoderIdentity("other", 32))
-    for ask in (query, embed_query):
-        arguments = (field, other) if ask is query else (other, field)
-        with pytest.raises(MismatchError, match="written with toy"):
-            ask(*arguments, "sofa")  # type: ignore[operator]
+    with pytest.raises(MismatchError, match="written with toy"):
+        embed_query(other, field, "sofa")
+    with pytest.raises(MismatchError, match="written with toy"):
+        Scene(field, encoder=other).ask("sofa")
     with pytest.raises(InputError, match="at least one negative"):
-        query(field, ToyEncoder(), "sofa", ())
+        Scene(field, encoder=ToyEncoder()).ask(Query("sofa", negatives=()))
 
 
 def test_query_vectors_are_float32_of_the_fields_dimension() -> None:
@@ -122,12 +127,13 @@ def test_without_keeps_what_fits_better_than_every_rival() -> None:
 
 def test_queries_leave_out_what_is_not_meant() -> None:
     field, encoder = toy_field(), ToyEncoder()
-    plain, answer = query(field, encoder, "apple"), query(field, encoder, "apple, not red, not old")
+    scene = Scene(field, encoder=encoder)
+    plain, answer = scene.ask("apple"), scene.ask("apple, not red, not old")
     rivals = [field.scores(encoder.encode_texts([text])[0]) for text in ("red apple", "old apple")]
     gone = np.maximum(*rivals) >= plain.scores
     assert 0 < gone.sum() < len(gone)
     assert_array_equal(answer.scores, np.where(gone, np.float32(-1), plain.scores))
-    assert (answer.relevancy[gone] < 0.1).all()
+    assert (answer.values[gone] == answer.lowest).all()
     assert_array_equal(answer.relevancy[~gone], plain.relevancy[~gone])
 
 

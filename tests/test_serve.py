@@ -24,9 +24,9 @@ from PIL import Image
 
 from command_line import Capture, error_of
 from drsplat import LanguageField, MiniEncoder, load_field
-from drsplat.asking import Question, open_scene
 from drsplat.codes import PQCode
 from drsplat.demo import story as household
+from drsplat.query import Query, open_scene
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[serve] is not installed")
@@ -117,23 +117,22 @@ def test_scenes_are_listed_without_opening_them(service: Service) -> None:
 def test_answers_are_those_of_the_library(service: Service, folder: Path) -> None:
     scene = open_scene(folder / "room")
     vector = MiniEncoder().encode_texts(["red vase"])[0]
-    asked = scene.ask(Question(text="red vase"))
+    asked = scene.ask(Query(text="red vase"))
     given = {"text": "red vase", "ids": True}
-    answer = told(service("POST", "/scenes/room/query", json=given))
+    answer = told(service("POST", "/scenes/room/select", json=given))
     assert answer["gaussian_ids"] == asked.gaussian_ids.tolist()
     assert answer["measured"]["threshold"] == pytest.approx(asked.threshold)
     by_vector = {"vector": vector.tolist(), "threshold": 0.3, "ids": True}
-    same = told(service("POST", "/scenes/room/query", json=by_vector))
+    same = told(service("POST", "/scenes/room/select", json=by_vector))
     assert (
-        same["gaussian_ids"]
-        == scene.ask(Question(vector=vector, threshold=0.3)).gaussian_ids.tolist()
+        same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
     )
     assert same["gaussian_ids"]
     located = told(service("POST", "/scenes/room/locate", json={"text": "toys", "limit": 2}))
-    found = scene.find(Question(text="toys"))
-    assert (located["num_found"], len(located["things"])) == (len(found), 2)
-    np.testing.assert_allclose(located["things"][0]["center"], found[0].thing.center, atol=1e-4)
-    support = located["things"][0]["support"][0]
+    found = scene.locate("toys")
+    assert (located["num_matches"], len(located["matches"])) == (len(found), 2)
+    np.testing.assert_allclose(located["matches"][0]["center"], found[0].center, atol=1e-4)
+    support = located["matches"][0]["support"][0]
     assert support["view"] == found[0].support[0].view_name
     photo = service("GET", "/scenes/room/photo", params={"view": support["view"], "max_side": 200})
     with Image.open(io.BytesIO(photo.content)) as picture:
@@ -142,21 +141,21 @@ def test_answers_are_those_of_the_library(service: Service, folder: Path) -> Non
 
 def test_points_clicks_images_and_classes(service: Service, folder: Path) -> None:
     scene = open_scene(folder / "room")
-    vase = scene.find(Question(text="red vase"))[0].thing
+    vase = scene.locate("red vase")[0]
     point = [float(x) for x in vase.center]
     words = told(service("POST", "/scenes/room/what-is", json={"point": point}))
-    assert words["names"][0]["name"] == "red vase"
+    assert words["words"][0]["name"] == "red vase"
     found = told(service("POST", "/scenes/room/locate", json={"point": point}))
     assert found["measured"]["threshold_rule"] == "auto"
-    assert np.linalg.norm(np.array(found["things"][0]["center"]) - vase.center) < 0.1
+    assert np.linalg.norm(np.array(found["matches"][0]["center"]) - vase.center) < 0.1
     view = scene.best_view(vase.gaussian_ids)
     seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
     click = {"view": view.name, "x": seen[0] / seen[2], "y": seen[1] / seen[2]}
-    clicked = told(service("POST", "/scenes/room/query", json={"click": click}))
+    clicked = told(service("POST", "/scenes/room/select", json={"click": click}))
     assert clicked["score_range"][1] == pytest.approx(1, abs=1e-3)
     image = {"image": encoded(Image.new("RGB", (40, 40), "red"))}
     assert (
-        told(service("POST", "/scenes/room/query", json=image))["measured"]["measure"] == "cosine"
+        told(service("POST", "/scenes/room/select", json=image))["measured"]["measure"] == "cosine"
     )
     classes = {"classes": ["red vase", "laptop", "orange sofa"], "labels": True}
     segmented = told(service("POST", "/scenes/room/segment", json=classes))
@@ -198,7 +197,7 @@ TRICKS = (
 def test_names_never_become_paths(name: str, service: Service) -> None:
     for method, path, given in (
         ("GET", f"/scenes/{name}", {}),
-        ("POST", f"/scenes/{name}/query", {"json": {"text": "mug"}}),
+        ("POST", f"/scenes/{name}/select", {"json": {"text": "mug"}}),
         ("GET", f"/scenes/{name}/photo", {"params": {"view": "frame_00001"}}),
     ):
         answer = service(method, path, **given)
@@ -226,26 +225,26 @@ def test_photos_are_those_of_the_scene(service: Service) -> None:
 
 
 WRONG: list[tuple[str, Any, str]] = [
-    ("query", {}, "one of these"),
-    ("query", {"text": "mug", "point": [0, 0, 0]}, "one of these"),
-    ("query", {"text": "zeppelin"}, "It knows apple"),
-    ("query", {"text": "   "}, "no word"),
-    ("query", {"text": "m" * 201}, "at most 200"),
-    ("query", {"text": 7}, "string"),
-    ("query", {"text": "mug", "treshold": 0.5}, "treshold"),
-    ("query", {"text": "mug", "threshold": 7}, "threshold"),
-    ("query", {"text": "mug", "threshold": "best"}, "auto"),
-    ("query", {"text": "mug", "threshold": 0.5, "top_share": 0.5}, "drop one"),
-    ("query", {"text": "mug, not "}, "mug, not red"),
-    ("query", {"vector": [1.0, 2.0]}, "2 numbers"),
-    ("query", {"vector": [0.0] * 512}, "not zero"),
-    ("query", {"vector": []}, "vector"),
-    ("query", {"point": [0, 0]}, "point"),
-    ("query", {"point": [1e9, 0, 0]}, "nearest Gaussian is"),
-    ("query", {"click": {"view": "nowhere", "x": 1, "y": 1}}, "no view"),
-    ("query", {"click": {"view": "frame_00001", "x": 1e5, "y": 1}}, "640x480"),
-    ("query", {"image": "not base64!"}, "base64"),
-    ("query", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
+    ("select", {}, "exactly one of"),
+    ("select", {"text": "mug", "point": [0, 0, 0]}, "exactly one of"),
+    ("select", {"text": "zeppelin"}, "It knows apple"),
+    ("select", {"text": "   "}, "no word"),
+    ("select", {"text": "m" * 201}, "at most 200"),
+    ("select", {"text": 7}, "string"),
+    ("select", {"text": "mug", "treshold": 0.5}, "treshold"),
+    ("select", {"text": "mug", "threshold": 7}, "threshold"),
+    ("select", {"text": "mug", "threshold": "best"}, "auto"),
+    ("select", {"text": "mug", "threshold": 0.5, "top_share": 0.5}, "drop one"),
+    ("select", {"text": "mug, not "}, "mug, not red"),
+    ("select", {"vector": [1.0, 2.0]}, "2 numbers"),
+    ("select", {"vector": [0.0] * 512}, "not zero"),
+    ("select", {"vector": []}, "vector"),
+    ("select", {"point": [0, 0]}, "point"),
+    ("select", {"point": [1e9, 0, 0]}, "nearest Gaussian is"),
+    ("select", {"click": {"view": "nowhere", "x": 1, "y": 1}}, "no view"),
+    ("select", {"click": {"view": "frame_00001", "x": 1e5, "y": 1}}, "640x480"),
+    ("select", {"image": "not base64!"}, "base64"),
+    ("select", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
     ("locate", {"text": "mug", "limit": 0}, "limit"),
     ("locate", {"text": "mug", "limit": 10**9}, "limit"),
     ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),
@@ -255,8 +254,8 @@ WRONG: list[tuple[str, Any, str]] = [
     ("what-is", {}, "one of point and click"),
     ("picture", {"max_side": 10**6}, "max_side"),
     ("picture", {"view": "../x"}, "no view"),
-    ("query", [1, 2], "dict"),
-    ("query", "text", "dict"),
+    ("select", [1, 2], "dict"),
+    ("select", "text", "dict"),
 ]  # fmt: skip
 
 
@@ -283,37 +282,37 @@ def test_what_makes_no_sense_gets_a_reason(
 )
 def test_malformed_bodies(body: bytes, service: Service) -> None:
     json_type = {"content-type": "application/json"}
-    answer = service("POST", "/scenes/room/query", content=body, headers=json_type)
+    answer = service("POST", "/scenes/room/select", content=body, headers=json_type)
     assert 400 <= answer.status_code < 500, answer.text
     assert reason(answer, answer.status_code)
 
 
 def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folder: Path) -> None:
-    text = reason(service("POST", "/scenes/damaged/query", json={"text": "mug"}), 503)
+    text = reason(service("POST", "/scenes/damaged/select", json={"text": "mug"}), 503)
     assert "cannot be opened" in text
     assert str(folder) not in text
-    assert service("POST", "/scenes/room/query", json={"text": "vase"}).status_code == 200
+    assert service("POST", "/scenes/room/select", json={"text": "vase"}).status_code == 200
 
 
 def test_unknown_routes_and_methods(service: Service) -> None:
     reason(service("GET", "/nothing"), 404)
     reason(service("DELETE", "/scenes"), 405)
-    reason(service("GET", "/scenes/room/query"), 405)
+    reason(service("GET", "/scenes/room/select"), 405)
 
 
 def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
     small = Service(folder, limits=Limits(body_bytes=2000, pixels=1000))
-    long = {"text": "mug", "unwanted": ["red"] * 1000}
-    assert "2,000 bytes" in reason(small("POST", "/scenes/room/query", json=long), 413)
+    long = {"text": "mug", "exclude": ["red"] * 1000}
+    assert "2,000 bytes" in reason(small("POST", "/scenes/room/select", json=long), 413)
 
     async def chunks() -> Any:
         for _ in range(10):
             yield b" " * 500
 
-    told_nothing = small("POST", "/scenes/room/query", content=chunks())
+    told_nothing = small("POST", "/scenes/room/select", content=chunks())
     assert "2,000 bytes" in reason(told_nothing, 413)
     large = {"image": encoded(Image.new("1", (40, 40)))}
-    assert "at most 1,000" in reason(small("POST", "/scenes/room/query", json=large), 422)
+    assert "at most 1,000" in reason(small("POST", "/scenes/room/select", json=large), 422)
 
 
 def test_who_has_no_key_is_told(folder: Path) -> None:
@@ -347,10 +346,10 @@ def test_too_slow_and_too_many(folder: Path) -> None:
     """A stopped process is one that never has done: it is ended, and its place is free for others."""
     busy = Service(folder, limits=Limits(seconds=3.0, workers=1, waiting=2))
     with closing(busy):
-        wait_for(lambda: busy("POST", "/scenes/room/query", json=VASE).status_code == 200)
+        wait_for(lambda: busy("POST", "/scenes/room/select", json=VASE).status_code == 200)
         (stuck,) = processes_of(busy)
         os.kill(stuck, signal.SIGSTOP)
-        calls = [("POST", "/scenes/room/query", {"json": VASE})] * 8
+        calls = [("POST", "/scenes/room/select", {"json": VASE})] * 8
         refused = busy.all([*calls, ("GET", "/health", {})])
         assert [answer.status_code for answer in refused] == [503] * 8 + [200]
         kinds = [answer.json()["kind"] for answer in refused[:8]]
@@ -358,7 +357,7 @@ def test_too_slow_and_too_many(folder: Path) -> None:
         assert kinds.count("timeout") == 3
         assert all(answer.headers["retry-after"] == "1" for answer in refused[:8])
         wait_for(lambda: not Path(f"/proc/{stuck}").exists())
-        wait_for(lambda: busy("POST", "/scenes/room/query", json=VASE).status_code == 200)
+        wait_for(lambda: busy("POST", "/scenes/room/select", json=VASE).status_code == 200)
 
 
 def copied(scene: Path, to: Path) -> Path:
@@ -387,7 +386,7 @@ def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(
     with closing(Service(tmp_path, limits=Limits(workers=2))) as service:
 
         def answers(name: str) -> list[Any]:
-            return service.all([("POST", f"/scenes/{name}/query", {"json": asked})] * 4)
+            return service.all([("POST", f"/scenes/{name}/select", {"json": asked})] * 4)
 
         before = [told(answer) for answer in answers("one")]
         known = load_field(scene / "room.field").fingerprint
@@ -423,16 +422,16 @@ def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(
     (tmp_path / "room").symlink_to(folder / "room")
     with closing(Service(tmp_path, limits=Limits(workers=1))) as service:
         monkeypatch.setattr(workbench, "_process", dying)
-        assert "SIGBUS" in reason(service("POST", "/scenes/room/query", json=VASE), 503)
+        assert "SIGBUS" in reason(service("POST", "/scenes/room/select", json=VASE), 503)
         monkeypatch.setattr(workbench, "_process", started)
-        told(service("POST", "/scenes/room/query", json=VASE))
+        told(service("POST", "/scenes/room/select", json=VASE))
 
 
 def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
-    told(service("POST", "/scenes/room/query", json=VASE))
+    told(service("POST", "/scenes/room/select", json=VASE))
     for process in processes_of(service):
         os.kill(process, signal.SIGKILL)
-    told(service("POST", "/scenes/room/query", json=VASE))
+    told(service("POST", "/scenes/room/select", json=VASE))
 
 
 def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path) -> None:
@@ -453,10 +452,10 @@ def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path)
         assert set(listed) == {"good", "pipe", "b\\xffd\x1b[2J", "half", "huge"}
         assert "pipe" in listed["pipe"]["fault"]
         assert listed["huge"]["num_registered"] == 0
-        assert "cannot be opened" in reason(service("POST", "/scenes/pipe/query", json=VASE), 503)
-        assert "can be written" in reason(service("POST", "/scenes/half/query", json=VASE), 503)
-        told(service("POST", "/scenes/b%5Cxffd%1B%5B2J/query", json=VASE))
-        told(service("POST", "/scenes/good/query", json=VASE))
+        assert "cannot be opened" in reason(service("POST", "/scenes/pipe/select", json=VASE), 503)
+        assert "can be written" in reason(service("POST", "/scenes/half/select", json=VASE), 503)
+        told(service("POST", "/scenes/b%5Cxffd%1B%5B2J/select", json=VASE))
+        told(service("POST", "/scenes/good/select", json=VASE))
 
 
 def test_refusals_tell_no_paths_and_are_not_corrupted(
@@ -466,12 +465,12 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
     secret.parent.mkdir()
     secret.write_text("{")
     with closing(Service(folder, sources=Sources(vocabulary=str(secret)))) as service:
-        text = reason(service("POST", "/scenes/room/query", json=VASE), 422)
+        text = reason(service("POST", "/scenes/room/select", json=VASE), 422)
         assert "secret" not in text
         assert "words.json: expected JSON" in text
     away = str(tmp_path / "secret" / "model")
     with closing(Service(folder, sources=Sources(encoder=away))) as service:
-        text = reason(service("POST", "/scenes/room/query", json=VASE), 422)
+        text = reason(service("POST", "/scenes/room/select", json=VASE), 422)
         assert "secret" not in text
         assert "model: " in text
     for root, name in ((folder / "room", "."), (folder, ".")):
@@ -480,7 +479,7 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
         scene = "room" if root == folder else scene
         with closing(Service(Path(name))) as service:
             click = {"click": {"view": "no.view", "x": 1, "y": 1}}
-            text = reason(service("POST", f"/scenes/{scene}/query", json=click), 422)
+            text = reason(service("POST", f"/scenes/{scene}/select", json=click), 422)
             assert "'no.view'" in text
             assert "'frame_00001.jpg'" in text
 
@@ -500,15 +499,15 @@ def test_heads_pages_and_origins(service: Service, folder: Path) -> None:
         for route in ("/scenes/{scene}/locate", "openapi.json", "&quot;red vase&quot;"):
             assert route in page.text
     asking = {"origin": "https://a.example", "access-control-request-method": "POST"}
-    assert service("OPTIONS", "/scenes/room/query", headers=asking).status_code == 405
+    assert service("OPTIONS", "/scenes/room/select", headers=asking).status_code == 405
     got = service("GET", "/scenes", headers={"origin": "https://a.example"})
     assert not [name for name in got.headers if name.startswith("access-control")]
     with closing(Service(folder, origins=("https://a.example",), key=KEY)) as allowed:
-        answer = allowed("OPTIONS", "/scenes/room/query", headers=asking)
+        answer = allowed("OPTIONS", "/scenes/room/select", headers=asking)
         assert answer.status_code == 200
         assert answer.headers["access-control-allow-origin"] == "https://a.example"
         asking["origin"] = "https://b.example"
-        assert allowed("OPTIONS", "/scenes/room/query", headers=asking).status_code == 400
+        assert allowed("OPTIONS", "/scenes/room/select", headers=asking).status_code == 400
         assert "Bearer" in reason(allowed("GET", "/scenes", headers=asking), 401)
 
 
@@ -516,8 +515,8 @@ def test_few_large_bodies_at_once(folder: Path) -> None:
     limits = Limits(large_bodies=0, body_bytes=1 << 20)
     with closing(Service(folder, limits=limits)) as busy:
         large = {"vector": [0.123456789] * 8000}
-        assert "come again" in reason(busy("POST", "/scenes/room/query", json=large), 503)
-        told(busy("POST", "/scenes/room/query", json=VASE))
+        assert "come again" in reason(busy("POST", "/scenes/room/select", json=large), 503)
+        told(busy("POST", "/scenes/room/select", json=VASE))
 
 
 def test_what_cannot_be_served_is_said_at_the_start(
@@ -533,11 +532,11 @@ def test_what_cannot_be_served_is_said_at_the_start(
 
 def test_metrics_count(folder: Path) -> None:
     counted = Service(folder)
-    told(counted("POST", "/scenes/room/query", json={"text": "vase"}))
-    reason(counted("POST", "/scenes/room/query", json={}), 422)
+    told(counted("POST", "/scenes/room/select", json={"text": "vase"}))
+    reason(counted("POST", "/scenes/room/select", json={}), 422)
     reason(counted("GET", "/unheard-of"), 404)
     lines = counted("GET", "/metrics").text.splitlines()
-    route = 'route="/scenes/{scene}/query"'
+    route = 'route="/scenes/{scene}/select"'
     assert f'drsplat_requests_total{{{route},status="200"}} 1.0' in lines
     assert f'drsplat_requests_total{{{route},status="422"}} 1.0' in lines
     assert 'drsplat_requests_total{route="none",status="404"} 1.0' in lines
@@ -553,7 +552,7 @@ def test_the_description_has_examples_and_refusals(service: Service) -> None:
             assert "422" in method["responses"], path
     examples = described["components"]["schemas"]["Locate"]["examples"]
     for given in examples:
-        assert told(service("POST", "/scenes/room/locate", json=given))["num_found"] >= 1
+        assert told(service("POST", "/scenes/room/locate", json=given))["num_matches"] >= 1
 
 
 @contextmanager
@@ -614,17 +613,17 @@ def children_of(pid: int) -> list[int]:
 def test_a_killed_worker_loses_no_field_and_a_stopped_service_ends_well(folder: Path) -> None:
     body = {"text": "red vase", "ids": True}
     with running(folder, "--workers", "2") as (server, port):
-        before = asked(port, "POST", "/scenes/room/query", body)
+        before = asked(port, "POST", "/scenes/room/select", body)
         assert before[0] == 200
         workers = children_of(server.pid)
         assert len(workers) == 2
         for worker in workers:
             os.kill(worker, signal.SIGKILL)
         wait_for(lambda: not set(children_of(server.pid)) & set(workers))
-        wait_for(lambda: asked(port, "POST", "/scenes/room/query", body) == before)
+        wait_for(lambda: asked(port, "POST", "/scenes/room/select", body) == before)
         status, text = asked(port, "GET", "/metrics")
         assert status == 200
-        assert b'route="/scenes/{scene}/query",status="200"' in text
+        assert b'route="/scenes/{scene}/select",status="200"' in text
         server.send_signal(signal.SIGTERM)
         assert server.wait(60) in (0, -signal.SIGTERM)
 

@@ -10,14 +10,13 @@ from PIL import Image
 from world.furnished.story import Story, intersection_over_union
 
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat import WordEncoder, load_field, read_gaussians, select
-from drsplat.asking.query import query
+from drsplat import Scene, WordEncoder, load_field, read_gaussians
 from drsplat.commands.legend import class_colors, legend
 from drsplat.demo import story as household
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
-from drsplat.nouns import NOUNS
-from drsplat.thresholds import share_threshold
+from drsplat.query.nouns import NOUNS
+from drsplat.query.thresholds import share_threshold
 
 
 @pytest.fixture(scope="module")
@@ -34,12 +33,6 @@ def pixels_of(path: Path) -> np.ndarray:
         return np.asarray(picture, int)
 
 
-def test_query_is_another_name_of_locate(room: Path, capsys: Capture) -> None:
-    argv = [room / "room.field", "blue cup", "--scene", room / "scene.ply"]
-    assert answer_of(capsys, "query", *argv) == answer_of(capsys, "locate", *argv)
-    assert text_of(capsys, "query", *argv) == text_of(capsys, "locate", *argv)
-
-
 def test_select_counts_and_saves_columns(
     room: Path, story: Story, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -51,7 +44,7 @@ def test_select_counts_and_saves_columns(
     saved = read_gaussians(out)
     field = load_field(room / "room.field")
     scores = field.scores(WordEncoder().encode_texts(["green sofa"])[0])
-    ids = select(field, scores, WordEncoder.threshold)
+    ids = field.gaussian_ids[scores > WordEncoder.threshold]
     np.testing.assert_array_equal(np.flatnonzero(saved.extra["selected"]), ids)
     assert set(np.unique(saved.extra["selected"])) == {0, 1}
     np.testing.assert_array_equal(saved.extra["relevancy"], field.dense(scores))
@@ -132,8 +125,8 @@ def test_a_vocabulary_is_contrasted_with_its_other_texts(
     found = np.load(out, allow_pickle=False)
     meant = truth_of(story, *(["red mug", "blue mug"] if text == "mug" else []))
     assert intersection_over_union(found, meant) > 0.85
-    answer = query(story.field, known, text)
-    np.testing.assert_array_equal(select(story.field, answer), found)
+    answer = Scene(story.field, encoder=known).ask(text)
+    np.testing.assert_array_equal(answer.gaussian_ids, found)
 
 
 def texts_with(text: str) -> tuple[str, ...]:
@@ -146,24 +139,24 @@ def test_auto_is_of_cosines(room: Path, capsys: Capture) -> None:
         assert "drop --relevancy" in error_of(capsys, *argv)
 
 
-@pytest.mark.parametrize("argv", [["mug, not red"], ["mug", "--not", "red"]])
+@pytest.mark.parametrize("argv", [["mug, not red"], ["mug", "--exclude", "red"]])
 def test_not_leaves_one_mug(argv: list[str], room: Path, story: Story, capsys: Capture) -> None:
     scene = ["--scene", room / "scene.ply"]
     answer = answer_of(capsys, "locate", room / "room.field", *argv, *scene)
     assert answer["query"] == "mug, not red"
-    assert answer["num_instances"] == 1
+    assert answer["num_matches"] == 1
     blue = story.gaussians.means[truth_of(story, "blue mug")]
-    center = answer["instances"][0]["center"]
+    center = answer["matches"][0]["center"]
     np.testing.assert_allclose(center, (blue.min(0) + blue.max(0)) / 2, atol=0.03)
     assert answer["score_range"][0] > -1
     relevant = answer_of(capsys, "locate", room / "room.field", *argv, *scene, "--relevancy",
                          "--negatives", "floor,wall,sofa", "--threshold", "0.9")  # fmt: skip
-    assert relevant["num_instances"] == 1
+    assert relevant["num_matches"] == 1
 
 
 def test_not_needs_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
     write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
-    argv = ["select", room / "room.field", "--vector", tmp_path / "q.npy", "--not", "red"]
+    argv = ["select", room / "room.field", "--vector", tmp_path / "q.npy", "--exclude", "red"]
     assert "in words" in error_of(capsys, *argv)
     assert "mug, not red" in error_of(capsys, "select", room / "room.field", "mug, not ")
 

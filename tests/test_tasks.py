@@ -13,8 +13,9 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import LanguageField, build_field
 from drsplat.gaussians import Gaussians
-from drsplat.tasks import NO_CLASS, locate, segment, select
-from drsplat.thresholds import automatic_threshold, rise
+from drsplat.query import Answer
+from drsplat.query.tasks import NO_CLASS, locate, segment
+from drsplat.query.thresholds import automatic_threshold, rise
 
 
 def boxes_scene(
@@ -63,17 +64,17 @@ def test_select_is_strictly_above_the_threshold():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     field = field_of(scene, labels)
     scores = field.scores(unit(1))
-    assert np.array_equal(select(field, scores, 0.5), np.flatnonzero(labels == 1))
-    assert len(select(field, scores, float(scores.max()))) == 0
-    with pytest.raises(InputError, match="expected 1000 scores"):
-        select(field, scores[1:], 0.5)
+    assert np.array_equal(Answer.of(field, scores, 0.5).gaussian_ids, np.flatnonzero(labels == 1))
+    assert len(Answer.of(field, scores, float(scores.max())).gaussian_ids) == 0
+    with pytest.raises(InputError, match="expected 1000 values"):
+        Answer.of(field, scores[1:], 0.5)
 
 
 @pytest.mark.parametrize("turn", [None, Rotation.from_euler("xyz", [20, -35, 50], degrees=True)])
 def test_locate_finds_a_turned_box(turn):
     scene, labels = boxes_scene([(0, 0, 0), (3, 1, 2)], turn=turn)
     field = field_of(scene, labels)
-    found = locate(field, scene, field.scores(unit(1)), 0.5)
+    found = locate(Answer.of(field, field.scores(unit(1)), 0.5), scene)
     assert len(found) == 1
     thing = found[0]
     np.testing.assert_allclose(thing.center, (3, 1, 2), atol=0.03)
@@ -89,15 +90,15 @@ def test_things_apart_are_counted_apart_and_together_when_linked():
     scene, labels = boxes_scene([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     field = field_of(scene, np.zeros_like(labels))
     scores = field.scores(unit(0))
-    assert len(locate(field, scene, scores, 0.5)) == 3
-    assert len(locate(field, scene, scores, 0.5, link_distance=0.9)) == 1
+    assert len(locate(Answer.of(field, scores, 0.5), scene)) == 3
+    assert len(locate(Answer.of(field, scores, 0.5), scene, link_distance=0.9)) == 1
 
 
 def test_the_best_score_comes_first():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     field = field_of(scene, labels)
     mixed = field.scores(unit(0) * 0.6 + unit(1) * 0.8)
-    found = locate(field, scene, mixed, 0.3)
+    found = locate(Answer.of(field, mixed, 0.3), scene)
     assert [round(thing.score, 1) for thing in found] == [0.8, 0.6]
     np.testing.assert_allclose(found[0].center, (2, 0, 0), atol=0.03)
 
@@ -105,10 +106,10 @@ def test_the_best_score_comes_first():
 def test_nothing_found_is_an_answer_and_crumbs_are_left_out():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     field = field_of(scene, labels)
-    assert locate(field, scene, field.scores(unit(5)), 0.5) == []
+    assert locate(Answer.of(field, field.scores(unit(5)), 0.5), scene) == []
     few = np.where(np.arange(len(scene)) < 6, 1, 0).astype(np.float32)
-    assert locate(field, scene, few, 0.5) == []
-    assert len(locate(field, scene, few, 0.5, min_gaussians=3, link_distance=10.0)) == 1
+    assert locate(Answer.of(field, few, 0.5), scene) == []
+    assert len(locate(Answer.of(field, few, 0.5), scene, min_gaussians=3, link_distance=10.0)) == 1
 
 
 def test_locate_moves_with_the_scene():
@@ -116,8 +117,13 @@ def test_locate_moves_with_the_scene():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     points = (turn.apply(scene.means) + shift).astype(np.float32)
     moved = Gaussians(points, scene.quats, scene.scales, scene.opacities, scene.sh)
-    a = locate(field_of(scene, labels), scene, field_of(scene, labels).scores(unit(0)), 0.5)[0]
-    b = locate(field_of(moved, labels), moved, field_of(moved, labels).scores(unit(0)), 0.5)[0]
+
+    def of(gaussians: Gaussians) -> Answer:
+        field = field_of(gaussians, labels)
+        return Answer.of(field, field.scores(unit(0)), 0.5)
+
+    a = locate(of(scene), scene)[0]
+    b = locate(of(moved), moved)[0]
     np.testing.assert_allclose(b.center, turn.apply(a.center) + shift, atol=1e-3)
     np.testing.assert_allclose(b.extent, a.extent, atol=1e-3)
 
@@ -127,7 +133,7 @@ def test_another_scene_is_refused():
     field = field_of(scene, labels)
     other, _ = boxes_scene([(0, 0, 0), (2, 0, 0)], seed=1)
     with pytest.raises(MismatchError, match="row order"):
-        locate(field, other, field.scores(unit(0)))
+        locate(Answer.of(field, field.scores(unit(0)), 0.5), other)
 
 
 def test_what_can_be_seen_through_is_no_thing():
@@ -136,11 +142,11 @@ def test_what_can_be_seen_through_is_no_thing():
     opacities = np.where(labels == 1, 0.09, 0.8).astype(np.float32)
     hazy = Gaussians(scene.means, scene.quats, scene.scales, opacities, scene.sh)
     field = field_of(hazy, labels)
-    assert locate(field, hazy, field.scores(unit(1)), 0.5) == []
+    assert locate(Answer.of(field, field.scores(unit(1)), 0.5), hazy) == []
     opacities[np.flatnonzero(labels == 1)[:40]] = 0.1
     some = Gaussians(scene.means, scene.quats, scene.scales, opacities, scene.sh)
-    assert len(locate(field, some, field.scores(unit(1)), 0.5, min_gaussians=40)) == 1
-    assert locate(field, some, field.scores(unit(1)), 0.5, min_gaussians=41) == []
+    assert len(locate(Answer.of(field, field.scores(unit(1)), 0.5), some, min_gaussians=40)) == 1
+    assert locate(Answer.of(field, field.scores(unit(1)), 0.5), some, min_gaussians=41) == []
 
 
 def test_absent_words_find_nothing_and_present_ones_the_thing():
@@ -156,7 +162,7 @@ def test_absent_words_find_nothing_and_present_ones_the_thing():
 
     def answer(wanted: int) -> list[int]:
         scores = cosines(wanted)
-        found = locate(field, scene, scores, automatic_threshold(scores, nulls))
+        found = locate(Answer.of(field, scores, automatic_threshold(scores, nulls)), scene)
         return [int(np.bincount(labels[thing.gaussian_ids]).argmax()) for thing in found]
 
     nulls = np.array([rise(cosines(-1)) for _ in range(24)])

@@ -96,7 +96,7 @@ def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> N
     )
     answer = answer_of(capsys, "locate", room, "red mug")
     assert answer["field"] == str(room / "room.field")
-    assert answer["num_instances"] == 1
+    assert answer["num_matches"] == 1
     assert answer_of(capsys, "select", room, "red mug", "--save", room / "found.ply")[
         "num_selected"
     ]

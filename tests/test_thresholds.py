@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drsplat.errors import InputError
-from drsplat.thresholds import (
+from drsplat.query.thresholds import (
     CUT,
     PEAK,
     automatic_threshold,

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
-from drsplat.asking import Question
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
 from drsplat.viewing import cameras, painting, picking, results, saving, shown, texts, uploads
 from drsplat.viewing.bare import is_bare, open_bare
@@ -195,7 +194,7 @@ def test_a_flight_is_a_loop_at_one_height_and_distance() -> None:
 
 def test_the_place_before_a_thing_sees_all_of_it(session: Session) -> None:
     session.ask("tall lamp")
-    thing, scene = session.results[0].found[0].thing, session.scene
+    thing, scene = session.results[0].matches[0], session.scene
     eye = cameras.before(thing, scene.gaussians, scene.views, UP)
     view = cameras.looking_at(eye, thing.center, UP, (200, 200))
     points = scene.gaussians.means[thing.gaussian_ids] @ view.cam_from_world[:3, :3].T
@@ -277,14 +276,14 @@ def test_nothing_found_is_said(session: Session) -> None:
 
 def test_the_threshold_moves_the_selection_and_its_own_stays_marked(session: Session) -> None:
     session.ask("mug")
-    marked = session.results[0].asked.threshold
+    marked = session.results[0].answer.threshold
     np.testing.assert_array_equal(session.selection, np.concatenate([rows(0), rows(1)]))
     low, high = session.results[0].limits
     session.set_threshold(0, high)
     assert not len(session.selection)
     session.set_threshold(0, (low + marked) / 2)
     assert len(session.selection) >= 2 * EACH
-    assert session.results[0].asked.threshold == marked
+    assert session.results[0].answer.threshold == marked
     with pytest.raises(InputError, match="no query 1"):
         session.set_threshold(1, 0.5)
 
@@ -472,7 +471,7 @@ def test_what_is_suggested_is_found(session: Session) -> None:
     suggested = suggestions(session.scene, words)
     assert suggested
     assert set(suggested) <= set(THINGS)
-    assert all(session.scene.find(session.scene.ask(Question(text=word))) for word in suggested)
+    assert all(session.scene.locate(word) for word in suggested)
     assert suggestions(session.scene, words, most=1) == suggested[:1]
 
 

@@ -48,7 +48,7 @@ def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:
     _, offset, size = arrays["owner0"]
     owners = np.frombuffer(blob, np.uint8, size, offset)
     np.testing.assert_array_equal(np.flatnonzero(owners), np.arange(2 * EACH, 3 * EACH))
-    assert [len(answer["things"]) for answer in header["answers"]] == [1, 0]
+    assert [len(answer["matches"]) for answer in header["answers"]] == [1, 0]
     _, offset, size = arrays["words"]
     words = np.frombuffer(blob, np.uint16, size, offset)
     assert header["words"][words[0] - 1] == "red mug"

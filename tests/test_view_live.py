@@ -11,8 +11,8 @@ import pytest
 
 from browsing import a_browser, a_page, colorfulness, eventually, near, needs_chromium, pixels_of
 from drsplat import read_gaussians
-from drsplat.asking import open_scene
 from drsplat.demo.story import Story
+from drsplat.query import open_scene
 from drsplat.viewing.cameras import up_direction
 from drsplat.viewing.session import Session
 
@@ -87,7 +87,7 @@ def live(
 def test_typing_a_query_highlights_the_thing(live: Live) -> None:
     assert np.median(colorfulness(live.pixels())) > 0.05
     live.ask("red vase")
-    thing = live.session.results[0].found[0].thing
+    thing = live.session.results[0].matches[0]
     eventually(lambda: np.median(colorfulness(live.pixels())) < 0.05)  # the rest is grey
     assert colorfulness(near(live.pixels(), live.seen_at(thing.center))).mean() > 2 * GREY
 
@@ -120,12 +120,12 @@ def test_what_is_suggested_is_found(live: Live) -> None:
     for word in words:
         live.page.get_by_role("button", name=word, exact=True).click()
         eventually(lambda word=word: [one.label for one in live.session.results] == [word])
-        assert live.session.results[0].found
+        assert live.session.results[0].matches
 
 
 def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Live) -> None:
     live.ask("wooden table; brown table; window")
-    total = sum(len(one.found) for one in live.session.results)
+    total = sum(len(one.matches) for one in live.session.results)
     assert total > 12
     live.page.get_by_role("button", name="1 wooden table ·").wait_for()
     assert live.page.get_by_role("button", name=re.compile("^12 ")).is_visible()
@@ -141,7 +141,7 @@ def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Liv
 
 def test_a_click_says_the_name(live: Live) -> None:
     live.ask("red vase")
-    live.page.mouse.click(*live.seen_at(live.session.results[0].found[0].thing.center))
+    live.page.mouse.click(*live.seen_at(live.session.results[0].matches[0].center))
     live.page.get_by_text("Seen in").wait_for()
     assert live.session.clicked is not None
     assert live.session.clicked.name == "red vase"
@@ -154,7 +154,7 @@ def test_moving_the_slider_changes_the_selection(live: Live) -> None:
     live.page.get_by_role("slider").first.press("Home")
     eventually(lambda: len(live.session.selection) > selected)
     eventually(lambda: np.abs(live.pixels() - before).max(axis=-1).mean() > 0.01)
-    assert live.session.results[0].threshold < live.session.results[0].asked.threshold
+    assert live.session.results[0].threshold < live.session.results[0].answer.threshold
 
 
 def test_saving_writes_a_scene_that_opens(live: Live) -> None:

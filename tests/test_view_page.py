@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from browsing import a_browser, a_page, colorfulness, eventually, near, needs_chromium, pixels_of
-from drsplat.asking import open_scene
 from drsplat.demo.story import Story
+from drsplat.query import open_scene
 from drsplat.viewing.cameras import first_look, up_direction
 from drsplat.viewing.exporting import page_of
 from drsplat.viewing.page import write_page
@@ -60,7 +60,7 @@ def settled(page: Any) -> None:
 
 
 def place_of_thing(page: Any) -> tuple[float, float]:
-    script = "() => drsplat.project(drsplat.header.answers[drsplat.state.answer].things[0].center)"
+    script = "() => drsplat.project(drsplat.header.answers[drsplat.state.answer].matches[0].center)"
     x, y, depth = page.evaluate(script)
     assert depth > 0
     return x, y
@@ -110,7 +110,7 @@ def test_the_page_flies_to_a_thing(page: Any) -> None:
     press(page, "queries", "couch")
     before = page.evaluate("drsplat.state.target")
     page.locator("#things button").first.click()
-    target = page.evaluate("drsplat.header.answers[1].things[0].center")
+    target = page.evaluate("drsplat.header.answers[1].matches[0].center")
     eventually(lambda: np.allclose(page.evaluate("drsplat.state.target"), target, atol=1e-3))
     assert not np.allclose(before, target)
     x, y = place_of_thing(page)

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from drsplat.asking import AskableScene
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.gaussians import Gaussians
+from drsplat.query import Scene
 from drsplat.words import WordEncoder
 from scenes import look_at_view
 
@@ -34,7 +34,7 @@ def boxes() -> tuple[Gaussians, np.ndarray]:
     return scene, labels
 
 
-def boxes_scene() -> AskableScene:
+def boxes_scene() -> Scene:
     scene, labels = boxes()
     words = WordEncoder()
     found = labels >= 0
@@ -47,4 +47,4 @@ def boxes_scene() -> AskableScene:
     evidence = Evidence(weights, segments, words.encode_texts(THINGS))
     field = build_field(evidence, scene.fingerprint, words.identity)
     views = (look_at_view((0.0, -3.0, 1.0)), look_at_view((0.5, -3.0, 1.2)))
-    return AskableScene("boxes", scene, field, views, WordEncoder, threads=1)
+    return Scene(field, scene, views, WordEncoder, name="boxes", threads=1)

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     __version__: str
     from .adapters.loading import load_encoder
     from .adapters.sam import load_segmenter
-    from .asking.query import query
     from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
     from .codes.mixture import choose_code, recoded
     from .embedding import embed
@@ -35,13 +34,10 @@ if TYPE_CHECKING:
     from .kernels import splat_arrays, topk_contributions, view_weights
     from .mini import MiniEncoder
     from .photos import load_image
+    from .query import Answer, Cut, Match, Query, Scene, open_scene
     from .registration import Registration, register
     from .rendering import render
-    from .search import embed_query, feature_at
     from .segments import Masks, Segmenter
-    from .support import supporting_masks
-    from .tasks import Instance, locate, segment, select
-    from .thresholds import automatic_threshold
     from .training import Training, TrainingSettings, train
     from .views import View
     from .words import WordEncoder
@@ -49,7 +45,6 @@ if TYPE_CHECKING:
 _HOMES = {
     "adapters.loading": ("load_encoder",),
     "adapters.sam": ("load_segmenter",),
-    "asking.query": ("query",),
     "codes": (
         "Codebook",
         "load_codebook",
@@ -80,13 +75,10 @@ _HOMES = {
     "kernels": ("splat_arrays", "topk_contributions", "view_weights"),
     "mini": ("MiniEncoder",),
     "photos": ("load_image",),
+    "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"),
     "rendering": ("render",),
-    "search": ("embed_query", "feature_at"),
     "segments": ("Masks", "Segmenter"),
-    "support": ("supporting_masks",),
-    "tasks": ("Instance", "locate", "segment", "select"),
-    "thresholds": ("automatic_threshold",),
     "training": ("Training", "TrainingSettings", "train"),
     "views": ("View",),
     "words": ("WordEncoder",),
@@ -94,7 +86,9 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "Answer",
     "Codebook",
+    "Cut",
     "DrSplatError",
     "DrSplatWarning",
     "Encoder",
@@ -104,13 +98,15 @@ __all__ = [
     "GraphSegmenter",
     "ImageEncoder",
     "InputError",
-    "Instance",
     "LanguageField",
     "Masks",
+    "Match",
     "MiniEncoder",
     "MismatchError",
     "MissingExtraError",
+    "Query",
     "Registration",
+    "Scene",
     "Segmenter",
     "SparsePoints",
     "Training",
@@ -119,18 +115,14 @@ __all__ = [
     "ViewFeatures",
     "WordEncoder",
     "__version__",
-    "automatic_threshold",
     "choose_code",
     "embed",
-    "embed_query",
-    "feature_at",
     "load_codebook",
     "load_encoder",
     "load_field",
     "load_image",
     "load_segmenter",
-    "locate",
-    "query",
+    "open_scene",
     "read_faiss_codebook",
     "read_features",
     "read_gaussians",
@@ -141,10 +133,7 @@ __all__ = [
     "register",
     "render",
     "save_codebook",
-    "segment",
-    "select",
     "splat_arrays",
-    "supporting_masks",
     "topk_contributions",
     "train",
     "train_codebook",

@@ -25,8 +25,8 @@ from .formats.langsplat import stored_features, write_features
 from .formats.photo_files import listed
 from .formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from .mask_selection import SegmentMaps, segment_maps
-from .nouns import NOUNS
 from .photos import load_image
+from .query.nouns import NOUNS
 from .segments import LEVELS, Masks, Segmenter
 from .views import View
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drsplat.formats.replacing import replacing
-from drsplat.thresholds import CUT
+from drsplat.query.thresholds import CUT
 
 from .numbers import Results, masks_of, measured, methods_of
 from .reading import reading

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
-from drsplat.asking.query import query
 from drsplat.codes import Track, untracked
-from drsplat.demo.questions import Question
-from drsplat.demo.story import FIELD, Answer
+from drsplat.demo.probes import Probe
+from drsplat.demo.story import FIELD, Verdict
 from drsplat.errors import InputError
 from drsplat.field import LanguageField, load_field
 from drsplat.formats.captures import read_views
@@ -18,15 +17,15 @@ from drsplat.formats.langsplat import read_features
 from drsplat.formats.scenes import read_gaussians
 from drsplat.gaussians import Gaussians
 from drsplat.progress import Stopwatch
+from drsplat.query import Scene
 from drsplat.registration import register
-from drsplat.tasks import locate
 from drsplat.views import View
 from drsplat.words import WordEncoder
 
 from .cameras import walk
 from .capture import write_capture
 from .masks import MaskMaker
-from .questions import QUESTIONS
+from .probes import PROBES
 from .room import Room, build_room
 
 
@@ -48,7 +47,7 @@ class Story:
     gaussians: Gaussians
     views: list[View]
     field: LanguageField
-    answers: list[Answer]
+    verdicts: list[Verdict]
     seconds: dict[str, float]
     num_segments: int
     num_weights: int
@@ -62,7 +61,7 @@ def tell(
     threads: int = 0,
     track: Track = untracked,
 ) -> Story:
-    """Make the room's files in `folder`, register them, ask the QUESTIONS.
+    """Make the room's files in `folder`, register them, ask the PROBES.
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
@@ -88,26 +87,27 @@ def tell(
     registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
     field = load_field(folder / FIELD)
     watch.lap("field")
-    answers = [ask(field, gaussians, room, question) for question in QUESTIONS]
+    scene = Scene(field, gaussians)
+    verdicts = [ask(scene, room, probe) for probe in PROBES]
     watch.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
-    return Story(room, gaussians, views, field, answers, watch.seconds, *size)
+    return Story(room, gaussians, views, field, verdicts, watch.seconds, *size)
 
 
-def ask(field: LanguageField, gaussians: Gaussians, room: Room, question: Question) -> Answer:
-    """Query the field and hold the answer against the truth, Gaussian by Gaussian."""
+def ask(scene: Scene, room: Room, probe: Probe) -> Verdict:
+    """Ask the scene and hold the matches against the truth, Gaussian by Gaussian."""
     start = time.perf_counter()
-    asked = query(field, WordEncoder(), question.text)
-    scores, things = asked.scores, locate(field, gaussians, asked)
+    answer = scene.ask(probe.text)
+    matches = scene.locate(answer)
     ids = np.sort(
-        np.concatenate([thing.gaussian_ids for thing in things] or [np.empty(0, np.int64)])
+        np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
     )
     seconds = time.perf_counter() - start
-    truth = np.flatnonzero(room.members(*question.meant))
-    iou = intersection_over_union(ids, truth) if question.meant else None
-    center = things[0].center if things else None
-    limits = float(scores.min(initial=1)), float(scores.max(initial=-1))
-    return Answer(question, ids, len(things), iou, center, limits, seconds)
+    truth = np.flatnonzero(room.members(*probe.meant))
+    iou = intersection_over_union(ids, truth) if probe.meant else None
+    center = matches[0].center if matches else None
+    limits = float(answer.scores.min(initial=1)), float(answer.scores.max(initial=-1))
+    return Verdict(probe, ids, len(matches), iou, center, limits, seconds)
 
 
 def intersection_over_union(a: Int64[np.ndarray, " m"], b: Int64[np.ndarray, " k"]) -> float:

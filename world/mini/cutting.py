@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float32
 from drsplat import GraphSegmenter, LanguageField, MiniEncoder, ViewFeatures, load_image, register
 from drsplat.crops import crop
 from drsplat.mini.lexicon import NAMES
+from drsplat.query.thresholds import PEAK
 from drsplat.registration import Registration
-from drsplat.thresholds import PEAK
 
 from ..depth_scenes import read_views, scene_of
 from ..truth import Truth, read_truth

@@ -52,9 +52,10 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_segments": story.num_segments,
         "num_weights": story.num_weights,
         "queries": [
-            _query(answer, path) for answer, path in zip(story.answers, pictures[1:], strict=True)
+            _query(verdict, path)
+            for verdict, path in zip(story.verdicts, pictures[1:], strict=True)
         ],
-        "num_right": sum(answer.is_right for answer in story.answers),
+        "num_right": sum(verdict.is_right for verdict in story.verdicts),
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": {**story.seconds, "pictures": watch.seconds["pictures"]},
         "peak_memory_bytes": peak_memory_bytes(),
@@ -83,7 +84,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _row(query: dict[str, Any]) -> tuple[str, ...]:
-    found = f"found in {query['num_instances']} places" if query["num_instances"] > 1 else "found"
+    found = f"found in {query['num_matches']} places" if query["num_matches"] > 1 else "found"
     iou = "" if query["iou"] is None else f"{query['iou']:.2f}"
     center = "" if query["center"] is None else " ".join(f"{x:.2f}" for x in query["center"])
     return (
@@ -92,17 +93,17 @@ def _row(query: dict[str, Any]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _query(answer: Any, picture: Path) -> dict[str, Any]:
+def _query(verdict: Any, picture: Path) -> dict[str, Any]:
     return {
-        "text": answer.question.text,
-        "meant": list(answer.question.meant),
-        "found": answer.found,
-        "is_right": answer.is_right,
-        "iou": answer.iou,
-        "num_selected": len(answer.gaussian_ids),
-        "num_instances": answer.num_instances,
-        "center": answer.center,
-        "score_range": list(answer.scores),
-        "seconds": answer.seconds,
+        "text": verdict.probe.text,
+        "meant": list(verdict.probe.meant),
+        "found": verdict.found,
+        "is_right": verdict.is_right,
+        "iou": verdict.iou,
+        "num_selected": len(verdict.gaussian_ids),
+        "num_matches": verdict.num_matches,
+        "center": verdict.center,
+        "score_range": list(verdict.scores),
+        "seconds": verdict.seconds,
         "picture": str(picture),
     }

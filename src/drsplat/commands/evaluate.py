@@ -264,8 +264,8 @@ def _scorer(arguments: argparse.Namespace, index: int, gaussians: Gaussians) -> 
     from dataclasses import replace
 
     from .. import load_field
-    from ..asking import encoder_for
     from ..evaluation.scorers import cosine_scorer, feature_scorer, read_features, relevant
+    from ..query import encoder_for
 
     if arguments.features:
         features = read_features(Path(arguments.features[index]))

@@ -1,31 +1,26 @@
-"""drsplat locate (also: query): words, a picture or a click -> the things in the scene."""
+"""drsplat locate: words, a picture or a click -> the things in the scene."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..defaults import MIN_GAUSSIANS
-from .answers import asked
+from ..query.defaults import MIN_GAUSSIANS
 from .options import count
 from .query_options import (
     add_output_options,
     add_query_options,
-    ask_of,
+    answer_json,
     check_outputs,
     draw,
     measured_said,
-    numbers_of,
-    query_said,
-    take_folder,
+    open_scene,
+    query_of,
 )
 
 if TYPE_CHECKING:
-    from ..asking import Asked
-    from ..gaussians import Gaussians
-    from ..tasks import Instance
+    from ..query import Answer, Match, Scene
 
-ALIASES = ("query",)
 SUMMARY = "find things in a field: where they are, how large, and which photos say so"
 EXAMPLES = """\
   drsplat locate room.field "red mug" --scene scene.ply
@@ -65,31 +60,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import load_field, locate, read_gaussians, select
-
-    take_folder(arguments)
     check_outputs(arguments)
-    field = load_field(arguments.field)
-    scene = None if arguments.scene is None else read_gaussians(arguments.scene)
-    answer = asked(field, ask_of(arguments, scene), arguments.threads)
-    ids = select(field, answer.values, answer.threshold)
-    report = {
-        "field": arguments.field,
-        "query": query_said(arguments),
-        **numbers_of(answer, len(ids)),
-    }
-    if scene is None:
-        return {**report, "found": len(ids) > 0, "instances": None}
-    least = arguments.min_gaussians
-    things = locate(
-        field, scene, answer.values, answer.threshold, min_gaussians=least, box=arguments.box
-    )
-    report |= {"found": bool(things), "num_instances": len(things)}
-    report["instances"] = [_instance(answer, thing) for thing in things[: arguments.top]]
+    scene = open_scene(arguments)
+    answer = scene.ask(query_of(arguments))
+    report = answer_json(arguments, answer)
+    if not scene.has_gaussians:
+        return {**report, "found": report["num_selected"] > 0, "matches": None}
+    matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
+    report |= {"found": bool(matches), "num_matches": len(matches)}
+    report["matches"] = [_json(match) for match in matches[: arguments.top]]
     if arguments.save:
-        _save(arguments, answer, scene, things)
+        _save(arguments, scene, answer, matches)
     if arguments.picture:
-        report["view"] = _draw(arguments, scene, things)
+        report["view"] = _draw(arguments, scene, matches)
     return report
 
 
@@ -106,63 +89,57 @@ def show(answer: dict[str, Any]) -> None:
         return
     of = counted(answer["num_registered"], "Gaussian")
     print(f"{said(answer['num_selected'])} of {of} selected\n{measured}")
-    if answer["instances"] is None:
+    if answer["matches"] is None:
         print("For places, pass --scene SCENE.")
         return
-    columns = ("thing", "score", "Gaussians", "centre", "extent")
-    rows = [_row(number, thing) for number, thing in enumerate(answer["instances"])]
+    columns = ("match", "score", "Gaussians", "centre", "extent")
+    rows = [_row(number, match) for number, match in enumerate(answer["matches"])]
     show_table(
-        f"{answer['num_instances']} found for '{answer['query']}', in scene units", columns, rows
+        f"{answer['num_matches']} found for '{answer['query']}', in scene units", columns, rows
     )
-    for number, thing in enumerate(
-        answer["instances"]
+    for number, match in enumerate(
+        answer["matches"]
     ):  # names of photos are long, and people copy them
-        if thing["support"]:
-            photos = dict.fromkeys(mask["view"] for mask in thing["support"])
-            print(f"thing {number} is seen in {', '.join(photos)}")
+        if match["support"]:
+            photos = dict.fromkeys(mask["view"] for mask in match["support"])
+            print(f"match {number} is seen in {', '.join(photos)}")
 
 
-def _row(number: int, thing: dict[str, Any]) -> tuple[str, ...]:
-    places = (" ".join(f"{x:.2f}" for x in thing[key]) for key in ("center", "extent"))
-    return str(number), f"{thing['score']:.3f}", f"{thing['num_gaussians']:,}", *places
+def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
+    places = (" ".join(f"{x:.2f}" for x in match[key]) for key in ("center", "extent"))
+    return str(number), f"{match['score']:.3f}", f"{match['num_gaussians']:,}", *places
 
 
-def _instance(answer: Asked, thing: Instance) -> dict[str, Any]:
-    from ..support import supporting_masks
-
-    support = (
-        supporting_masks(answer.field, thing.gaussian_ids, answer.query, top=3)
-        if answer.field.evidence
-        else []
-    )
+def _json(match: Match) -> dict[str, Any]:
     return {
-        "score": thing.score,
-        "num_gaussians": len(thing),
-        "center": thing.center,
-        "extent": thing.extent,
-        "axes": thing.axes,
+        "score": match.score,
+        "num_gaussians": len(match),
+        "center": match.center,
+        "extent": match.extent,
+        "axes": match.axes,
         "support": [
-            {"view": m.view_name, "segment": m.segment_id, "share": m.share} for m in support
+            {"view": one.view_name, "mask": one.segment_id, "share": one.share}
+            for one in match.support
         ],
     }
 
 
 def _save(
-    arguments: argparse.Namespace, answer: Asked, scene: Gaussians, things: list[Instance]
+    arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: list[Match]
 ) -> None:
     import numpy as np
 
     from .. import write_gaussians
 
-    object_ids = np.full(len(scene), -1, np.int32)
-    for number, thing in enumerate(things):
-        object_ids[thing.gaussian_ids] = number
-    columns = {"relevancy": answer.dense, "object_id": object_ids}
-    write_gaussians(arguments.save, scene, columns, overwrite=arguments.overwrite)
+    match_ids = np.full(len(scene.gaussians), -1, np.int32)
+    for number, match in enumerate(matches):
+        match_ids[match.gaussian_ids] = number
+    columns = {"relevancy": answer.dense, "object_id": match_ids}
+    write_gaussians(arguments.save, scene.gaussians, columns, overwrite=arguments.overwrite)
 
 
-def _draw(arguments: argparse.Namespace, scene: Gaussians, things: list[Instance]) -> str:
+def _draw(arguments: argparse.Namespace, scene: Scene, matches: list[Match]) -> str:
     import numpy as np
 
-    ids = np.concatenate([thing.gaussian_ids for thing in things] or [np.empty(0, np.int64)])
-    return draw(arguments, scene, ids, f"{len(things)} found" if things else "not found")
+    ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
+    return draw(arguments, scene, ids, f"{len(matches)} found" if matches else "not found")

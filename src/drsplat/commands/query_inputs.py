@@ -1,28 +1,15 @@
-"""What a query on the command line is given as: pictures, vectors, clicks."""
+"""What a query on the command line is given as: pictures, vectors, pixels, points."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..gaussians import Gaussians
-    from ..views import View
 
-
-@dataclass(frozen=True, eq=False)
-class Click:
-    """A pixel of a view of a scene; xy as in `feature_at`."""
-
-    gaussians: Gaussians
-    view: View
-    xy: tuple[float, float]
-
-
-def split_click(text: str) -> tuple[str, tuple[float, float]]:
+def pixel(text: str) -> tuple[str, float, float]:
     """The view's name and the pixel of "photo_003:210,140".
 
     Raises: InputError: it does not look so.
@@ -34,7 +21,32 @@ def split_click(text: str) -> tuple[str, tuple[float, float]]:
     match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
     if match is None:
         raise InputError(f"--click {text}: expected VIEW:X,Y in pixels, e.g. photo_003:210,140")
-    return match[1], (float(match[2]), float(match[3]))
+    return match[1], float(match[2]), float(match[3])
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """Of "0.3,-0.14,1.2".
+
+    Raises: InputError: not three finite numbers.
+    """
+    import math
+
+    from ..errors import InputError
+
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+        if math.isfinite(x + y + z):
+            return x, y, z
+    except ValueError:
+        pass
+    raise InputError(f"--point {text}: expected X,Y,Z, three finite numbers, e.g. 0.3,-0.14,1.2")
+
+
+def negatives(text: str) -> tuple[str, ...] | np.ndarray:
+    """Words with commas between them, or the vectors of a .npy file."""
+    if text.endswith(".npy"):
+        return read_vectors(text)
+    return tuple(word.strip() for word in text.split(","))
 
 
 def read_picture(path: str) -> np.ndarray:

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..defaults import AUTO, RELEVANCY
-from .answers import Ask
+from ..query.defaults import AUTO
 from .options import (
     add_capture_options,
     add_overwrite,
     add_query_encoders,
     finite,
     new_output,
-    views_of,
     words,
 )
-from .query_inputs import Click, split_click
+from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..asking import Asked
-    from ..gaussians import Gaussians
+    from ..query import Answer, Cut, Query, Scene
     from ..views import View
 
 
@@ -49,7 +45,7 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
         help="what to look for, in words; 'mug, not red' leaves out what 'red mug' fits as well",
     )  # fmt: skip
     parser.add_argument(
-        "--not", dest="unwanted", type=words, action="append", default=[], metavar="WORDS",
+        "--exclude", type=words, action="append", default=[], metavar="WORDS",
         help="as ', not WORDS' in the text; may be given more than once",
     )  # fmt: skip
     parser.add_argument(
@@ -63,6 +59,10 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--click", type=words, metavar="VIEW:X,Y",
         help="look for what is at this pixel of a photo of --views, e.g. photo_003:210,140; needs --scene, and no encoder",
+    )  # fmt: skip
+    parser.add_argument(
+        "--point", type=words, metavar="X,Y,Z",
+        help="look for what is at this point of the world, in scene units; needs --scene, and no encoder",
     )  # fmt: skip
     add_query_encoders(parser)
     add_measure_options(parser)
@@ -115,23 +115,6 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     add_capture_options(parser)
 
 
-def take_folder(arguments: argparse.Namespace) -> None:
-    """Where a scene's folder was named: its field, and its scene and photos unless others are given.
-
-    Raises: InputError: a folder without a field or a scene. MismatchError: the field is of another scene.
-    """
-    from ..asking.opening import FIELD_SUFFIX, find_scene, registered_scene
-    from ..formats.field_folder import MANIFEST
-
-    folder = Path(arguments.field)
-    if not folder.is_dir() or (folder / MANIFEST).exists() or folder.suffix == FIELD_SUFFIX:
-        return
-    files = find_scene(folder)
-    arguments.field = str(files.field)
-    arguments.scene = arguments.scene or str(registered_scene(files)[0])
-    arguments.views = arguments.views or (files.capture and str(files.capture))
-
-
 def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> None:
     """All that can be known to be wrong before any work is done.
 
@@ -147,51 +130,85 @@ def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".
             raise InputError(f"{output}: expected a name that ends in {' or '.join(suffixes)}")
         if not folder.is_dir():
             raise InputError(f"{option}: there is no folder {folder}: make it first")
-        if arguments.scene is None and not output.lower().endswith(".npy"):
-            raise InputError(f"{option} needs --scene SCENE")
-    if arguments.picture is not None and arguments.views is None:
-        raise InputError("--picture needs --views CAPTURE, for a place to look from")
-    if getattr(arguments, "click", None) is not None and not (arguments.views and arguments.scene):
-        raise InputError("--click needs --scene SCENE and --views CAPTURE, the poses of the photos")
 
 
-def ask_of(arguments: argparse.Namespace, scene: Gaussians | None) -> Ask:
+def open_scene(arguments: argparse.Namespace) -> Scene:
+    """The scene that the field, --scene, --views and the options of encoders and captures mean.
+
+    Raises: InputError: an output that cannot be made of it; as `drsplat.open_scene`.
+    """
+    from .. import open_scene as opened
+
+    scene = opened(
+        arguments.field,
+        scene=arguments.scene,
+        views=arguments.views,
+        encoder=arguments.encoder,
+        vocabulary=arguments.vocabulary,
+        device=arguments.device,
+        threads=arguments.threads,
+        images=arguments.images,
+        dataparser_transforms=arguments.dataparser_transforms,
+        max_side=arguments.max_side,
+    )
+    drawn = arguments.picture is not None
+    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(".npy")):
+        _ = scene.gaussians  # or the error that says what is missing, before any work
+    if drawn:
+        scene.best_view()
+    return scene
+
+
+def query_of(arguments: argparse.Namespace) -> Query:
     """What the options of `add_query_options` say."""
-    from ..asking import view_named
+    from ..query import Query
 
-    click = None
-    if arguments.click is not None and scene is not None:
-        name, xy = split_click(arguments.click)
-        view = view_named(views_of(arguments, arguments.views), name)
-        click = Click(scene, view, xy)
-    same = ("text", "vector", "image", "vocabulary", "encoder", "device", "relevancy")
-    cut = ("negatives", "threshold", "top_share")
-    given: dict[str, Any] = {name: getattr(arguments, name) for name in (*same, *cut)}
-    return Ask(**given, click=click, unwanted=tuple(arguments.unwanted))
+    given: dict[str, Any] = {
+        "vector": arguments.vector and read_vector(arguments.vector),
+        "image": arguments.image and read_picture(arguments.image),
+        "point": arguments.point and point(arguments.point),
+        "click": arguments.click and pixel(arguments.click),
+    }
+    return Query(
+        arguments.text, **given, exclude=tuple(arguments.exclude), **vars(cut_of(arguments))
+    )
+
+
+def cut_of(arguments: argparse.Namespace) -> Cut:
+    """What the options of `add_measure_options` say."""
+    from ..query import Cut
+
+    return Cut(
+        threshold=arguments.threshold,
+        top_share=arguments.top_share,
+        relevancy=arguments.relevancy,
+        negatives=arguments.negatives and negatives(arguments.negatives),
+    )
 
 
 def query_said(arguments: argparse.Namespace) -> str:
     """The query in the words of the command line."""
-    nots = "".join(f", not {words}" for words in arguments.unwanted)
+    nots = "".join(f", not {words}" for words in arguments.exclude)
     text = f"{arguments.text}{nots}" if arguments.text else None
-    return str(text or arguments.image or arguments.vector or arguments.click)
+    return str(text or arguments.image or arguments.vector or arguments.click or arguments.point)
 
 
-def numbers_of(answer: Asked, num_selected: int) -> dict[str, Any]:
-    """What every answer says of its scores; their range without what was left out by a "not"."""
+def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]:
+    """What every answer says of its values; their range without what was left out by a "not"."""
     import numpy as np
 
-    lowest = 0.0 if answer.measure == RELEVANCY else -1.0
-    values = answer.values[answer.values > lowest]
-    values = values if len(values) else np.full(1, lowest, np.float32)
+    values = answer.values[answer.values > answer.lowest]
+    values = values if len(values) else np.full(1, answer.lowest, np.float32)
     return {
+        "field": arguments.field,
+        "query": query_said(arguments),
         "measure": answer.measure,
         "threshold": answer.threshold,
         "threshold_rule": answer.rule,
         "score_range": [float(values.min()), float(values.max())],
         "score_p99": float(np.percentile(values, 99)),
         "num_registered": len(answer.field),
-        "num_selected": num_selected,
+        "num_selected": len(answer.gaussian_ids),
     }
 
 
@@ -214,25 +231,17 @@ def measured_said(answer: dict[str, Any]) -> str:
     )
 
 
-def draw(arguments: argparse.Namespace, scene: Gaussians, ids: np.ndarray, note: str) -> str:
+def draw(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray, note: str) -> str:
     """Write --picture: the photo, in colour where the Gaussians at `ids` are; returns its name."""
-    from ..pictures import highlighted, photo_or_rendering, titled, visible_share, write_picture
+    from ..pictures import titled, write_picture
 
-    view, threads = chosen_view(arguments, scene, ids), arguments.threads
-    share = visible_share(scene, view, ids, threads=threads)
-    picture = highlighted(photo_or_rendering(scene, view, threads=threads), share)
-    title = query_said(arguments)
-    title = f"“{title}”" if arguments.text else title
-    write_picture(arguments.picture, titled(picture, title, note), arguments.overwrite)
+    view = chosen_view(arguments, scene, ids)
+    title = f"“{query_said(arguments)}”" if arguments.text else query_said(arguments)
+    picture = titled(scene.picture(view, ids, photo=True), title, note)
+    write_picture(arguments.picture, picture, arguments.overwrite)
     return view.name
 
 
-def chosen_view(arguments: argparse.Namespace, scene: Gaussians, ids: np.ndarray) -> View:
+def chosen_view(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray) -> View:
     """The view named, else the one that shows most of the Gaussians at `ids`."""
-    from ..asking import view_named
-    from ..pictures import best_views
-
-    views = views_of(arguments, arguments.views)
-    if arguments.view:
-        return view_named(views, arguments.view)
-    return best_views(scene, views, [ids], threads=arguments.threads)[0]
+    return scene.view(arguments.view) if arguments.view else scene.best_view(ids)

@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep in colour what this finds, the rest grey",
     )
     parser.add_argument(
-        "--threshold", type=finite, metavar="T", help="of --query (default: as `drsplat query`)"
+        "--threshold", type=finite, metavar="T", help="of --query (default: as `drsplat locate`)"
     )
     add_query_encoders(parser)
     add_capture_options(parser)
@@ -81,8 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_gaussians, splat_arrays
-    from ..asking import view_named
     from ..progress import Stopwatch
+    from ..query import view_named
 
     watch = Stopwatch()
     scene, views = read_gaussians(arguments.scene), views_of(arguments, arguments.views)
@@ -121,22 +121,19 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     """(N, 1): 1 for the Gaussians that --query finds; None without it."""
     import numpy as np
 
-    from .. import load_field, locate
-    from ..defaults import MIN_GAUSSIANS
-    from .answers import Ask, asked
+    from .. import open_scene
+    from ..query import Query
 
     if arguments.query is None:
         return None
     path, text = arguments.query
-    ask = Ask(
-        text=text, vocabulary=arguments.vocabulary, encoder=arguments.encoder,
-        device=arguments.device, threshold=arguments.threshold,
+    asked = open_scene(
+        path, scene=arguments.scene, vocabulary=arguments.vocabulary, encoder=arguments.encoder,
+        device=arguments.device, threads=arguments.threads,
     )  # fmt: skip
-    answer = asked(load_field(path), ask, arguments.threads)
     chosen = np.zeros((len(scene), 1), np.float32)
-    least, values = MIN_GAUSSIANS, answer.values
-    for thing in locate(answer.field, scene, values, answer.threshold, min_gaussians=least):
-        chosen[thing.gaussian_ids] = 1
+    for match in asked.locate(Query(text, threshold=arguments.threshold)):
+        chosen[match.gaussian_ids] = 1
     return chosen
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .answers import Ask, AskedOf
 from .leaving_out import lines_of
 from .options import add_query_encoders, words
 from .query_options import (
@@ -14,14 +13,12 @@ from .query_options import (
     add_output_options,
     check_outputs,
     chosen_view,
-    take_folder,
+    cut_of,
+    open_scene,
 )
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from ..asking import Asked
-    from ..gaussians import Gaussians
+    from ..query import Scene, Segmentation
 
 SUMMARY = "label every Gaussian with the best of some classes, or with none of them"
 EXAMPLES = """\
@@ -50,31 +47,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import load_field, read_gaussians
-    from ..tasks import segment
-
-    take_folder(arguments)
     check_outputs(arguments)
     classes = _classes(arguments)
-    asking = AskedOf(load_field(arguments.field), _ask(arguments), arguments.threads)
-    scene = None if arguments.scene is None else read_gaussians(arguments.scene)
-    if scene is not None:
-        asking.field.check_scene(scene)
-    answers = list(asking.about_each(classes))
-    thresholds = [answer.threshold for answer in answers]
-    labels = segment(asking.field, (answer.values for answer in answers), thresholds)
+    scene = open_scene(arguments)
+    found = scene.segment(classes, cut_of(arguments))
     report = {
         "field": arguments.field,
-        "measure": answers[0].measure,
-        "threshold_rule": answers[0].rule,
-        "num_registered": len(asking.field),
-        "num_labelled": int((labels >= 0).sum()),
-        "classes": _counts(classes, answers, labels),
+        "measure": found.answers[0].measure,
+        "threshold_rule": found.answers[0].rule,
+        "num_registered": len(scene.field),
+        "num_labelled": sum(found.counts),
+        "classes": _counts(found, max(len(scene.field), 1)),
     }
-    if arguments.save and scene is not None:
-        _save(arguments, scene, labels, len(classes))
-    if arguments.picture and scene is not None:
-        report["view"] = _draw(arguments, scene, labels, classes)
+    if arguments.save:
+        _save(arguments, scene, found)
+    if arguments.picture:
+        report["view"] = _draw(arguments, scene, found)
     return report
 
 
@@ -94,7 +82,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _classes(arguments: argparse.Namespace) -> list[str]:
-    """Raises: InputError: not one list, an empty one, or a class twice."""
+    """Raises: InputError: not one list."""
     from ..errors import InputError
 
     if (arguments.classes is None) == (arguments.classes_file is None):
@@ -103,54 +91,41 @@ def _classes(arguments: argparse.Namespace) -> list[str]:
         given = lines_of(arguments.classes_file, "one class")
     else:
         given = arguments.classes.split(",")
-    names = [name.strip() for name in given if name.strip()]
-    if not names or len(set(names)) < len(names):
-        raise InputError(
-            f"expected one or more different classes, got {', '.join(names) or 'none'}"
-        )
-    return names
+    return [name.strip() for name in given if name.strip()]
 
 
-def _ask(arguments: argparse.Namespace) -> Ask:
-    names = ("vocabulary", "encoder", "device", "relevancy", "negatives", "threshold", "top_share")
-    return Ask(**{name: getattr(arguments, name) for name in names})
-
-
-def _counts(classes: list[str], answers: list[Asked], labels: np.ndarray) -> list[dict[str, Any]]:
-    import numpy as np
-
-    counts = np.bincount(labels[labels >= 0], minlength=len(classes))
+def _counts(found: Segmentation, registered: int) -> list[dict[str, Any]]:
+    parts = zip(found.names, found.answers, found.counts, strict=True)
     return [
         {
             "name": name,
-            "num_gaussians": int(count),
-            "share": count / max(len(answer.field), 1),
+            "num_gaussians": count,
+            "share": count / registered,
             "threshold": answer.threshold,
         }
-        for name, answer, count in zip(classes, answers, counts, strict=True)
+        for name, answer, count in parts
     ]
 
 
-def _save(arguments: argparse.Namespace, scene: Gaussians, labels: np.ndarray, count: int) -> None:
+def _save(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> None:
     from .. import write_gaussians
     from .legend import colored
 
-    columns = {"class_id": labels}
-    write_gaussians(
-        arguments.save, colored(scene, labels, count), columns, overwrite=arguments.overwrite
-    )
+    painted = colored(scene.gaussians, found.labels, len(found.names))
+    columns = {"class_id": found.labels}
+    write_gaussians(arguments.save, painted, columns, overwrite=arguments.overwrite)
 
 
-def _draw(
-    arguments: argparse.Namespace, scene: Gaussians, labels: np.ndarray, classes: list[str]
-) -> str:
+def _draw(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> str:
     import numpy as np
 
     from ..pictures import photo_or_rendering, write_picture
     from .legend import class_picture
 
-    view = chosen_view(arguments, scene, np.flatnonzero(labels >= 0))
-    photo = photo_or_rendering(scene, view, threads=arguments.threads)
-    picture = class_picture(scene, view, photo, labels, classes, arguments.threads)
+    view = chosen_view(arguments, scene, np.flatnonzero(found.labels >= 0))
+    photo = photo_or_rendering(scene.gaussians, view, threads=arguments.threads)
+    picture = class_picture(
+        scene.gaussians, view, photo, found.labels, list(found.names), arguments.threads
+    )
     write_picture(arguments.picture, picture, arguments.overwrite)
     return view.name

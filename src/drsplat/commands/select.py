@@ -6,23 +6,19 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .answers import asked
 from .query_options import (
     add_output_options,
     add_query_options,
-    ask_of,
+    answer_json,
     check_outputs,
     draw,
     measured_said,
-    numbers_of,
-    query_said,
-    take_folder,
+    open_scene,
+    query_of,
 )
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from ..asking import Asked
+    from ..query import Answer, Scene
 
 SUMMARY = "select the Gaussians that a query fits: by a threshold, an automatic one or a share"
 EXAMPLES = """\
@@ -43,28 +39,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import load_field, read_gaussians, select
     from ..terminal import counted
 
-    take_folder(arguments)
     check_outputs(arguments, (".ply", ".npy"))
-    field = load_field(arguments.field)
-    scene = None if arguments.scene is None else read_gaussians(arguments.scene)
-    if scene is not None:
-        field.check_scene(scene)
-    answer = asked(field, ask_of(arguments, scene), arguments.threads)
-    ids = select(field, answer.values, answer.threshold)
-    if arguments.save:
-        _save(arguments, answer, ids)
-    report = {
-        "field": arguments.field,
-        "query": query_said(arguments),
-        **numbers_of(answer, len(ids)),
-        "num_gaussians": field.num_gaussians,
-        "share": len(ids) / max(len(field), 1),
+    scene = open_scene(arguments)
+    answer = scene.ask(query_of(arguments))
+    report = answer_json(arguments, answer) | {
+        "num_gaussians": answer.field.num_gaussians,
+        "share": len(answer.gaussian_ids) / max(len(answer.field), 1),
         "saved": arguments.save,
     }
-    if arguments.picture and scene is not None:
+    if arguments.save:
+        _save(arguments, scene, answer)
+    if arguments.picture:
+        ids = answer.gaussian_ids
         report["view"] = draw(arguments, scene, ids, counted(len(ids), "Gaussian"))
     return report
 
@@ -83,17 +71,17 @@ def show(answer: dict[str, Any]) -> None:
         print(f"written to {answer['saved']}")
 
 
-def _save(arguments: argparse.Namespace, answer: Asked, ids: np.ndarray) -> None:
+def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer) -> None:
     import numpy as np
 
-    from .. import read_gaussians, write_gaussians
+    from .. import write_gaussians
     from ..formats.npy import write_npy
 
+    ids = answer.gaussian_ids
     if arguments.save.lower().endswith(".npy"):
         write_npy(Path(arguments.save), ids, arguments.overwrite)
         return
     selected = np.zeros(answer.field.num_gaussians, np.uint8)
     selected[ids] = 1
     columns = {"relevancy": answer.dense, "selected": selected}
-    scene = read_gaussians(arguments.scene)
-    write_gaussians(arguments.save, scene, columns, overwrite=arguments.overwrite)
+    write_gaussians(arguments.save, scene.gaussians, columns, overwrite=arguments.overwrite)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from .options import PORT, add_overwrite, add_query_encoders, count, new_output, words
 
 if TYPE_CHECKING:
-    from ..asking import AskableScene
+    from ..query import Scene
     from ..viewing.session import Session
     from ..viewing.shown import Shown
 
@@ -87,7 +87,7 @@ def show(answer: dict[str, Any]) -> None:
             f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB"
         )
         for one in answer["queries"]:
-            print(f"  {one['text']}: {one['num_instances'] or 'nothing'} found")
+            print(f"  {one['text']}: {one['num_matches'] or 'nothing'} found")
 
 
 def _export(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -113,7 +113,7 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_shown": len(page.shown),
         "num_left_out": page.shown.num_left_out,
         "queries": [
-            {"text": answer.text, "num_instances": len(answer.things)} for answer in page.answers
+            {"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers
         ],
     }
 
@@ -154,33 +154,27 @@ def _session(arguments: argparse.Namespace, budget: int) -> Session:
     return Session(_scene(arguments), budget, words)
 
 
-def _scene(arguments: argparse.Namespace) -> AskableScene:
-    """Raises: InputError: a field without --scene."""
-    from ..asking import SceneFiles, open_scene
-    from ..errors import InputError
+def _scene(arguments: argparse.Namespace) -> Scene:
+    from .. import open_scene
     from ..viewing.bare import is_bare, open_bare
 
-    files: SceneFiles | str = arguments.field
     path = Path(arguments.field)
     if arguments.scene is None and is_bare(path):
         return open_bare(path, arguments.views, arguments.threads)
-    if arguments.scene is not None:
-        capture = None if arguments.views is None else Path(arguments.views)
-        files = SceneFiles(path.stem, path, (Path(arguments.scene),), capture)
-    elif path.suffix == ".field":
-        raise InputError(
-            f"{path} is a field: pass --scene SCENE as well, or name the folder that holds both"
-        )
-    return open_scene(
-        files,
+    scene = open_scene(
+        path,
+        scene=arguments.scene,
+        views=arguments.views,
         encoder=arguments.encoder,
         vocabulary=arguments.vocabulary,
         device=arguments.device,
         threads=arguments.threads,
     )
+    _ = scene.gaussians  # or the error that says what is missing
+    return scene
 
 
-def _up(arguments: argparse.Namespace, scene: AskableScene) -> Any:
+def _up(arguments: argparse.Namespace, scene: Scene) -> Any:
     from ..viewing.cameras import named_up, up_direction
 
     return up_direction(scene.views) if arguments.up is None else named_up(arguments.up)

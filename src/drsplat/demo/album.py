@@ -19,7 +19,7 @@ from ..pictures import (
 )
 from ..rendering import render
 from ..views import View
-from .story import Answer, Story
+from .story import Story, Verdict
 
 OVERVIEW = "overview.png"
 
@@ -28,38 +28,38 @@ def write_album(folder: Path, story: Story, *, overwrite: bool = False) -> list[
     """A PNG per answer in folder/answers and folder/overview.png; returns their paths, the overview first."""
     (folder / "answers").mkdir(parents=True, exist_ok=True)
     paths, pictures = [folder / OVERVIEW], []
-    found = [answer.gaussian_ids for answer in story.answers]
+    found = [verdict.gaussian_ids for verdict in story.verdicts]
     views = best_views(story.gaussians, story.held_out + story.views, found)
-    for answer, view in zip(story.answers, views, strict=True):
-        pictures.append(_answer_picture(story, answer, view))
-        paths.append(folder / "answers" / f"{answer.question.text.replace(' ', '_')}.png")
+    for verdict, view in zip(story.verdicts, views, strict=True):
+        pictures.append(_answer_picture(story, verdict, view))
+        paths.append(folder / "answers" / f"{verdict.probe.text.replace(' ', '_')}.png")
         write_picture(paths[-1], pictures[-1], overwrite)
     write_picture(paths[0], _overview(story, pictures), overwrite)
     return paths
 
 
-def note(answer: Answer) -> str:
-    """What came of a question, in a few words."""
-    if not answer.found:
-        manner = "rightly" if answer.is_right else "miss:"
-        return f"{manner} not found (best score {answer.scores[1]:.2f})"
-    count = f"found in {answer.num_instances} places" if answer.num_instances > 1 else "found"
-    if answer.iou is None:
+def note(verdict: Verdict) -> str:
+    """What came of a probe, in a few words."""
+    if not verdict.found:
+        manner = "rightly" if verdict.is_right else "miss:"
+        return f"{manner} not found (best score {verdict.scores[1]:.2f})"
+    count = f"found in {verdict.num_matches} places" if verdict.num_matches > 1 else "found"
+    if verdict.iou is None:
         return f"wrong: {count}, but there is none"
-    return f"{'' if answer.is_right else 'miss: '}{count}, IoU {answer.iou:.2f}"
+    return f"{'' if verdict.is_right else 'miss: '}{count}, IoU {verdict.iou:.2f}"
 
 
-def _answer_picture(story: Story, answer: Answer, view: View) -> OtherPixels:
+def _answer_picture(story: Story, verdict: Verdict, view: View) -> OtherPixels:
     """The Gaussians from where a photo shows most of it, through a lens that suits the size of the thing."""
-    view = view if answer.found else story.held_out[0]
+    view = view if verdict.found else story.held_out[0]
     view = zoomed(
-        view, visible_share(story.gaussians, view, answer.gaussian_ids, splats=story.splats)
+        view, visible_share(story.gaussians, view, verdict.gaussian_ids, splats=story.splats)
     )
     chosen = np.zeros((len(story.gaussians), 1), np.float32)
-    chosen[answer.gaussian_ids] = 1
+    chosen[verdict.gaussian_ids] = 1
     drawn = render(story.gaussians, view, values=chosen, splats=story.splats)
     picture = highlighted(as_pixels(drawn.rgb), drawn.channels[..., 0])
-    return titled(picture, f"“{answer.question.text}”", note(answer))
+    return titled(picture, f"“{verdict.probe.text}”", note(verdict))
 
 
 def _overview(story: Story, pictures: list[OtherPixels]) -> OtherPixels:

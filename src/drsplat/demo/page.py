@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..formats.replacing import replacing
 from .album import note
-from .story import Answer, Story
+from .story import Story, Verdict
 
 PAGE = "index.html"
 _STYLE = """
@@ -22,17 +22,17 @@ def write_page(
     folder: Path, story: Story, pictures: Sequence[Path], *, overwrite: bool = False
 ) -> Path:
     """folder/index.html. pictures: one per answer, in folder."""
-    right = sum(answer.is_right for answer in story.answers)
+    right = sum(verdict.is_right for verdict in story.verdicts)
     shown = [
-        _figure(answer, path.relative_to(folder).as_posix())
-        for answer, path in zip(story.answers, pictures, strict=True)
+        _figure(verdict, path.relative_to(folder).as_posix())
+        for verdict, path in zip(story.verdicts, pictures, strict=True)
     ]
     text = f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>drsplat: a room, asked in words</title><style>{_STYLE}</style>
 <h1>A room, asked in words</h1>
 <p>{len(story.views)} photos, {len(story.gaussians):,} Gaussians, {story.num_segments:,} masks that no person drew;
-{right} of {len(story.answers)} answers are right. A green bar is a right answer: more than half of what was selected
+{right} of {len(story.verdicts)} answers are right. A green bar is a right answer: more than half of what was selected
 and what was meant is the same in {len(story.held_out)} photos that neither the scene nor the answers were made from,
 or there is no such thing and nothing was found. A red bar is a miss.</p>
 <div class="answers">{"".join(shown)}</div>
@@ -46,9 +46,9 @@ knows this kind of room only.</small></p>
     return folder / PAGE
 
 
-def _figure(answer: Answer, picture: str) -> str:
-    title, said = escape(answer.question.text), escape(note(answer))
-    kind = "" if answer.is_right else ' class="miss"'
-    words = f"<b>{title}</b><br><small>{said}; {len(answer.gaussian_ids):,} Gaussians</small>"
+def _figure(verdict: Verdict, picture: str) -> str:
+    title, said = escape(verdict.probe.text), escape(note(verdict))
+    kind = "" if verdict.is_right else ' class="miss"'
+    words = f"<b>{title}</b><br><small>{said}; {len(verdict.gaussian_ids):,} Gaussians</small>"
     source = escape(picture, quote=True)
     return f'<figure{kind}><img src="{source}" alt="{title}: {said}"><figcaption>{words}</figcaption></figure>'

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from ..asking.query import query
 from ..codes import Track, untracked
 from ..embedding import embed
 from ..evaluation.metrics import mask_iou
@@ -22,11 +21,11 @@ from ..kernels import SplatArrays, splat_arrays
 from ..mini import MiniEncoder
 from ..pictures import visible_share
 from ..progress import Stopwatch
+from ..query import Scene
 from ..registration import register
-from ..tasks import locate
 from ..views import View
 from .household import SCENE, Household, unpack_household
-from .questions import QUESTIONS, Question
+from .probes import PROBES, Probe
 
 FIELD, FEATURES = "room.field", "language_features"
 
@@ -34,16 +33,16 @@ RIGHT = 0.5  # least IoU of an answer that is called right
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """gaussian_ids: of all that was found. center: of the best instance, in metres, or None.
+class Verdict:
+    """gaussian_ids: of all that was found. center: of the best match, in metres, or None.
 
     iou: with the truth, in the demo over the pixels of all held-out photos; None where nothing is right.
     scores: lowest and highest of the field.
     """
 
-    question: Question
+    probe: Probe
     gaussian_ids: Int64[np.ndarray, " m"]
-    num_instances: int
+    num_matches: int
     iou: float | None
     center: Float64[np.ndarray, " 3"] | None
     scores: tuple[float, float]
@@ -51,7 +50,7 @@ class Answer:
 
     @property
     def found(self) -> bool:
-        return self.num_instances > 0
+        return self.num_matches > 0
 
     @property
     def is_right(self) -> bool:
@@ -68,7 +67,7 @@ class Story:
     views: list[View]
     held_out: list[View]
     field: LanguageField
-    answers: list[Answer]
+    verdicts: list[Verdict]
     seconds: dict[str, float]
     num_segments: int
     num_weights: int
@@ -76,13 +75,13 @@ class Story:
 
 def tell(
     folder: Path,
-    questions: Sequence[Question] = QUESTIONS,
+    probes: Sequence[Probe] = PROBES,
     *,
     overwrite: bool = False,
     threads: int = 0,
     track: Track = untracked,
 ) -> Story:
-    """Copy the scene to `folder`, mask and embed its photos, register them, ask the questions.
+    """Copy the scene to `folder`, mask and embed its photos, register them, ask the probes.
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
@@ -103,34 +102,33 @@ def tell(
     registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
     field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
     watch.lap("field")
-    asking = _Asking(field, gaussians, splats, household, held_out, MiniEncoder())
-    answers = [asking.answer(question) for question in track(questions, "asking")]
+    judge = _Judge(Scene(field, gaussians, threads=threads), splats, household, held_out)
+    verdicts = [judge.verdict(probe) for probe in track(probes, "asking")]
     watch.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
-    return Story(gaussians, splats, seen, held_out, field, answers, watch.seconds, *size)
+    return Story(gaussians, splats, seen, held_out, field, verdicts, watch.seconds, *size)
 
 
 @dataclass(frozen=True, eq=False)
-class _Asking:
-    field: LanguageField
-    gaussians: Gaussians
+class _Judge:
+    scene: Scene
     splats: SplatArrays
     household: Household
     held_out: list[View]
-    encoder: MiniEncoder
 
-    def answer(self, question: Question) -> Answer:
-        """Query the field and hold the answer against the truth."""
+    def verdict(self, probe: Probe) -> Verdict:
+        """Ask the scene and hold the matches against the truth."""
         start = time.perf_counter()
-        asked = query(self.field, self.encoder, question.text)
-        scores, things = asked.scores, locate(self.field, self.gaussians, asked)
-        found = [thing.gaussian_ids for thing in things]
-        ids = np.sort(np.concatenate(found or [np.empty(0, np.int64)]))
+        answer = self.scene.ask(probe.text)
+        matches = self.scene.locate(answer)
+        ids = np.sort(
+            np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
+        )
         seconds = time.perf_counter() - start
-        limits = float(scores.min(initial=1)), float(scores.max(initial=-1))
-        center = things[0].center if things else None
-        iou = self._iou(ids, question.meant) if question.meant else None
-        return Answer(question, ids, len(things), iou, center, limits, seconds)
+        limits = float(answer.scores.min(initial=1)), float(answer.scores.max(initial=-1))
+        center = matches[0].center if matches else None
+        iou = self._iou(ids, probe.meant) if probe.meant else None
+        return Verdict(probe, ids, len(matches), iou, center, limits, seconds)
 
     def _iou(self, ids: Int64[np.ndarray, " m"], meant: tuple[str, ...]) -> float:
         """Of what is seen of the Gaussians with what is seen of the things, in all held-out photos."""
@@ -139,4 +137,4 @@ class _Asking:
         return mask_iou(np.concatenate(shares) > 0.5, np.concatenate(masks))
 
     def _share(self, view: View, ids: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, "h w"]:
-        return visible_share(self.gaussians, view, ids, splats=self.splats)
+        return visible_share(self.scene.gaussians, view, ids, splats=self.splats)

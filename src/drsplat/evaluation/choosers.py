@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float32
 
-from ..thresholds import (
+from ..query.thresholds import (
     CUT,
     automatic_threshold,
     mixture_threshold,

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
-from ..asking.answering import Asking, Background
-from ..asking.questions import Question
 from ..encoders import Encoder
 from ..errors import InputError, MismatchError
 from ..field import LanguageField
 from ..formats.npy import map_npy
-from ..search import CHUNK, NEGATIVES, embed_query, relevancy_from_scores
+from ..query import Scene
+from ..query.search import CHUNK, NEGATIVES, embed_query, relevancy_from_scores
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
@@ -101,11 +100,11 @@ def cosine_scorer(
 def _answer(
     known: LanguageField, encoder: Encoder, threads: int
 ) -> Callable[[str], tuple[Scores, float]]:
-    background = Background(known, lambda: encoder, threads)
+    scene = Scene(known, encoder=encoder, threads=threads)
 
     def answer(text: str) -> tuple[Scores, float]:
-        asked = Asking(background, Question(text=text)).about(text)
-        return known.dense(asked.values, fill=float("nan")), asked.threshold
+        found = scene.ask(text)
+        return known.dense(found.values, fill=float("nan")), found.threshold
 
     return answer
 

@@ -1,1 +1,1 @@
-"""Scenes for programs and language models: an HTTP service and an MCP server over `drsplat.asking`."""
+"""Scenes for programs and language models: an HTTP service and an MCP server over `drsplat.query`."""

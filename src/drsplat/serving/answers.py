@@ -6,38 +6,38 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel
 
-from ..asking import AskableScene, Question
 from ..errors import InputError
+from ..query import Scene
 from .limits import Limits
 from .models import (
     ClassCount,
-    Named,
+    Located,
     SceneDetails,
     Segmented,
     Selected,
-    Things,
     Word,
+    Words,
     decimals_of,
+    matches_of,
     measured,
     rounded,
     significant,
-    things_of,
 )
 from .pictures import png
 from .replies import PNG, Reply
 from .requests import (
     Details,
-    Ids,
     Locate,
     Photo,
     Picture,
     Request,
     Segment,
+    Select,
     WhatIs,
     asks_something,
-    cut,
+    cut_of,
     place,
-    question,
+    query_of,
 )
 
 
@@ -45,11 +45,11 @@ class Answering(NamedTuple):
     """How a request is read and answered. words: whether its answers need who embeds words."""
 
     asked: type[Request]
-    answer: Callable[[AskableScene, Any, Limits], BaseModel | bytes]
+    answer: Callable[[Scene, Any, Limits], BaseModel | bytes]
     words: bool = True
 
 
-def details(scene: AskableScene, asked: Details, _: Limits) -> SceneDetails:
+def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
     low, high = scene.box
     digits = decimals_of(scene)
     return SceneDetails(
@@ -61,12 +61,12 @@ def details(scene: AskableScene, asked: Details, _: Limits) -> SceneDetails:
         views=[view.name for view in scene.views],
         low=rounded(low, digits),
         high=rounded(high, digits),
-        up=None if scene.field.up is None else rounded(scene.field.up, 4),
+        up=None if scene.up is None else rounded(scene.up, 4),
         field=scene.field.fingerprint,
     )
 
 
-def photo(scene: AskableScene, asked: Photo, _: Limits) -> bytes:
+def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
     """Raises: InputError: no such view, or it has no photo."""
     chosen = scene.view(asked.view)
     if chosen.image_path is None:
@@ -74,8 +74,8 @@ def photo(scene: AskableScene, asked: Photo, _: Limits) -> bytes:
     return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
 
 
-def selected(scene: AskableScene, asked: Ids, limits: Limits) -> Selected:
-    answer = scene.ask(question(asked, limits))
+def selected(scene: Scene, asked: Select, limits: Limits) -> Selected:
+    answer = scene.ask(query_of(asked, limits))
     values = answer.values
     return Selected(
         measured=measured(answer),
@@ -85,52 +85,51 @@ def selected(scene: AskableScene, asked: Ids, limits: Limits) -> Selected:
     )
 
 
-def located(scene: AskableScene, asked: Locate, limits: Limits) -> Things:
-    answer = scene.ask(question(asked, limits))
-    found = scene.find(answer, asked.min_gaussians, box=asked.box)
-    return Things(
+def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
+    answer = scene.ask(query_of(asked, limits))
+    found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
+    return Located(
         query=asked.text or "",
-        num_found=len(found),
-        things=things_of(found[: asked.limit], decimals_of(scene)),
+        num_matches=len(found),
+        matches=matches_of(found[: asked.limit], decimals_of(scene)),
         advice="" if found else "nothing found: try other words, or a lower threshold",
         measured=measured(answer),
         field=scene.field.fingerprint,
     )
 
 
-def segmented(scene: AskableScene, asked: Segment, _: Limits) -> Segmented:
-    found = scene.classes(asked.classes, Question(text=asked.classes[0], **cut(asked)))
-    counts = np.bincount(found.labels[found.labels >= 0], minlength=len(found.names))
+def segmented(scene: Scene, asked: Segment, _: Limits) -> Segmented:
+    found = scene.segment(asked.classes, cut_of(asked))
     registered = max(len(scene.field), 1)
     return Segmented(
         measure=found.answers[0].measure,
         num_registered=len(scene.field),
-        num_labelled=int(counts.sum()),
+        num_labelled=sum(found.counts),
         classes=[
             ClassCount(
                 name=name,
-                num_gaussians=int(count),
+                num_gaussians=count,
                 share=significant(count / registered),
                 threshold=significant(answer.threshold),
             )
-            for name, count, answer in zip(found.names, counts, found.answers, strict=True)
+            for name, count, answer in zip(found.names, found.counts, found.answers, strict=True)
         ],
         labels=found.labels.tolist() if asked.labels else None,
         field=scene.field.fingerprint,
     )
 
 
-def named(scene: AskableScene, asked: WhatIs, _: Limits) -> Named:
+def named(scene: Scene, asked: WhatIs, _: Limits) -> Words:
     words = scene.what_is(place(asked), asked.names)
-    names = [Word(name=word.text, score=round(word.score, 4)) for word in words]
-    return Named(names=names, field=scene.field.fingerprint)
+    best = [Word(name=word.text, score=round(word.score, 4)) for word in words]
+    return Words(words=best, field=scene.field.fingerprint)
 
 
-def picture(scene: AskableScene, asked: Picture, limits: Limits) -> bytes:
+def picture(scene: Scene, asked: Picture, limits: Limits) -> bytes:
     shown = None
     if asks_something(asked):
-        found = scene.find(question(asked, limits))
-        shown = np.concatenate([one.thing.gaussian_ids for one in found] or [np.empty(0, np.int64)])
+        found = scene.locate(query_of(asked, limits))
+        shown = np.concatenate([match.gaussian_ids for match in found] or [np.empty(0, np.int64)])
     nothing = shown is not None and not len(shown)
     view = asked.view or (scene.best_view() if nothing else None)
     return png(scene.picture(view, shown, photo=asked.photo, max_side=asked.max_side))
@@ -139,7 +138,7 @@ def picture(scene: AskableScene, asked: Picture, limits: Limits) -> bytes:
 ANSWERS: Mapping[str, Answering] = {
     "details": Answering(Details, details, words=False),
     "photo": Answering(Photo, photo, words=False),
-    "query": Answering(Ids, selected),
+    "select": Answering(Select, selected),
     "locate": Answering(Locate, located),
     "segment": Answering(Segment, segmented),
     "what-is": Answering(WhatIs, named),
@@ -147,7 +146,7 @@ ANSWERS: Mapping[str, Answering] = {
 }
 
 
-def answered(scene: AskableScene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
+def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
     """The reply to one of `ANSWERS`.
 
     Raises: DrSplatError: what the question makes of the scene.

@@ -23,17 +23,17 @@ from .limits import Limits
 from .metrics import Metrics
 from .models import (
     Health,
-    Named,
+    Located,
     Problem,
     SceneDetails,
     SceneList,
     Segmented,
     Selected,
-    Things,
+    Words,
 )
 from .refusals import faults_of
 from .replies import Reply, problem, refusal
-from .requests import Ids, Locate, Picture, Segment, WhatIs
+from .requests import Locate, Picture, Segment, Select, WhatIs
 from .workbench import Job, Workbench
 from .worker import Workplace
 
@@ -102,7 +102,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.bench = bench
     _add_watching(app, catalog, metrics)
     _add_scenes(app, bench)
-    _add_questions(app, bench)
+    _add_queries(app, bench)
     _add_pages(app)
     app.add_middleware(
         Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts
@@ -180,35 +180,35 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
         view: Annotated[str, Query(min_length=1, max_length=500, description="a photo's name")],
         max_side: Annotated[int, Query(ge=16, le=Limits.side)] = 800,
     ) -> Response:
-        """A photo of the scene, such as one that speaks for an answer, as PNG."""
+        """A photo of the scene, such as a supporting one, as PNG."""
         return _sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
 
 
-def _add_questions(app: FastAPI, bench: Workbench) -> None:
+def _add_queries(app: FastAPI, bench: Workbench) -> None:
     async def computed(act: str, scene: str, asked: BaseModel) -> Response:
         return _sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))
 
-    @app.post("/scenes/{scene}/query", tags=["questions"], response_model=Selected)
-    async def query(scene: Scene, asked: Ids) -> Response:
+    @app.post("/scenes/{scene}/select", tags=["queries"], response_model=Selected)
+    async def select(scene: Scene, asked: Select) -> Response:
         """Which Gaussians a text, vector, image, point or click means."""
-        return await computed("query", scene, asked)
+        return await computed("select", scene, asked)
 
-    @app.post("/scenes/{scene}/locate", tags=["questions"], response_model=Things)
+    @app.post("/scenes/{scene}/locate", tags=["queries"], response_model=Located)
     async def locate(scene: Scene, asked: Locate) -> Response:
-        """The things that a query means, best first: centre, oriented box, the photos that say so."""
+        """The places that a query finds, best first: centre, oriented box, supporting photos."""
         return await computed("locate", scene, asked)
 
-    @app.post("/scenes/{scene}/segment", tags=["questions"], response_model=Segmented)
+    @app.post("/scenes/{scene}/segment", tags=["queries"], response_model=Segmented)
     async def segment(scene: Scene, asked: Segment) -> Response:
         """The best of some classes for each Gaussian."""
         return await computed("segment", scene, asked)
 
-    @app.post("/scenes/{scene}/what-is", tags=["questions"], response_model=Named)
+    @app.post("/scenes/{scene}/what-is", tags=["queries"], response_model=Words)
     async def what_is(scene: Scene, asked: WhatIs) -> Response:
         """The best words for what is at a point or a pixel."""
         return await computed("what-is", scene, asked)
 
-    @app.post("/scenes/{scene}/picture", tags=["questions"], response_class=Response, responses=PNG)
+    @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=PNG)
     async def picture(scene: Scene, asked: Picture) -> Response:
         """A rendering as PNG, if wanted with what a query means kept in colour."""
         return await computed("picture", scene, asked)

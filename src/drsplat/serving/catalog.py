@@ -9,12 +9,12 @@ from pathlib import Path
 from threading import Lock
 
 from ..adapters.loading import load_encoder
-from ..asking import AskableScene, SceneFiles, find_scene, open_scene
-from ..asking.opening import CAMERAS, FIELD_SUFFIX
 from ..encoders import Encoder
 from ..errors import DrSplatError, InputError
 from ..formats.field_folder import read_manifest
 from ..formats.vocabulary import read_vocabulary
+from ..query import Scene, SceneFiles, find_scene, open_scene
+from ..query.opening import CAMERAS, FIELD_SUFFIX
 
 LISTED = 20
 _MOST_GAUSSIANS = (1 << 31) - 1
@@ -63,7 +63,7 @@ class Catalog:
     folder: Path
     sources: Sources = Sources()
     most: int = 8
-    _open: "OrderedDict[str, tuple[Version, AskableScene]]" = field(default_factory=OrderedDict)
+    _open: "OrderedDict[str, tuple[Version, Scene]]" = field(default_factory=OrderedDict)
     _encoders: dict[tuple[str, str], Encoder] = field(default_factory=dict)
     _lock: Lock = field(default_factory=Lock)
     _loading: Lock = field(default_factory=Lock)
@@ -117,7 +117,7 @@ class Catalog:
     def summaries(self) -> list[Summary]:
         return [self._summary(name, folder) for name, folder in self.folders().items()]
 
-    def scene(self, name: str) -> AskableScene:
+    def scene(self, name: str) -> Scene:
         """Open, or the one that is open.
 
         Raises: UnknownSceneError. SceneFaultError: its files cannot be opened.
@@ -137,7 +137,7 @@ class Catalog:
         names = list(self.folders())
         return names[0] if len(names) == 1 else None
 
-    def _known(self, name: str, folder: Path) -> AskableScene:
+    def _known(self, name: str, folder: Path) -> Scene:
         files = find_scene(folder)
         version = version_of(files)
         with self._loading:
@@ -153,7 +153,7 @@ class Catalog:
                     self._open.popitem(last=False)
         return scene
 
-    def _opened(self, files: SceneFiles) -> AskableScene:
+    def _opened(self, files: SceneFiles) -> Scene:
         given = self.sources
         scene = open_scene(
             files,

@@ -5,54 +5,53 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from ..asking import AskableScene, Found, Question
-from ..asking.regions import region
-from ..asking.spatial import gap, stands_on
+from .. import query as engine
 from ..errors import InputError
-from ..tasks import Instance
+from ..query.regions import region
+from ..query.spatial import gap, standing_on
 from .catalog import Catalog
 from .models import (
     UNITS,
-    Answer,
+    Body,
     Fingerprint,
+    Located,
+    Match,
     SceneList,
-    Thing,
-    Things,
     Vector,
     Word,
     decimals_of,
+    matches_of,
     measured,
     rounded,
     summarized,
-    things_of,
 )
 from .pictures import png
 
-MOST_THINGS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 200, 768, 8
+MOST_MATCHES, MOST_TEXT, PICTURE_SIDE, FEW = 20, 200, 768, 8
 
 
-class Count(Answer):
+class Count(Body):
     query: str
     count: int
     of: int = Field(description="how many there are in the whole scene")
-    centers: list[Vector] = Field(description="of the things counted, best score first")
+    centers: list[Vector] = Field(description="of the matches counted, best score first")
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
 
 
-class Place(Answer):
+class Place(Body):
     query: str
     found: bool
-    best: Thing | None = None
-    others: int = Field(0, description="further things that fit less well")
+    best: Match | None = None
+    others: int = Field(0, description="further matches that fit less well")
     best_view: str | None = Field(None, description="the photo that shows most of it")
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
 
 
-class Distance(Answer):
+class Distance(Body):
     first: str
     second: str
     center_distance: float = Field(description="between the centres of the two")
@@ -65,31 +64,31 @@ class Distance(Answer):
     advice: str = ""
 
 
-class Here(Answer):
+class Here(Body):
     point: Vector = Field(description="centre of the Gaussian that was found there")
-    names: list[Word] = Field(description="best first")
+    words: list[Word] = Field(description="best first")
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
 
 
-class Part(Answer):
+class Part(Body):
     name: str
     share: float = Field(description="of the registered Gaussians in the region")
     num_gaussians: int
     center: Vector
 
 
-class Region(Answer):
+class Region(Body):
     center: Vector
     radius: float
-    things: list[Part]
+    parts: list[Part]
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
 
 
-class About(Answer):
+class About(Body):
     """What positions and lengths in a scene mean."""
 
     scene: str
@@ -103,10 +102,10 @@ class About(Answer):
     advice: str = ""
 
 
-class Shown(Answer):
+class Shown(Body):
     view: str
     query: str | None
-    num_found: int
+    num_matches: int
     width: int
     height: int
     field: Fingerprint = ""
@@ -115,7 +114,7 @@ class Shown(Answer):
 
 @dataclass(frozen=True)
 class Conversation:
-    """The questions, over the scenes of a catalog. All raise DrSplatError with what to do next."""
+    """The tools, over the scenes of a catalog. All raise DrSplatError with what to do next."""
 
     catalog: Catalog
 
@@ -127,7 +126,7 @@ class Conversation:
     def about_scene(self, scene: str) -> About:
         name, opened = self._named(scene)
         digits, names = decimals_of(opened), [view.name for view in opened.views]
-        up = None if opened.field.up is None else rounded(opened.field.up, 4)
+        up = None if opened.up is None else rounded(opened.up, 4)
         low, high = opened.box
         return About(
             scene=name,
@@ -139,46 +138,40 @@ class Conversation:
             field=opened.field.fingerprint,
             advice=""
             if up
-            else "the photos do not tell which way is up: count and find know no 'on'",
+            else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
-    def find(self, text: str, on: str | None, scene: str, limit: int) -> Things:
+    def locate(self, text: str, on: str | None, scene: str, limit: int) -> Located:
         opened = self._scene(scene)
-        asked = opened.ask(Question(text=_text(text)))
-        every = opened.find(asked)
-        found = self._on(opened, every, on)
-        advice = "" if every else _absent(text)
-        if every and not found:
-            advice = _none_on(len(every), on)
-        return Things(
+        answer = opened.ask(_text(text))
+        every = opened.locate(answer)
+        found = every if on is None else standing_on(opened, every, on)
+        return Located(
             query=_query(text, on),
-            num_found=len(found),
-            things=things_of(found[:limit], decimals_of(opened)),
-            advice=advice,
-            measured=measured(asked),
+            num_matches=len(found),
+            matches=matches_of(found[:limit], decimals_of(opened)),
+            advice=_advice(text, every, found, on),
+            measured=measured(answer),
             field=opened.field.fingerprint,
         )
 
     def count(self, text: str, on: str | None, scene: str) -> Count:
         opened = self._scene(scene)
-        every = opened.find(Question(text=_text(text)))
-        counted = self._on(opened, every, on)
-        advice = "" if every else _absent(text)
-        if every and not counted:
-            advice = _none_on(len(every), on)
+        every = opened.locate(_text(text))
+        counted = every if on is None else standing_on(opened, every, on)
         digits = decimals_of(opened)
         return Count(
             query=_query(text, on),
             count=len(counted),
             of=len(every),
-            centers=[rounded(one.thing.center, digits) for one in counted[:MOST_THINGS]],
+            centers=[rounded(match.center, digits) for match in counted[:MOST_MATCHES]],
             field=opened.field.fingerprint,
-            advice=advice,
+            advice=_advice(text, every, counted, on),
         )
 
     def where_is(self, text: str, scene: str) -> Place:
         opened = self._scene(scene)
-        found = opened.find(Question(text=_text(text)))
+        found = opened.locate(_text(text))
         if not found:
             return Place(
                 query=text,
@@ -188,14 +181,12 @@ class Conversation:
                 field=opened.field.fingerprint,
                 advice=_absent(text),
             )
-        thing = found[0].thing
-        view = opened.best_view(thing.gaussian_ids).name if opened.views else None
         return Place(
             query=text,
             found=True,
-            best=things_of(found[:1], decimals_of(opened))[0],
+            best=matches_of(found[:1], decimals_of(opened))[0],
             others=len(found) - 1,
-            best_view=view,
+            best_view=opened.best_view(found[0].gaussian_ids).name if opened.views else None,
             field=opened.field.fingerprint,
         )
 
@@ -223,11 +214,11 @@ class Conversation:
         names: list[str] | None,
     ) -> Here:  # fmt: skip
         opened = self._scene(scene)
-        words = opened.what_is(place, _names(names), top=5)
+        words = opened.what_is(place, _names(names))
         point = _point(opened, place)
         return Here(
             point=rounded(point, decimals_of(opened)),
-            names=[Word(name=word.text, score=round(word.score, 4)) for word in words],
+            words=[Word(name=word.text, score=round(word.score, 4)) for word in words],
             field=opened.field.fingerprint,
         )
 
@@ -239,24 +230,24 @@ class Conversation:
             raise InputError(f"center: expected [x, y, z], got {len(center)} numbers")
         parts = region(opened, (center[0], center[1], center[2]), radius, _names(names))
         digits = decimals_of(opened)
-        things = [
+        listed = [
             Part(
                 name=one.name,
                 share=round(one.share, 4),
                 num_gaussians=one.num_gaussians,
                 center=rounded(one.center, digits),
             )
-            for one in parts[:MOST_THINGS]
+            for one in parts[:MOST_MATCHES]
         ]
         advice = (
             ""
-            if things
+            if listed
             else "nothing there is called by these words: give names, or a larger radius"
         )
         return Region(
             center=rounded(center, digits),
             radius=radius,
-            things=things,
+            parts=listed,
             field=opened.field.fingerprint,
             advice=advice,
         )
@@ -265,17 +256,17 @@ class Conversation:
         opened = self._scene(scene)
         ids, advice, count = None, "", 0
         if text:
-            things = self._things(opened, text)
-            count = len(things)
-            ids = np.concatenate([t.gaussian_ids for t in things] or [np.empty(0, np.int64)])
-            advice = "" if things else _absent(text)
+            found = opened.locate(_text(text))
+            count = len(found)
+            ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
+            advice = "" if found else _absent(text)
         chosen = opened.view(view) if view else opened.best_view(ids if count else None)
         pixels = opened.picture(chosen, ids, max_side=PICTURE_SIDE)
         height, width = pixels.shape[:2]
         shown = Shown(
             view=chosen.name,
             query=text,
-            num_found=count,
+            num_matches=count,
             width=width,
             height=height,
             field=opened.field.fingerprint,
@@ -283,46 +274,33 @@ class Conversation:
         )
         return shown, png(pixels)
 
-    def _scene(self, name: str) -> AskableScene:
+    def _scene(self, name: str) -> engine.Scene:
         return self._named(name)[1]
 
-    def _named(self, name: str) -> tuple[str, AskableScene]:
+    def _named(self, name: str) -> tuple[str, engine.Scene]:
         chosen = name or self.catalog.only()
         if not chosen:
-            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_THINGS])) or "none"
+            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
             raise InputError(f"say which scene; there are: {known}")
         return chosen, self.catalog.scene(chosen)
 
-    def _things(self, scene: AskableScene, text: str) -> list[Instance]:
-        return [one.thing for one in scene.find(Question(text=_text(text)))]
-
-    def _best(self, scene: AskableScene, text: str) -> Instance:
-        things = self._things(scene, text)
-        if not things:
+    def _best(self, scene: engine.Scene, text: str) -> engine.Match:
+        found = scene.locate(_text(text), top=1)
+        if not found:
             raise InputError(_absent(text))
-        return things[0]
-
-    def _on(self, scene: AskableScene, found: list[Found], on: str | None) -> list[Found]:
-        """Those that stand on the largest thing of that name, itself left out; all of them for None."""
-        if on is None:
-            return found
-        supports = self._things(scene, on)
-        if not supports:
-            raise InputError(_absent(on))
-        support, up = max(supports, key=len), scene.field.up
-        if up is None:
-            raise InputError(
-                "the photos of this scene do not tell which way is up: ask without 'on'"
-            )
-        return [one for one in found if stands_on(scene.gaussians, one.thing, support, up)]
+        return found[0]
 
 
 def _query(text: str, on: str | None) -> str:
     return text if on is None else f"{text} on {on}"
 
 
-def _none_on(number: int, on: str | None) -> str:
-    return f"{number} in the scene, but none on the {on}: where_is says where"
+def _advice(text: str, every: list[engine.Match], found: list[engine.Match], on: str | None) -> str:
+    if found:
+        return ""
+    if every:
+        return f"{len(every)} in the scene, but none on the {on}: where_is says where"
+    return _absent(text)
 
 
 def _text(text: str) -> str:
@@ -349,7 +327,7 @@ def _absent(text: str) -> str:
 
 
 def _point(
-    scene: AskableScene, place: tuple[float, float, float] | tuple[str, float, float]
+    scene: engine.Scene, place: tuple[float, float, float] | tuple[str, float, float]
 ) -> np.ndarray:
     if isinstance(place[0], str):
         return scene.point_at((place[0], place[1], place[2]))

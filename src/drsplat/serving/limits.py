@@ -18,7 +18,7 @@ class Limits:
     classes: int = 64
     pixels: int = 16_000_000
     side: int = 1600
-    things: int = 100
+    matches: int = 100
     workers: int = 2
     waiting: int = 128
     seconds: float = 30.0

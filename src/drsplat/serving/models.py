@@ -10,14 +10,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..asking import AskableScene, Asked, Found
+from .. import query as engine
 from .catalog import Summary
 
 UNITS = "scene units"
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
-class Answer(BaseModel):
+class Body(BaseModel):
     """A JSON object of an answer."""
 
     model_config = ConfigDict(ser_json_inf_nan="null")
@@ -28,7 +28,7 @@ Fingerprint = Annotated[
 ]
 
 
-class SceneSummary(Answer):
+class SceneSummary(Body):
     name: str = Field(description="what to pass as scene")
     num_gaussians: int = Field(description="Gaussians of the scene")
     num_registered: int = Field(description="those that have a language feature")
@@ -36,24 +36,24 @@ class SceneSummary(Answer):
     fault: str = Field("", description="why it cannot be opened; empty if it can")
 
 
-class Word(Answer):
+class Word(Body):
     name: str
     score: float = Field(description="cosine; only the order means something across encoders")
 
 
-class Named(Answer):
-    names: list[Word] = Field(description="best first")
+class Words(Body):
+    words: list[Word] = Field(description="best first")
     field: Fingerprint = ""
 
 
-class Problem(Answer):
+class Problem(Body):
     """Why there is no answer."""
 
     error: str = Field(description="what was given, what is expected, what to do")
     kind: str
 
 
-class Health(Answer):
+class Health(Body):
     status: str
     num_scenes: int
 
@@ -67,7 +67,7 @@ class SceneDetails(SceneSummary):
     field: Fingerprint = ""
 
 
-class Measured(Answer):
+class Measured(Body):
     """How a query was scored and cut."""
 
     measure: str = Field(description="cosine or relevancy")
@@ -77,7 +77,7 @@ class Measured(Answer):
     num_registered: int
 
 
-class Selected(Answer):
+class Selected(Body):
     """What a query selects."""
 
     measured: Measured
@@ -88,14 +88,14 @@ class Selected(Answer):
     field: Fingerprint = ""
 
 
-class ClassCount(Answer):
+class ClassCount(Body):
     name: str
     num_gaussians: int
     share: float = Field(description="of the registered Gaussians")
     threshold: float
 
 
-class Segmented(Answer):
+class Segmented(Body):
     measure: str
     num_registered: int
     num_labelled: int
@@ -106,21 +106,21 @@ class Segmented(Answer):
     field: Fingerprint = ""
 
 
-class SceneList(Answer):
+class SceneList(Body):
     scenes: list[SceneSummary]
     advice: str = ""
 
 
-class Support(Answer):
-    """A photo that speaks for an answer."""
+class Support(Body):
+    """A mask of a supporting photo."""
 
     view: str
-    segment: int = Field(description="number of the mask in the photo")
-    share: float = Field(description="its part of all that spoke for it")
+    mask: int = Field(description="its number in the photo")
+    share: float = Field(description="its part of all support")
 
 
-class Thing(Answer):
-    """A found thing with its oriented box."""
+class Match(Body):
+    """A place that a query found, with its oriented box."""
 
     center: Vector
     extent: Vector = Field(description="full lengths of the box along its axes")
@@ -132,10 +132,10 @@ class Thing(Answer):
     support: list[Support]
 
 
-class Things(Answer):
+class Located(Body):
     query: str
-    num_found: int
-    things: list[Thing]
+    num_matches: int
+    matches: list[Match]
     units: str = UNITS
     advice: str = ""
     measured: Measured | None = None
@@ -146,26 +146,26 @@ def summarized(summary: Summary) -> SceneSummary:
     return SceneSummary(**vars(summary))
 
 
-def measured(asked: Asked) -> Measured:
+def measured(answer: engine.Answer) -> Measured:
     return Measured(
-        measure=asked.measure,
-        threshold=significant(asked.threshold),
-        threshold_rule=asked.rule,
-        num_selected=len(asked.gaussian_ids),
-        num_registered=len(asked.field),
+        measure=answer.measure,
+        threshold=significant(answer.threshold),
+        threshold_rule=answer.rule,
+        num_selected=len(answer.gaussian_ids),
+        num_registered=len(answer.field),
     )
 
 
-def things_of(found: Sequence[Found], decimals: int) -> list[Thing]:
+def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
     return [
-        Thing(
-            center=rounded(one.thing.center, decimals),
-            extent=rounded(one.thing.extent, decimals),
-            axes=[rounded(axis, 4) for axis in one.thing.axes],
-            score=round(one.thing.score, 4),
-            num_gaussians=len(one.thing),
+        Match(
+            center=rounded(one.center, decimals),
+            extent=rounded(one.extent, decimals),
+            axes=[rounded(axis, 4) for axis in one.axes],
+            score=round(one.score, 4),
+            num_gaussians=len(one),
             support=[
-                Support(view=s.view_name, segment=s.segment_id, share=round(s.share, 4))
+                Support(view=s.view_name, mask=s.segment_id, share=round(s.share, 4))
                 for s in one.support
             ],
         )
@@ -173,7 +173,7 @@ def things_of(found: Sequence[Found], decimals: int) -> list[Thing]:
     ]
 
 
-def decimals_of(scene: AskableScene) -> int:
+def decimals_of(scene: engine.Scene) -> int:
     """Of coordinates: a ten-thousandth of the scene's size or finer, 4 for a room in metres."""
     low, high = scene.box
     size = max(float(np.linalg.norm(high - low)), 1e-12)

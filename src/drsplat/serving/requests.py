@@ -1,16 +1,16 @@
-"""What can be asked over HTTP, and how it becomes a question."""
+"""What can be asked over HTTP, and how it becomes a query of the engine."""
 
 import base64
 import binascii
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-from ..asking import Question
+from .. import query as engine
 from ..boxes import BoxKind
-from ..defaults import MIN_GAUSSIANS
 from ..errors import InputError
+from ..query.defaults import MIN_GAUSSIANS
 from .limits import Limits
 from .pictures import decoded
 
@@ -54,7 +54,7 @@ class Query(Cut):
     )
     point: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
     click: Click | None = None
-    unwanted: Annotated[list[Text], Field(max_length=16)] = []
+    exclude: Annotated[list[Text], Field(max_length=16)] = []
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]},
@@ -62,9 +62,9 @@ class Query(Cut):
 
 
 class Locate(Query):
-    """A query, and which of the things found are returned."""
+    """A query, and which of its matches are returned."""
 
-    limit: Annotated[int, Field(ge=1, le=MOST.things)] = 10
+    limit: Annotated[int, Field(ge=1, le=MOST.matches)] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
     box: BoxKind = Field(
         "upright",
@@ -85,7 +85,7 @@ class Photo(Request):
     max_side: int
 
 
-class Ids(Query):
+class Select(Query):
     """A query for the Gaussians themselves."""
 
     ids: bool = Field(False, description="whether to return the rows of the selected Gaussians")
@@ -125,33 +125,29 @@ class WhatIs(Request):
 
 
 def asks_something(query: Query) -> bool:
-    given = (query.text, query.vector, query.image, query.point, query.click)
-    return any(one is not None for one in given)
+    return any(getattr(query, kind) is not None for kind in engine.query.KINDS)
 
 
-def question(query: Query, limits: Limits) -> Question:
+def query_of(given: Query, limits: Limits) -> engine.Query:
     """Raises: InputError: not one of the five, or a picture that cannot be read or is too large."""
-    vector = None if query.vector is None else np.asarray(query.vector, np.float32)
-    image = None if query.image is None else _picture(query.image, limits)
-    point = query.point
-    return Question(
-        text=query.text,
-        vector=vector,
-        image=image,
-        point=None if point is None else (point[0], point[1], point[2]),
-        click=None if query.click is None else _pixel(query.click),
-        unwanted=tuple(query.unwanted),
-        **cut(query),
+    return engine.Query(
+        given.text,
+        None if given.vector is None else np.asarray(given.vector, np.float32),
+        None if given.image is None else _picture(given.image, limits),
+        None if given.point is None else _point(given.point),
+        None if given.click is None else _pixel(given.click),
+        tuple(given.exclude),
+        **vars(cut_of(given)),
     )
 
 
-def cut(given: Cut) -> dict[str, Any]:
-    return {
-        "threshold": given.threshold,
-        "top_share": given.top_share,
-        "relevancy": given.relevancy,
-        "negatives": None if given.negatives is None else tuple(given.negatives),
-    }
+def cut_of(given: Cut) -> engine.Cut:
+    return engine.Cut(
+        threshold=given.threshold,
+        top_share=given.top_share,
+        relevancy=given.relevancy,
+        negatives=None if given.negatives is None else tuple(given.negatives),
+    )
 
 
 def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float]:
@@ -161,7 +157,11 @@ def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float
     if given.click is not None:
         return _pixel(given.click)
     assert given.point is not None
-    return given.point[0], given.point[1], given.point[2]
+    return _point(given.point)
+
+
+def _point(given: list[float]) -> tuple[float, float, float]:
+    return given[0], given[1], given[2]
 
 
 def _pixel(click: Click) -> tuple[str, float, float]:

@@ -1,4 +1,4 @@
-"""The MCP server: the conversation's questions as tools of the protocol."""
+"""The MCP server: the conversation's methods as tools of the protocol."""
 
 import json
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from .. import __version__
 from ..errors import DrSplatError
 from .catalog import Catalog, without_paths
 from .conversation import (
-    MOST_THINGS,
+    MOST_MATCHES,
     About,
     Conversation,
     Count,
@@ -24,7 +24,7 @@ from .conversation import (
     Region,
     Shown,
 )
-from .models import SceneList, Things
+from .models import Located, SceneList
 from .refusals import faults_of
 
 INSTRUCTIONS = """\
@@ -87,7 +87,7 @@ def make_server(catalog: Catalog) -> MCPServer:
         version=__version__,
         log_level="WARNING",
     )
-    asking = Conversation(catalog)
+    talk = Conversation(catalog)
 
     def told(ask: Callable[[], T]) -> T:
         try:
@@ -98,22 +98,22 @@ def make_server(catalog: Catalog) -> MCPServer:
     @server.tool(title="List scenes", annotations=READS)
     def list_scenes() -> SceneList:
         """The scenes that can be asked, and how large they are."""
-        return told(asking.list_scenes)
+        return told(talk.list_scenes)
 
     @server.tool(title="About a scene", annotations=READS)
     def about_scene(scene: Scene = "") -> About:
         """How large a scene is, where it lies, which way is up, the unit of lengths, and some of its photos."""
-        return told(lambda: asking.about_scene(scene))
+        return told(lambda: talk.about_scene(scene))
 
-    @server.tool(title="Find things", annotations=READS)
-    def find(
+    @server.tool(title="Locate things", annotations=READS)
+    def locate(
         text: Text,
         on: On = None,
         scene: Scene = "",
-        limit: Annotated[int, Field(ge=1, le=MOST_THINGS, description="most things")] = 5,
-    ) -> Things:
-        """All things that a text means, best first: centre, oriented box, score, and the photos that say so."""
-        return told(lambda: asking.find(text, on, scene, limit))
+        limit: Annotated[int, Field(ge=1, le=MOST_MATCHES, description="most matches")] = 5,
+    ) -> Located:
+        """All places that a text means, best first: centre, oriented box, score and supporting photos."""
+        return told(lambda: talk.locate(text, on, scene, limit))
 
     @server.tool(title="Count things", annotations=READS)
     def count(
@@ -122,17 +122,17 @@ def make_server(catalog: Catalog) -> MCPServer:
         scene: Scene = "",
     ) -> Count:
         """How many things a text means, in the scene or on something."""
-        return told(lambda: asking.count(text, on, scene))
+        return told(lambda: talk.count(text, on, scene))
 
     @server.tool(title="Where is it", annotations=READS)
     def where_is(text: Text, scene: Scene = "") -> Place:
         """Where the thing is that fits a text best, how large it is, and the photo that shows it best."""
-        return told(lambda: asking.where_is(text, scene))
+        return told(lambda: talk.where_is(text, scene))
 
     @server.tool(title="How far apart", annotations=READS)
     def how_far_apart(first: Text, second: Text, scene: Scene = "") -> Distance:
         """Distance between two things: centre to centre, and between their nearest parts."""
-        return told(lambda: asking.how_far_apart(first, second, scene))
+        return told(lambda: talk.how_far_apart(first, second, scene))
 
     @server.tool(title="What is at a point", annotations=READS)
     def what_is_at(
@@ -144,7 +144,7 @@ def make_server(catalog: Catalog) -> MCPServer:
     ) -> Here:
         """What is at a point of the scene: the best words for it."""
         at = (point[0], point[1], point[2])
-        return told(lambda: asking.what_is_at(at, scene, names))
+        return told(lambda: talk.what_is_at(at, scene, names))
 
     @server.tool(title="What is at a pixel", annotations=READS)
     def what_is_at_pixel(
@@ -155,7 +155,7 @@ def make_server(catalog: Catalog) -> MCPServer:
         names: Names = None,
     ) -> Here:
         """What a pixel of a photo shows, and where that is in the scene."""
-        return told(lambda: asking.what_is_at((view, x, y), scene, names))
+        return told(lambda: talk.what_is_at((view, x, y), scene, names))
 
     @server.tool(title="Describe a region", annotations=READS)
     def describe_region(
@@ -167,7 +167,7 @@ def make_server(catalog: Catalog) -> MCPServer:
         names: Names = None,
     ) -> Region:
         """What lies within a radius of a point: names, how much of the region each is, and where."""
-        return told(lambda: asking.describe_region(center, radius, scene, names))
+        return told(lambda: talk.describe_region(center, radius, scene, names))
 
     @server.tool(title="Show a picture", annotations=READS)
     def show(
@@ -180,7 +180,7 @@ def make_server(catalog: Catalog) -> MCPServer:
         scene: Scene = "",
     ) -> Annotated[CallToolResult, Shown]:
         """A rendered picture (PNG) of the scene, if wanted with what a text means kept in colour."""
-        shown, data = told(lambda: asking.show(text, view, scene))
+        shown, data = told(lambda: talk.show(text, view, scene))
         picture = Image(data=data, format="png").to_image_content()
         content: Any = [TextContent(type="text", text=shown.model_dump_json()), picture]
         return CallToolResult(content=content, structured_content=shown.model_dump())

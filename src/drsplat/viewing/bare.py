@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..asking import AskableScene
 from ..codes import Codebook, PQCode
 from ..encoders import Encoder, EncoderIdentity
 from ..errors import InputError
@@ -13,6 +12,7 @@ from ..formats.captures import read_views
 from ..formats.scenes import read_gaussians
 from ..gaussians import Gaussians
 from ..kernels.scan import GROUP
+from ..query import Scene
 
 NO_FIELD = (
     "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
@@ -27,7 +27,7 @@ def is_bare(path: Path) -> bool:
     return (path / "point_cloud").is_dir() and not any(path.glob("*.field"))
 
 
-def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> AskableScene:
+def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene:
     """The scene of a file or a trained model's folder, with a field of nothing.
 
     capture: its photos; None takes the cameras of the model's folder, if they are there.
@@ -38,7 +38,14 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Askab
     cameras = capture if capture is not None else own
     views = () if cameras is None else tuple(read_views(cameras))
     gaussians = read_gaussians(path)
-    return AskableScene(path.resolve().stem, gaussians, _empty_field(gaussians), views, _no_encoder, threads)  # fmt: skip
+    return Scene(
+        _empty_field(gaussians),
+        gaussians,
+        views,
+        _no_encoder,
+        name=path.resolve().stem,
+        threads=threads,
+    )
 
 
 def _empty_field(gaussians: Gaussians) -> LanguageField:

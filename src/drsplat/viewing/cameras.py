@@ -1,4 +1,4 @@
-"""Where to look from: which way is up, the place before a thing, a flight around it."""
+"""Where to look from: which way is up, the place before a match, a flight around it."""
 
 from collections.abc import Sequence
 
@@ -7,15 +7,15 @@ from jaxtyping import Float64
 
 from ..errors import InputError
 from ..gaussians import Gaussians
-from ..tasks import Instance
+from ..query import Match
 from ..views import View
 from .shown import RADIUS, Frame
 
 Vector = Float64[np.ndarray, " 3"]
 SNAP_COSINE = np.cos(np.radians(20))
-ASIDE, ABOVE = 2.6, 0.45  # distance to a thing in its own sizes; height above it over that distance
+ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
 LEAST_SIZE = (
-    0.04  # of a scene's radius: nearer than that a small thing fills the picture with noise
+    0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
 )
 FOV_DEGREES = 55.0
 UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
@@ -85,29 +85,29 @@ def looking_at(
     return View("camera", K, pose, width, height)
 
 
-def before(thing: Instance, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:
-    """A place to see a thing from: the side that most photos see it from, a little above."""
-    size = size_of(thing, gaussians)
+def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:
+    """A place to see a match from: the side that most photos see it from, a little above."""
+    size = size_of(match, gaussians)
     if views:
         eyes = np.stack([view.center for view in views])
         nearest = eyes[
-            np.argsort(np.linalg.norm(eyes - thing.center, axis=1))[: len(eyes) // 3 + 1]
+            np.argsort(np.linalg.norm(eyes - match.center, axis=1))[: len(eyes) // 3 + 1]
         ]
-        side = (nearest - thing.center).mean(0)
+        side = (nearest - match.center).mean(0)
     else:
         side = np.array([0.8, 0.5, 0.3])
     side = side - (side @ up) * up
     if np.linalg.norm(side) < 1e-9:
         side = np.cross(up, np.roll(up, 1))
     side = side / np.linalg.norm(side)
-    return np.asarray(thing.center + ASIDE * size * (side + ABOVE * up))
+    return np.asarray(match.center + ASIDE * size * (side + ABOVE * up))
 
 
-def size_of(thing: Instance, gaussians: Gaussians) -> float:
+def size_of(match: Match, gaussians: Gaussians) -> float:
     """The longest side of its box, but not less than a small part of the scene."""
     spread = gaussians.means.astype(np.float64)
     radius = float(np.median(np.linalg.norm(spread - np.median(spread, axis=0), axis=1)))
-    return max(float(thing.extent.max()), LEAST_SIZE * radius, 1e-6)
+    return max(float(match.extent.max()), LEAST_SIZE * radius, 1e-6)
 
 
 def flight(

@@ -1,12 +1,12 @@
-"""From a scene and questions to a page."""
+"""From a scene and queries to a page."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
-from ..asking import AskableScene, Question
 from ..errors import DrSplatError
+from ..query import Scene
 from . import painting
 from .cameras import before
 from .naming import words_of
@@ -14,7 +14,7 @@ from .page import MOST_WORDS, Page, PageAnswer
 from .results import Result, result_of
 from .session import Mode, Session
 
-MOST_THINGS = 254  # of one query: a byte per Gaussian says which
+MOST_MATCHES = 254  # of one query: a byte per Gaussian says which
 
 
 def page_of(
@@ -41,31 +41,31 @@ def page_of(
 
 def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageAnswer:
     scene, ids = session.scene, session.shown.ids
-    result = result_of(scene, text, scene.ask(Question(text=text)))
-    things = [one.thing for one in result.found[:MOST_THINGS]]
-    warm = painting.heat_of(result.asked.values, result.threshold)
+    result = result_of(scene, text, scene.ask(text))
+    matches = result.matches[:MOST_MATCHES]
+    warm = painting.heat_of(result.answer.values, result.threshold)
     return PageAnswer(
         text,
         scene.field.dense(warm, fill=0.0)[ids],
         _owners(result, scene)[ids],
-        things,
-        [before(thing, scene.gaussians, scene.views, up) for thing in things],
+        matches,
+        [before(match, scene.gaussians, scene.views, up) for match in matches],
     )
 
 
-def _owners(result: Result, scene: AskableScene) -> UInt8[np.ndarray, " n"]:
+def _owners(result: Result, scene: Scene) -> UInt8[np.ndarray, " n"]:
     owners = np.zeros(len(scene.gaussians), np.uint8)
-    for number, one in enumerate(result.found[:MOST_THINGS]):
-        owners[one.thing.gaussian_ids] = number + 1
+    for number, one in enumerate(result.matches[:MOST_MATCHES]):
+        owners[one.gaussian_ids] = number + 1
     return owners
 
 
 def _words(
-    scene: AskableScene, given: Sequence[str] | None
+    scene: Scene, given: Sequence[str] | None
 ) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
     """The words of a click, and each Gaussian's best; none for an encoder that does not know them."""
     try:
         words = tuple(dict.fromkeys(given or words_of(scene)))[:MOST_WORDS]
-        return words, (scene.classes(words).labels + 1).astype(np.uint16)
+        return words, (scene.segment(words).labels + 1).astype(np.uint16)
     except DrSplatError:
         return (), None

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from ..tasks import Instance
+from ..query import Match
 from . import painting
 from .page import said_of
 from .results import Result
@@ -13,19 +13,19 @@ MOST_FIRST, MOST_LISTED = 12, 100  # buttons; those beyond the first are behind 
 
 
 class Find(NamedTuple):
-    """One thing of an answer. name: with its number among all that was found, from 1, where it is not alone."""
+    """One match of an answer. name: with its number among all that was found, from 1, where it is not alone."""
 
     name: str
     query: int
-    thing: Instance
+    match: Match
 
 
 def finds_of(results: Sequence[Result]) -> list[Find]:
-    things = [(query, one.thing) for query, result in enumerate(results) for one in result.found]
-    alone = len(things) == 1
+    matches = [(query, match) for query, result in enumerate(results) for match in result.matches]
+    alone = len(matches) == 1
     return [
-        Find(results[query].label if alone else f"{number} {results[query].label}", query, thing)
-        for number, (query, thing) in enumerate(things, start=1)
+        Find(results[query].label if alone else f"{number} {results[query].label}", query, match)
+        for number, (query, match) in enumerate(matches, start=1)
     ]
 
 
@@ -33,10 +33,10 @@ class FindList:
     """Buttons in a folder of a panel. They are made when first needed and used again: viser repeats to each new
     page what ever was made, also what is gone.
 
-    fly: what a press does, with the press and the thing.
+    fly: what a press does, with the press and the match.
     """
 
-    def __init__(self, gui: Any, folder: Any, fly: Callable[[Any, Instance], None]) -> None:
+    def __init__(self, gui: Any, folder: Any, fly: Callable[[Any, Match], None]) -> None:
         self.gui, self.folder, self.fly = gui, folder, fly
         self._finds: list[Find] = []
         self._buttons: list[Any] = []
@@ -65,10 +65,10 @@ class FindList:
         return button
 
     def _fill(self, button: Any, find: Find) -> None:
-        button.label = f"{printable(find.name, 60)} · {find.thing.score:.2f}"
+        button.label = f"{printable(find.name, 60)} · {find.match.score:.2f}"
         button.color = painting.accent(find.query)
-        button.hint = f"Fly to {printable(find.name, 60)}: {said_of(find.thing)}"
+        button.hint = f"Fly to {printable(find.name, 60)}: {said_of(find.match)}"
 
     def _pressed(self, event: Any, number: int) -> None:
         if number < len(self._finds):
-            self.fly(event, self._finds[number].thing)
+            self.fly(event, self._finds[number].match)

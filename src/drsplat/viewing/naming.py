@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..asking import AskableScene, Asking, Named, Question
-from ..asking.naming import own_vocabulary
 from ..errors import DrSplatError
 from ..evidence import Explanation
 from ..mini.lexicon import NAMES, STRUCTURES
-from ..tasks import Instance
+from ..query import Match, Query, Scene, Word
+from ..query.naming import own_vocabulary
 from .picking import Hit
 from .results import Result, result_of
 
@@ -22,14 +21,14 @@ EVIDENCE, PICTURE_SIDE = 3, 480
 class This:
     """words: best first, none where no encoder is known. evidence: photos and masks behind it.
 
-    thing: what is like it and holds it, None where that is too little. alike: all that is like it.
+    match: what is like it and holds it, None where that is too little. alike: all that is like it.
     """
 
     gaussian_id: int
     point: Float64[np.ndarray, " 3"]
-    words: list[Named]
+    words: list[Word]
     evidence: list[Explanation]
-    thing: Instance | None
+    match: Match | None
     alike: Result
 
     @property
@@ -37,13 +36,12 @@ class This:
         return self.words[0].text if self.words else ""
 
 
-def this_is(scene: AskableScene, hit: Hit, words: Sequence[str] | None = None) -> This:
+def this_is(scene: Scene, hit: Hit, words: Sequence[str] | None = None) -> This:
     """What the first Gaussian of a hit is; all of them must have a feature."""
     first = int(hit.gaussian_ids[0])
     feature = scene.feature_of(first)
-    question = Question(vector=feature)
-    alike = result_of(scene, "", Asking(scene.background, question).like(feature))
-    holding = [one.thing for one in alike.found if first in one.thing.gaussian_ids]
+    alike = result_of(scene, "", scene.ask(Query(vector=feature)))
+    holding = [match for match in alike.matches if first in match.gaussian_ids]
     return This(
         first,
         hit.point,
@@ -54,7 +52,7 @@ def this_is(scene: AskableScene, hit: Hit, words: Sequence[str] | None = None) -
     )
 
 
-def named(scene: AskableScene, gaussian_id: int, words: Sequence[str] | None) -> list[Named]:
+def named(scene: Scene, gaussian_id: int, words: Sequence[str] | None) -> list[Word]:
     """The best words; none for a field whose encoder is not at hand."""
     try:
         return scene.what_is(gaussian_id, words or words_of(scene))
@@ -62,15 +60,15 @@ def named(scene: AskableScene, gaussian_id: int, words: Sequence[str] | None) ->
         return []
 
 
-def words_of(scene: AskableScene) -> tuple[str, ...]:
+def words_of(scene: Scene) -> tuple[str, ...]:
     """The encoder's own, or those of a household for one that takes any."""
     return own_vocabulary(scene.encoder) or (*NAMES, *STRUCTURES)
 
 
-def photo_of(scene: AskableScene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
+def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
     """The photo that speaks most for it, with the thing in colour; None where there is none."""
     names = {view.name for view in scene.views}
     best = next((one.view_name for one in this.evidence if one.view_name in names), None)
-    if best is None or this.thing is None:
+    if best is None or this.match is None:
         return None
-    return scene.picture(best, this.thing.gaussian_ids, photo=True, max_side=PICTURE_SIDE)
+    return scene.picture(best, this.match.gaussian_ids, photo=True, max_side=PICTURE_SIDE)

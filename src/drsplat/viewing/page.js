@@ -218,14 +218,14 @@
     if (!answer || state.mode !== "answer") return;
     pen.strokeStyle = `rgb(${answer.accent})`;
     pen.font = "13px system-ui, sans-serif";
-    answer.things.forEach((thing, number) => {
-      const corners = [...Array(8).keys()].map((k) => project(thing.axes.reduce((p, axis, a) => plus(p, axis, ((k >> a) & 1 ? 0.5 : -0.5) * thing.extent[a]), thing.center), cam));
+    answer.matches.forEach((match, number) => {
+      const corners = [...Array(8).keys()].map((k) => project(match.axes.reduce((p, axis, a) => plus(p, axis, ((k >> a) & 1 ? 0.5 : -0.5) * match.extent[a]), match.center), cam));
       if (corners.some((c) => c[2] < 0.05)) return;
       pen.lineWidth = 1.5;
       pen.beginPath();
       for (let i = 0; i < 8; i++) for (const bit of [1, 2, 4]) if (!(i & bit)) { pen.moveTo(corners[i][0], corners[i][1]); pen.lineTo(corners[i | bit][0], corners[i | bit][1]); }
       pen.stroke();
-      const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a)), label = answer.things.length > 1 ? `${number + 1} ${answer.text}` : answer.text, wide = pen.measureText(label).width;
+      const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a)), label = answer.matches.length > 1 ? `${number + 1} ${answer.text}` : answer.text, wide = pen.measureText(label).width;
       pen.fillStyle = "rgba(20,22,27,.85)";
       pen.fillRect(top[0] - wide / 2 - 6, top[1] - 26, wide + 12, 20);
       pen.fillStyle = `rgb(${answer.accent})`;
@@ -287,11 +287,11 @@
     const ask = (k) => {
       state.answer = k;
       press($("queries"), k);
-      const answer = header.answers[k], list = $("things");
+      const answer = header.answers[k], list = $("matches");
       list.textContent = "";
       if (!answer) return;
-      if (!answer.things.length) { const p = document.createElement("p"); p.textContent = `Nothing found for "${answer.text}".`; list.append(p); }
-      const named = answer.things.map((thing, number) => button(answer.things.length > 1 ? `${number + 1} · ${thing.said}` : thing.said, () => flyTo(thing.eye, thing.center), answer.accent));
+      if (!answer.matches.length) { const p = document.createElement("p"); p.textContent = `Nothing found for "${answer.text}".`; list.append(p); }
+      const named = answer.matches.map((match, number) => button(answer.matches.length > 1 ? `${number + 1} · ${match.said}` : match.said, () => flyTo(match.eye, match.center), answer.accent));
       list.append(...named.slice(0, FIRST));
       if (named.length > FIRST) {
         const more = document.createElement("details"), count = document.createElement("summary");

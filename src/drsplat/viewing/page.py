@@ -15,7 +15,7 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ..errors import InputError
 from ..formats.replacing import replacing
-from ..tasks import Instance
+from ..query import Match
 from . import painting
 from .cameras import FOV_DEGREES
 from .shown import Frame, Shown
@@ -30,15 +30,15 @@ KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2"}
 
 @dataclass(frozen=True, eq=False)
 class PageAnswer:
-    """One query with its answer. heat: per shown Gaussian in [0, 1]; owners: 0, or 1 for the first thing.
+    """One query with its answer. heat: per shown Gaussian in [0, 1]; owners: 0, or 1 for the first match.
 
-    eyes: places in the world to see each thing from.
+    eyes: places in the world to see each match from.
     """
 
     text: str
     heat: Float32[np.ndarray, " m"]
     owners: UInt8[np.ndarray, " m"]
-    things: Sequence[Instance]
+    matches: Sequence[Match]
     eyes: Sequence[Float64[np.ndarray, " 3"]]
 
 
@@ -135,24 +135,24 @@ def _header(page: Page) -> dict[str, Any]:
 
 
 def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
-    things = [
+    matches = [
         {
-            "center": frame.shown(thing.center).tolist(),
-            "axes": thing.axes.tolist(),
-            "extent": (thing.extent * frame.scale).tolist(),
+            "center": frame.shown(match.center).tolist(),
+            "axes": match.axes.tolist(),
+            "extent": (match.extent * frame.scale).tolist(),
             "eye": frame.shown(eye).tolist(),
-            "said": said_of(thing),
+            "said": said_of(match),
         }
-        for thing, eye in zip(answer.things, answer.eyes, strict=True)
+        for match, eye in zip(answer.matches, answer.eyes, strict=True)
     ]
-    return {"text": printable(answer.text), "accent": painting.accent(number), "things": things}
+    return {"text": printable(answer.text), "accent": painting.accent(number), "matches": matches}
 
 
-def said_of(thing: Instance) -> str:
-    """Score, size and place of a thing, in scene units."""
-    place = ", ".join(f"{x:.2f}" for x in thing.center)
-    size = " x ".join(f"{x:.2f}" for x in thing.extent)
-    return f"{thing.score:.2f} · size {size} · at {place}"
+def said_of(match: Match) -> str:
+    """Score, size and place of a match, in scene units."""
+    place = ", ".join(f"{x:.2f}" for x in match.center)
+    size = " x ".join(f"{x:.2f}" for x in match.extent)
+    return f"{match.score:.2f} · size {size} · at {place}"
 
 
 def _bytes(values: np.ndarray) -> UInt8[np.ndarray, "..."]:

@@ -2,7 +2,7 @@
 
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import DrSplatError
 from ..palette import class_colors
-from ..tasks import Instance
+from ..query import Match
 from . import painting, saving, texts
 from .actions import Actions
 from .bare import NO_FIELD
@@ -223,10 +223,10 @@ class Panel:
         self.told.content = paragraphs(*said)
         self.finds.show(finds_of(self.session.results))
 
-    def _fly(self, event: Any, thing: Instance) -> None:
+    def _fly(self, event: Any, match: Match) -> None:
         scene = self.session.scene
-        eye = before(thing, scene.gaussians, scene.views, self.window.up)
-        self.flights.do(event.client_id, lambda: self.window.fly(event.client, eye, thing.center))
+        eye = before(match, scene.gaussians, scene.views, self.window.up)
+        self.flights.do(event.client_id, lambda: self.window.fly(event.client, eye, match.center))
 
     # --- the threshold ---
 
@@ -260,11 +260,11 @@ class Panel:
         low, high = float(np.floor(low / STEP) * STEP), float(np.ceil(high / STEP) * STEP)
         self.slider.min, self.slider.max = round(low, 3), round(high, 3)
         self.slider.value = round(float(np.clip(result.threshold, low, high)), 3)
-        own = replace(self.slider._marks[0], value=round(result.asked.threshold, 3))
+        own = replace(self.slider._marks[0], value=round(result.answer.threshold, 3))
         self.slider._marks = (own,)
         self.slider.hint = (
-            f"{result.asked.measure} above which a Gaussian is found; "
-            f"the mark is the rule's choice ({result.asked.rule})"
+            f"{result.answer.measure} above which a Gaussian is found; "
+            f"the mark is the rule's choice ({result.answer.rule})"
         )
 
     def _cut(self, _: Any) -> None:
@@ -287,9 +287,8 @@ class Panel:
 
     def _classify(self, _: Any) -> None:
         self.classes.value = self.classes.value.replace("\n", "")
-        classes = self.session.classify(self.classes.value.split(","))
-        counts = np.bincount(classes.labels[classes.labels >= 0], minlength=len(classes.names))
-        self.legend.content = legend_html(classes.names, counts)
+        found = self.session.classify(self.classes.value.split(","))
+        self.legend.content = legend_html(found.names, found.counts)
         self.mode.value = self.session.mode.value
         self.window.repaint()
 
@@ -327,7 +326,7 @@ class Panel:
     def _save_gif(self, event: Any) -> None:
         frame, camera = self.session.shown.frame, event.client.camera
         eye, target = (frame.world(np.array(x)) for x in (camera.position, camera.look_at))
-        found = [one.thing for result in self.session.results for one in result.found]
+        found = [match for result in self.session.results for match in result.matches]
         if found:
             scene, target = self.session.scene, found[0].center
             eye = before(found[0], scene.gaussians, scene.views, self.window.up)
@@ -354,7 +353,7 @@ def said_of_this(this: This) -> str:
     return paragraphs(best, others, f"at {place}", "Seen in " + "; ".join(masks) if masks else "")
 
 
-def legend_html(names: tuple[str, ...], counts: np.ndarray) -> str:
+def legend_html(names: tuple[str, ...], counts: Sequence[int]) -> str:
     """A swatch, a name and a number of Gaussians on each line."""
     spot = "display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:.6em"
     return paragraphs(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
-from ..asking import AskableScene, Asked, Found
+from ..query import Answer, Match, Scene
 from . import painting
 
 SEVERAL = ";"
@@ -16,47 +16,46 @@ SEVERAL = ";"
 class Result:
     """One query, where its values are cut now, and the things above that.
 
-    asked.threshold is the one that was chosen for it, and stays marked; threshold is the slider's.
+    answer.threshold is the one that was chosen for it, and stays marked; threshold is the slider's.
     """
 
     label: str
-    asked: Asked
+    answer: Answer
     threshold: float
-    found: list[Found]
+    matches: list[Match]
 
     @property
     def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
-        """Of all its things, ascending."""
-        return joined([one.thing.gaussian_ids for one in self.found])
+        """Of all its matches, ascending."""
+        return joined([match.gaussian_ids for match in self.matches])
 
     @property
     def limits(self) -> tuple[float, float]:
         """Between which a threshold makes a difference: the median and the highest value."""
-        values = self.asked.values
+        values = self.answer.values
         if not len(values):
             return 0.0, 1.0
         low, high = float(np.median(values)), float(values.max())
-        low, high = min(low, self.asked.threshold), max(high, self.asked.threshold)
+        low, high = min(low, self.answer.threshold), max(high, self.answer.threshold)
         return low, high if high > low else low + 1e-3
 
     @property
     def said(self) -> str:
         """How many things there are; "Nothing found" where there is none."""
-        if not self.found:
+        if not self.matches:
             return f"Nothing found for '{self.label}'."
-        things = "one thing" if len(self.found) == 1 else f"{len(self.found)} things"
+        things = "one thing" if len(self.matches) == 1 else f"{len(self.matches)} things"
         return f"{self.label}: {things}, {len(self.gaussian_ids):,} Gaussians"
 
 
-def result_of(scene: AskableScene, label: str, asked: Asked) -> Result:
-    return Result(label, asked, asked.threshold, scene.find(asked))
+def result_of(scene: Scene, label: str, answer: Answer) -> Result:
+    return Result(label, answer, answer.threshold, scene.locate(answer))
 
 
-def cut_at(scene: AskableScene, result: Result, threshold: float) -> Result:
+def cut_at(scene: Scene, result: Result, threshold: float) -> Result:
     """The same query with another threshold."""
-    return replace(
-        result, threshold=threshold, found=scene.find(replace(result.asked, threshold=threshold))
-    )
+    matches = scene.locate(result.answer.cut_at(threshold))
+    return replace(result, threshold=threshold, matches=matches)
 
 
 def split_queries(text: str) -> list[str]:
@@ -73,7 +72,7 @@ def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
     """Per Gaussian how well it answers, as in `painting.heat_of`; of several queries the best."""
     warmest = np.zeros(count, np.float32)
     for result in results:
-        field, own = result.asked.field, result.asked.values
+        field, own = result.answer.field, result.answer.values
         if len(own):
             warm = field.dense(painting.heat_of(own, result.threshold), fill=0.0)
             warmest = np.maximum(warmest, warm)
@@ -91,9 +90,9 @@ def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
 def object_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
     """Per Gaussian the number of the thing that it belongs to, counted through all queries; -1 for none."""
     ids = np.full(count, -1, np.int32)
-    things = [one.thing for result in results for one in result.found]
-    for number in range(len(things) - 1, -1, -1):
-        ids[things[number].gaussian_ids] = number
+    matches = [match for result in results for match in result.matches]
+    for number in range(len(matches) - 1, -1, -1):
+        ids[matches[number].gaussian_ids] = number
     return ids
 
 
@@ -101,4 +100,4 @@ def relevancy(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"
     """Per Gaussian the highest value of any query, in its own measure."""
     if not results:
         return np.zeros(count, np.float32)
-    return np.asarray(np.max([result.asked.dense for result in results], axis=0))
+    return np.asarray(np.max([result.answer.dense for result in results], axis=0))

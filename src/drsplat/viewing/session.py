@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from ..asking import AskableScene, Classes, Question
 from ..errors import InputError
 from ..gaussians import Gaussians
 from ..palette import class_colors
+from ..query import Query, Scene, Segmentation
 from ..terminal import counted
 from . import painting, results
 from .naming import This, this_is
@@ -39,12 +39,12 @@ class Session:
     words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets.
     """
 
-    scene: AskableScene
+    scene: Scene
     budget: int = 1_000_000
     words: Sequence[str] | None = None
     mode: Mode = Mode.SCENE
     results: tuple[Result, ...] = ()
-    classes: Classes | None = None
+    segmentation: Segmentation | None = None
     clicked: This | None = None
     hidden: Bool[np.ndarray, " n"] = field(init=False)
     repainted: Bool[np.ndarray, " n"] = field(init=False)
@@ -80,10 +80,7 @@ class Session:
                 f"say what to look for: one to {MOST_QUERIES} queries with ';' between them"
             )
         return self._answered(
-            [
-                results.result_of(self.scene, one, self.scene.ask(Question(text=one)))
-                for one in texts
-            ]
+            [results.result_of(self.scene, one, self.scene.ask(one)) for one in texts]
         )
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
@@ -91,8 +88,8 @@ class Session:
 
         Raises: InputError: an encoder that sees no images.
         """
-        asked = self.scene.ask(Question(image=picture))
-        return self._answered([results.result_of(self.scene, name, asked)])
+        answer = self.scene.ask(Query(image=picture))
+        return self._answered([results.result_of(self.scene, name, answer)])
 
     def more_like_this(self) -> str:
         """To what was clicked.
@@ -117,14 +114,14 @@ class Session:
         self.results = (*self.results[:number], changed, *self.results[number + 1 :])
         return self.said
 
-    def classify(self, texts: Sequence[str]) -> Classes:
+    def classify(self, texts: Sequence[str]) -> Segmentation:
         """Each Gaussian as the best of some classes, and show them.
 
         Raises: InputError: no classes, one twice, or words that the encoder does not know.
         """
-        self.classes = self.scene.classes([text.strip() for text in texts if text.strip()])
+        self.segmentation = self.scene.segment([text.strip() for text in texts if text.strip()])
         self.mode = Mode.CLASSES
-        return self.classes
+        return self.segmentation
 
     @property
     def said(self) -> str:
@@ -197,9 +194,9 @@ class Session:
         mode, count = self.mode, len(self.scene.gaussians)
         if mode is Mode.FEATURES:
             return self._feature_colors
-        if mode is Mode.CLASSES and self.classes is not None:
-            palette = class_colors(len(self.classes.names))
-            return painting.class_painted(self._base, self.classes.labels, palette)
+        if mode is Mode.CLASSES and self.segmentation is not None:
+            palette = class_colors(len(self.segmentation.names))
+            return painting.class_painted(self._base, self.segmentation.labels, palette)
         if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
             heat = results.heat(self.results, count)
             if mode is Mode.HEAT:

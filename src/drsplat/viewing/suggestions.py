@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..asking import AskableScene, Question
 from ..errors import DrSplatError
+from ..query import Scene
 from .naming import words_of
 
 SAMPLE = 4096  # Gaussians that are named
@@ -13,9 +13,7 @@ LARGE = 0.05  # of them: walls and tables, which nobody asks for first
 TRIED = 24
 
 
-def suggestions(
-    scene: AskableScene, words: Sequence[str] | None = None, most: int = 4
-) -> list[str]:
+def suggestions(scene: Scene, words: Sequence[str] | None = None, most: int = 4) -> list[str]:
     """Up to `most` words that find something: the most frequent things of a sample first, large ones last.
 
     words: to choose from; None takes the encoder's own. Nothing where no encoder is known.
@@ -27,7 +25,7 @@ def suggestions(
         return []
 
 
-def _likely(scene: AskableScene, words: Sequence[str]) -> list[str]:
+def _likely(scene: Scene, words: Sequence[str]) -> list[str]:
     rows = len(scene.field)
     if not rows:
         return []
@@ -39,5 +37,5 @@ def _likely(scene: AskableScene, words: Sequence[str]) -> list[str]:
     return [words[at] for at in order if share[at]][:TRIED]
 
 
-def _finds(scene: AskableScene, word: str) -> bool:
-    return bool(scene.find(scene.ask(Question(text=word)), top=1))
+def _finds(scene: Scene, word: str) -> bool:
+    return bool(scene.locate(word, top=1))

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from ..access import EVERYWHERE, is_loopback
 from ..errors import MissingExtraError
-from ..tasks import Instance
+from ..query import Match
 from ..views import View
 from . import painting
 from .cameras import FOV_DEGREES, first_look, looking_at
@@ -122,19 +122,17 @@ class Window:
             return
         for number, find in enumerate(finds_of(self.session.results)[:MOST_LISTED]):
             label = find.name if number < MOST_FIRST else str(number + 1)
-            self._mark_thing(str(number), find.thing, label, painting.accent(find.query))
+            self._mark_match(str(number), find.match, label, painting.accent(find.query))
 
-    def _mark_thing(
-        self, name: str, thing: Instance, label: str, color: tuple[int, int, int]
-    ) -> None:
+    def _mark_match(self, name: str, match: Match, label: str, color: tuple[int, int, int]) -> None:
         frame, scene = self.session.shown.frame, self.server.scene
-        corners = frame.shown(thing.center + (CORNERS * thing.extent) @ thing.axes)
+        corners = frame.shown(match.center + (CORNERS * match.extent) @ match.axes)
         box = scene.add_line_segments(
             f"/found/{name}/box", corners[EDGES].astype(np.float32), color,
             thickness=2.0, thickness_units="screen",
         )  # fmt: skip
         top = corners[(corners @ self.up).argmax()]
-        middle = frame.shown(thing.center)
+        middle = frame.shown(match.center)
         above = middle + ((top - middle) @ self.up) * self.up
         text = scene.add_label(
             f"/found/{name}/name",

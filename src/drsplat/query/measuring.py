@@ -1,15 +1,19 @@
-"""From a field and a question to scores and a threshold."""
+"""From a field and a query to values and a threshold: every rule of measuring and cutting."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+from jaxtyping import Float32, UInt8
 
-from ..contrast import Contrast, contrast, relevancy_threshold
 from ..crops import crop
-from ..defaults import (
+from ..encoders import Encoder, ImageEncoder
+from ..errors import InputError
+from ..field import LanguageField, Negatives
+from .answer import Answer
+from .contrast import Contrast, contrast, relevancy_threshold
+from .defaults import (
     AUTO,
     COSINE,
     DEFAULT,
@@ -20,10 +24,8 @@ from ..defaults import (
     RELEVANCY_THRESHOLD,
     SHARE,
 )
-from ..encoders import Encoder, ImageEncoder
-from ..errors import InputError
-from ..field import LanguageField, Negatives
-from ..search import (
+from .query import Cut
+from .search import (
     CHUNK,
     LOWEST,
     NEGATIVES,
@@ -34,9 +36,7 @@ from ..search import (
     text_negatives,
     without,
 )
-from ..tasks import select
-from ..thresholds import automatic_threshold, peak_score, share_threshold, threshold_above
-from .questions import Question
+from .thresholds import automatic_threshold, peak_score, share_threshold, threshold_above
 from .word_list import list_vectors
 
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
@@ -45,35 +45,8 @@ _Default = tuple[float | str, str]
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """query: its unit vector. values: per row of the field what is compared with the threshold. scores: cosines.
-
-    measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
-    encoder or default.
-    """
-
-    field: LanguageField
-    query: Float32[np.ndarray, " D"]
-    values: Float32[np.ndarray, " r"]
-    measure: str
-    threshold: float
-    rule: str
-    scores: Float32[np.ndarray, " r"]
-
-    @property
-    def dense(self) -> Float32[np.ndarray, " n"]:
-        """Values per Gaussian of the scene; the lowest where there is no feature."""
-        return self.field.dense(self.values, fill=0.0 if self.measure == RELEVANCY else LOWEST)
-
-    @property
-    def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
-        """Of the Gaussians above the threshold, ascending."""
-        return select(self.field, self.values, self.threshold)
-
-
-@dataclass(frozen=True, eq=False)
 class Background:
-    """A field, who embeds its queries, and what questions are compared with, each made once when needed.
+    """A field, who embeds its queries, and what queries are compared with, each made once when needed.
 
     source: makes the encoder; raises where there is none. Safe for several threads.
     """
@@ -113,31 +86,43 @@ class Background:
 
     @cached_property
     def negatives(self) -> Negatives:
-        """Those stored in the field, else LERF's."""
+        """Those stored in the field, else LERF's.
+
+        Raises: InputError: there are none stored, and nobody to embed LERF's.
+        """
         if self.field.negatives is not None:
             return self.field.negatives
-        return text_negatives(self.field, self.encoder, NEGATIVES, threads=self.threads)
+        try:
+            encoder = self.encoder
+        except InputError as error:
+            raise InputError(
+                "relevancy compares the query with negatives and this field has none stored: pass "
+                "negatives=WORDS or vectors"
+            ) from error
+        return text_negatives(self.field, encoder, NEGATIVES, threads=self.threads)
 
 
 @dataclass(frozen=True, eq=False)
-class Asking:
-    """How one question, or several texts alike, are answered.
+class Measuring:
+    """How one query, or several texts alike, are measured and cut.
 
     Of CLIP-like encoders no cosine is known to be high enough, whoever embeds the words: these are measured
     by how much better they fit than a list of words. Vectors, pictures and clicks are cut automatically.
+    exclude: words that rule out what fits them as well, with any text.
     """
 
     background: Background
-    question: Question
+    cut: Cut
+    exclude: tuple[str, ...] = ()
 
-    def about(self, text: str) -> Asked:
+    def of_text(self, text: str) -> Answer:
         """To a text; "mug, not red" leaves out what "red mug" fits as well.
 
         Raises: InputError: the encoder does not know the words. MismatchError: another encoder.
         """
-        return next(iter(self.about_each([text])))
+        return next(iter(self.of_texts([text])))
 
-    def about_each(self, texts: Sequence[str]) -> Iterator[Asked]:
+    def of_texts(self, texts: Sequence[str]) -> Iterator[Answer]:
         """To each of several texts, scored several at a time."""
         field, encoder = self._field, self.background.encoder
         for begin in range(0, len(texts), CHUNK):
@@ -146,16 +131,16 @@ class Asking:
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
                 answer = self._of_words(query, own)
-                yield self._without(answer, own, wanted, (*unwanted, *self.question.unwanted))
+                yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
-    def like_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Asked:
+    def of_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Answer:
         """To a picture of a thing.
 
         Raises: InputError: an encoder of words only. MismatchError: another encoder.
         """
-        return self.like(embedded_image(self.background.encoder, picture))
+        return self.of_vector(embedded_image(self.background.encoder, picture))
 
-    def like(self, vector: Float32[np.ndarray, " D"]) -> Asked:
+    def of_vector(self, vector: Float32[np.ndarray, " D"]) -> Answer:
         """To a vector of the encoder's space, or a feature of the field itself.
 
         One that lies where texts do is asked as words are, if the field keeps a list of words.
@@ -172,11 +157,11 @@ class Asking:
 
     def _without(
         self,
-        answer: Asked,
+        answer: Answer,
         scores: Float32[np.ndarray, " r"],
         wanted: str,
         unwanted: tuple[str, ...],
-    ) -> Asked:
+    ) -> Answer:
         if not unwanted:
             return answer
         background = self.background
@@ -189,12 +174,12 @@ class Asking:
 
     def _of_words(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
-    ) -> Asked:
+    ) -> Answer:
         kept = self.background.kept_contrast
         own = self.background.own_threshold if kept is None else None
         if own is not None:
             return self._measured(query, scores, (own, ENCODER))
-        values = None if self.question.measures_relevancy else self._contrasted(query, scores)
+        values = None if self.cut.measures_relevancy else self._contrasted(query, scores)
         if values is None:
             return self._measured(query, scores, (AUTO, AUTO))
         default = self._list_threshold(scores, values), LIST
@@ -230,8 +215,8 @@ class Asking:
         query: Float32[np.ndarray, " D"],
         scores: Float32[np.ndarray, " r"],
         default: _Default,
-    ) -> Asked:
-        if not self.question.measures_relevancy:
+    ) -> Answer:
+        if not self.cut.measures_relevancy:
             return self._cut(query, scores, None, default)
         values = relevancy_from_scores(scores, self._negatives.maxima)
         return self._cut(query, scores, values, (RELEVANCY_THRESHOLD, DEFAULT))
@@ -242,17 +227,17 @@ class Asking:
         scores: Float32[np.ndarray, " r"],
         relevancy: Float32[np.ndarray, " r"] | None,
         default: _Default,
-    ) -> Asked:
+    ) -> Answer:
         values, measure = (scores, COSINE) if relevancy is None else (relevancy, RELEVANCY)
         threshold, rule = self._threshold(values, default)
-        return Asked(self._field, query, values, measure, threshold, rule, scores)
+        return Answer(self._field, query, values, measure, threshold, rule, scores)
 
     def _threshold(self, values: Float32[np.ndarray, " r"], default: _Default) -> tuple[float, str]:
-        ask = self.question
-        if ask.top_share is not None:
-            return share_threshold(values, ask.top_share), SHARE
-        if ask.threshold is not None and ask.threshold != AUTO:
-            return float(ask.threshold), GIVEN
+        given = self.cut
+        if given.top_share is not None:
+            return share_threshold(values, given.top_share), SHARE
+        if given.threshold is not None and given.threshold != AUTO:
+            return float(given.threshold), GIVEN
         cut, rule = default
         if rule == AUTO:
             return automatic_threshold(values), AUTO
@@ -261,21 +246,12 @@ class Asking:
     @cached_property
     def _negatives(self) -> Negatives:
         """Those given, else those of the background."""
-        field, given = self._field, self.question.negatives
-        threads = self.background.threads
+        field, given, background = self._field, self.cut.negatives, self.background
         if given is None:
-            if (
-                field.negatives is None
-                and self.question.text is None
-                and self.question.image is None
-            ):
-                raise InputError(
-                    "relevancy compares the query with negatives and this field has none stored: give them"
-                )
-            return self.background.negatives
+            return background.negatives
         if isinstance(given, tuple):
-            return text_negatives(field, self.background.encoder, given, threads=threads)
-        return field.score_negatives(given, threads=threads)
+            return text_negatives(field, background.encoder, given, threads=background.threads)
+        return field.score_negatives(given, threads=background.threads)
 
 
 def embedded_image(

@@ -7,7 +7,7 @@ All follow the scores when these are shifted or scaled, and none depends on thei
 import numpy as np
 from jaxtyping import Float, Float64
 
-from .errors import InputError
+from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
 CUT = 0.6  # of the way to the peak: from the median, or from 0

@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float32, Integer
 
-from .errors import InputError
-from .evidence import Explanation
-from .field import LanguageField
+from ..errors import InputError
+from ..evidence import Explanation
+from ..field import LanguageField
 
 
 def supporting_masks(

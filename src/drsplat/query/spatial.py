@@ -1,25 +1,44 @@
 """How things lie to each other."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
+from ..errors import InputError
 from ..gaussians import Gaussians
-from ..tasks import HAZE, Instance
+from .answer import Match
+from .scene import Scene
+from .tasks import HAZE
 
 ABOVE = 0.5  # of its extent: how far a thing's lower side may hang above what it stands on
 REACH = 0.05  # of its size: how far a thing may stand out of what it stands on
 
 
-def gap(gaussians: Gaussians, one: Instance, other: Instance) -> float:
+def gap(gaussians: Gaussians, one: Match, other: Match) -> float:
     """Distance between the nearest solid Gaussians of two things, centre to centre, in scene units."""
     first, second = _solid(gaussians, one), _solid(gaussians, other)
     small, large = (first, second) if len(first) < len(second) else (second, first)
     return float(cKDTree(large).query(small)[0].min())
 
 
+def standing_on(scene: Scene, matches: Sequence[Match], text: str) -> list[Match]:
+    """Those of some matches that stand on the largest match of a text, that one itself left out.
+
+    Raises: InputError: nothing is called so, or the photos do not tell which way is up.
+    """
+    supports = scene.locate(text)
+    if not supports:
+        raise InputError(f"nothing found for '{text[:60]}', so nothing can stand on it")
+    support = max(supports, key=len)
+    if scene.up is None:
+        raise InputError("the photos of this scene do not tell which way is up: ask without 'on'")
+    return [one for one in matches if stands_on(scene.gaussians, one, support, scene.up)]
+
+
 def stands_on(
-    gaussians: Gaussians, thing: Instance, support: Instance, up: Float64[np.ndarray, " 3"]
+    gaussians: Gaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]
 ) -> bool:
     """Whether a thing's middle is over the support, and its lower side at the upper half of the support or
     not far above.
@@ -38,7 +57,7 @@ def stands_on(
     return bool(distance <= REACH * size)
 
 
-def _solid(gaussians: Gaussians, thing: Instance) -> Float64[np.ndarray, "n 3"]:
+def _solid(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
     """Centres of what can be seen of a thing."""
     ids = thing.gaussian_ids
     solid = ids[gaussians.opacities[ids] >= HAZE]

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from ..encoders import Encoder
 from ..errors import InputError
 from ..formats.vocabulary import VocabularyEncoder
-from ..nouns import NOUNS
+from .nouns import NOUNS
 
 MOST = 500  # texts of a vocabulary: more make a first question slow and an answer no better
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32
 
-from .encoders import Encoder
-from .errors import InputError
-from .field import LanguageField, Negatives, relevancy_from_scores
-from .gaussians import Gaussians
-from .kernels import splat_arrays, view_weights
-from .views import View
+from ..encoders import Encoder
+from ..errors import InputError
+from ..field import LanguageField, Negatives, relevancy_from_scores
+from ..gaussians import Gaussians
+from ..kernels import splat_arrays, view_weights
+from ..views import View
 
 __all__ = [
     "LOWEST",

@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float32, Int64
 from scipy.spatial import cKDTree
 
-from .errors import InputError
-from .field import LanguageField
-from .gaussians import Gaussians
+from ..errors import InputError
+from ..field import LanguageField
+from ..gaussians import Gaussians
 
 NEIGHBOURS, SHARE = 10, 0.5
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from ..defaults import MIN_GAUSSIANS
 from ..errors import InputError
+from .defaults import MIN_GAUSSIANS
 from .naming import own_vocabulary
-from .scene import AskableScene
+from .scene import Scene
 
 
 class InRegion(NamedTuple):
@@ -26,7 +26,7 @@ class InRegion(NamedTuple):
 
 
 def region(
-    scene: AskableScene,
+    scene: Scene,
     center: tuple[float, float, float],
     radius: float,
     vocabulary: Sequence[str] | None = None,

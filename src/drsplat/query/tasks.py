@@ -1,8 +1,6 @@
-"""What is asked of a field: which Gaussians, where the things are that they form, what each one is."""
+"""From values per Gaussian to places, and to a class of each: functions of arrays, without words."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64, Integer
@@ -10,13 +8,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .boxes import BoxKind, box_of
+from ..boxes import box_of
+from ..errors import InputError
+from ..field import LanguageField
+from ..gaussians import Gaussians
+from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
-from .errors import InputError
-from .field import LanguageField
-from .gaussians import Gaussians
-from .terminal import counted
-from .thresholds import automatic_threshold
 
 NO_CLASS = -1
 NEIGHBOURS = 8
@@ -24,108 +21,39 @@ HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 
 
-@dataclass(frozen=True, eq=False)
-class Instance:
-    """One found thing, in scene units and world coordinates.
-
-    center, axes, extent: oriented box; row a of `axes` is the unit direction of full length extent[a].
-    Upright: the third axis is up, the first the longer of the others. Free: longest first. score: mean score of its Gaussians weighted by opacity.
-    """
-
-    center: Float64[np.ndarray, " 3"]
-    axes: Float64[np.ndarray, "3 3"]
-    extent: Float64[np.ndarray, " 3"]
-    score: float
-    gaussian_ids: Int64[np.ndarray, " m"]
-
-    def __repr__(self) -> str:
-        place = ", ".join(f"{x:.4g}" for x in self.center)
-        return f"Instance({counted(len(self), 'Gaussian')} at ({place}), score {self.score:.3f})"
-
-    def __len__(self) -> int:
-        return len(self.gaussian_ids)
-
-
-@runtime_checkable
-class Answered(Protocol):
-    """An answer of `drsplat.query`, or of a scene."""
-
-    @property
-    def values(self) -> Float32[np.ndarray, " r"]: ...
-    @property
-    def threshold(self) -> float: ...
-
-
-def select(
-    field: LanguageField,
-    scores: Float32[np.ndarray, " r"] | Answered,
-    threshold: float | None = None,
-) -> Int64[np.ndarray, " m"]:
-    """Scene indices of the Gaussians whose score is above the threshold, ascending.
-
-    scores: an answer, whose threshold is the default, or numbers, of which `automatic_threshold` chooses it.
-
-    Raises: InputError: not one score per row of the field.
-    Source: Dr. Splat Sec. B "3D object selection".
-    """
-    values, least = _values(field, scores), _least(field, scores, threshold)
-    return field.gaussian_ids[values > least].astype(np.int64)
-
-
-def _values(
-    field: LanguageField, scores: Float32[np.ndarray, " r"] | Answered
-) -> Float32[np.ndarray, " r"]:
-    values = scores if isinstance(scores, np.ndarray) else scores.values
-    _check_rows(field, values)
-    return values
-
-
-def _least(
-    field: LanguageField, scores: Float32[np.ndarray, " r"] | Answered, threshold: float | None
-) -> float:
-    if threshold is not None:
-        return threshold
-    if not isinstance(scores, np.ndarray):
-        return scores.threshold
-    return automatic_threshold(_values(field, scores)) if len(scores) else 0.0
-
-
 def locate(
-    field: LanguageField,
+    answer: Answer,
     gaussians: Gaussians,
-    scores: Float32[np.ndarray, " r"] | Answered,
-    threshold: float | None = None,
     *,
     link_distance: float | None = None,
     min_gaussians: int = MIN_GAUSSIANS,
-    box: BoxKind = "upright",
-) -> list[Instance]:
-    """Find the things that the selection consists of, best score first; nothing found is [].
+    up: Float64[np.ndarray, " 3"] | None = None,
+) -> list[Match]:
+    """The places that an answer's Gaussians make, best score first; nothing found is [].
 
-    scores, threshold: as for `select`, with the same defaults as `drsplat locate`. Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
+    Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
     the median distance to the 8th neighbour within the selection. Groups with fewer than `min_gaussians`
     Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in the air.
-    box: "upright" stands on the ground, which `field.up` tells (without it boxes are free); "free" lies as the thing does.
+    up: a unit direction that boxes stand upright along; None: free, as the thing lies.
 
-    Raises: MismatchError: the field is of another scene. InputError: as `select`.
+    Raises: MismatchError: the answer is of another scene.
     Source: Dr. Splat Sec. B "Open-vocabulary 3D object localization".
     """
-    field.check_scene(gaussians)
-    ids = select(field, scores, threshold)
+    answer.field.check_scene(gaussians)
+    ids = answer.gaussian_ids
     if len(ids) < max(min_gaussians, 2):
         return []
-    by_id = field.dense(_values(field, scores))
-    up = field.up if box == "upright" else None
+    by_id = answer.field.dense(answer.values)
     groups = _components(gaussians.means[ids].astype(np.float64), link_distance)
     order = np.argsort(groups, kind="stable")
     members = np.split(ids[order], np.flatnonzero(np.diff(groups[order])) + 1)
     solid = gaussians.opacities >= HAZE
     found = [
-        _instance(gaussians, by_id, group, up)
+        _match(gaussians, by_id, group, up)
         for group in members
         if np.count_nonzero(solid[group]) >= min_gaussians
     ]
-    return sorted(found, key=lambda thing: (-thing.score, int(thing.gaussian_ids[0])))
+    return sorted(found, key=lambda match: (-match.score, int(match.gaussian_ids[0])))
 
 
 def segment(
@@ -211,13 +139,13 @@ def _join_near_parts(
     return _connected(len(parts), ends[:, 0], ends[:, 1])
 
 
-def _instance(
+def _match(
     gaussians: Gaussians,
     scores: Float32[np.ndarray, " n"],
     ids: Int64[np.ndarray, " m"],
     up: Float64[np.ndarray, " 3"] | None,
-) -> Instance:
+) -> Match:
     mass = gaussians.opacities[ids].astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
     score = float(mass @ scores[ids].astype(np.float64))
-    return Instance(*box_of(gaussians, ids, up), score, ids)
+    return Match(*box_of(gaussians, ids, up), score, ids)

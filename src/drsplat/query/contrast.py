@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
-from .field import LanguageField
+from ..field import LanguageField
 from .thresholds import clear_threshold, peak_score
 
 TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere

@@ -1,15 +1,14 @@
 """One opened scene, and everything that can be asked of it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
 
-from ..boxes import BoxKind
-from ..defaults import MIN_GAUSSIANS
+from ..boxes import BoxKind, up_of
 from ..encoders import Encoder
 from ..errors import InputError
 from ..evidence import Explanation
@@ -25,65 +24,91 @@ from ..pictures import (
     visible_share,
 )
 from ..rendering import render
-from ..search import feature_at, gaussian_at
-from ..support import supporting_masks
-from ..tasks import Instance, locate, segment
-from ..terminal import counted
 from ..views import View
-from .answering import Asked, Asking, Background
+from .answer import Answer, Match
+from .defaults import MIN_GAUSSIANS
+from .encoding import encoder_for
+from .measuring import Background, Measuring
 from .naming import best_names
 from .places import nearest_gaussian
-from .questions import Question
+from .query import Cut, Query
+from .search import feature_at, gaussian_at
+from .support import supporting_masks
+from .tasks import locate, segment
 from .views import view_named
 
-SUPPORT = 3  # masks listed for a thing
+SUPPORT = 3  # masks listed for a match
 Place = int | tuple[float, float, float] | tuple[str, float, float]
 
 
-class Found(NamedTuple):
-    """A thing and the photos and masks that speak most for it; none where the field kept no evidence."""
-
-    thing: Instance
-    support: list[Explanation]
-
-
-class Named(NamedTuple):
+class Word(NamedTuple):
     """A text and the cosine of a place's feature with it."""
 
     text: str
     score: float
 
 
-class Classes(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Segmentation:
     """labels: per Gaussian of the scene the number of its class, -1 for none. answers: one of each class."""
 
     names: tuple[str, ...]
     labels: Int32[np.ndarray, " n"]
-    answers: list[Asked]
+    answers: list[Answer]
+
+    @property
+    def counts(self) -> list[int]:
+        """Gaussians of each class."""
+        kept = self.labels[self.labels >= 0]
+        counts: list[int] = np.bincount(kept, minlength=len(self.names)).tolist()
+        return counts
 
 
-@dataclass(frozen=True, eq=False)
-class AskableScene:
-    """A scene, its field and its posed photos. Nothing in it changes; several threads may ask at once.
+class Scene:
+    """A field, the Gaussians it was registered on, posed photos and who embeds words. Several threads may ask at once.
 
-    encoder: makes the encoder when words are first asked for, and raises where there is none. threads: of
-    one question, 0 for all cores.
+    gaussians: None where only selections are wanted. views, encoder: themselves, or what makes them when they
+    are first needed; encoder None: the built-in one that the field names. threads: of one query, 0 for all cores.
 
     Raises: MismatchError: the field is of another scene.
     """
 
-    name: str
-    gaussians: Gaussians
-    field: LanguageField
-    views: tuple[View, ...]
-    source: Callable[[], Encoder]
-    threads: int = 0
+    def __init__(
+        self,
+        field: LanguageField,
+        gaussians: Gaussians | None = None,
+        views: Sequence[View] | Callable[[], Sequence[View]] = (),
+        encoder: Encoder | Callable[[], Encoder] | None = None,
+        *,
+        name: str = "scene",
+        threads: int = 0,
+    ) -> None:
+        if gaussians is not None:
+            field.check_scene(gaussians)
+        self.field, self.name, self.threads = field, name, threads
+        self._gaussians, self._views = gaussians, views
+        self.background = Background(field, _source(field, encoder), threads)
 
     def __repr__(self) -> str:
-        return f"AskableScene('{self.name}', {self.gaussians}, {self.field}, {counted(len(self.views), 'view')})"
+        return f"Scene('{self.name}', {self._gaussians or 'no Gaussians'}, {self.field})"
 
-    def __post_init__(self) -> None:
-        self.field.check_scene(self.gaussians)
+    @property
+    def has_gaussians(self) -> bool:
+        """Whether places can be told, and pictures be drawn."""
+        return self._gaussians is not None
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """Raises: InputError: the scene was opened without them."""
+        if self._gaussians is None:
+            raise InputError(
+                f"'{self.name}' was opened without its Gaussians: pass scene=SCENE, the file that was registered"
+            )
+        return self._gaussians
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        return tuple(self._views() if callable(self._views) else self._views)
 
     @property
     def encoder(self) -> Encoder:
@@ -91,8 +116,9 @@ class AskableScene:
         return self.background.encoder
 
     @cached_property
-    def background(self) -> Background:
-        return Background(self.field, self.source, self.threads)
+    def up(self) -> Float64[np.ndarray, " 3"] | None:
+        """The unit direction that is up, None where the photos do not tell."""
+        return up_of(self.views) if self.field.up is None else self.field.up
 
     @cached_property
     def splats(self) -> SplatArrays:
@@ -109,72 +135,70 @@ class AskableScene:
         """Raises: InputError: there is none of that name."""
         return view_named(self.views, name)
 
-    def ask(self, question: Question) -> Asked:
-        """Scores of the field for a question, and the threshold.
+    def ask(self, query: Query | str) -> Answer:
+        """Values of the field for a query, and the threshold. A text stands for `Query(text)`.
 
         Raises: InputError: words that the encoder does not know, no encoder, no such view, nothing at the
         point. MismatchError: a vector of another dimension.
         """
-        asking = Asking(self.background, question)
-        if question.text is not None:
-            return asking.about(question.text)
-        if question.image is not None:
-            return asking.like_image(question.image)
-        if question.vector is not None:
-            return asking.like(question.vector)
-        place = question.click if question.point is None else question.point
+        query = Query(query) if isinstance(query, str) else query
+        measuring = Measuring(self.background, query, query.exclude)
+        if query.text is not None:
+            return measuring.of_text(query.text)
+        if query.image is not None:
+            return measuring.of_image(query.image)
+        if query.vector is not None:
+            return measuring.of_vector(query.vector)
+        place = query.click if query.point is None else query.point
         assert place is not None
-        return asking.like(self.feature_of(place))
+        return measuring.of_vector(self.feature_of(place))
 
-    def find(
+    def locate(
         self,
-        question: Question | Asked,
+        query: Query | Answer | str,
+        *,
         min_gaussians: int = MIN_GAUSSIANS,
         top: int | None = None,
         box: BoxKind = "upright",
-    ) -> list[Found]:
-        """The things that a question means, best first, with their evidence; nothing found is [].
+    ) -> list[Match]:
+        """The places that a query, or an answer, finds, best first, with their support; nothing found is [].
 
-        top: how many of them. box: as for `locate`. Raises: as `ask`.
+        min_gaussians: smaller ones are specks. top: how many of them. box: "upright" stands on the ground, where
+        the photos tell which way is up; "free" lies as the thing does.
+
+        Raises: as `ask`; InputError: a scene without Gaussians.
         """
-        asked = question if isinstance(question, Asked) else self.ask(question)
-        things = locate(
-            self.field, self.gaussians, asked.values, asked.threshold, min_gaussians=min_gaussians,
-            box=box,
-        )  # fmt: skip
-        return [Found(thing, self._support(thing, asked)) for thing in things[:top]]
+        answer = query if isinstance(query, Answer) else self.ask(query)
+        up = self.up if box == "upright" else None
+        matches = locate(answer, self.gaussians, min_gaussians=min_gaussians, up=up)[:top]
+        return [replace(match, support=self._support(match, answer)) for match in matches]
 
-    def classes(self, texts: Sequence[str], question: Question | None = None) -> Classes:
+    def segment(self, classes: Sequence[str], cut: Cut | None = None) -> Segmentation:
         """The best of several texts for each Gaussian, where it is above its threshold.
 
-        question: how all of them are measured and cut; its own text is not asked.
+        cut: how all of them are measured and cut.
 
-        Raises: as `ask`; InputError: no texts, or one twice.
+        Raises: as `ask`; InputError: no classes, or one twice.
         """
-        names = tuple(texts)
+        names = tuple(classes)
         if not names or len(set(names)) < len(names):
             raise InputError(
                 f"expected one or more different classes, got {', '.join(names) or 'none'}"
             )
-        asking = Asking(self.background, question or Question(text=names[0]))
-        answers = list(asking.about_each(names))
+        answers = list(Measuring(self.background, cut or Cut()).of_texts(names))
         thresholds = [answer.threshold for answer in answers]
         labels = segment(self.field, (answer.values for answer in answers), thresholds)
-        return Classes(names, labels, answers)
+        return Segmentation(names, labels, answers)
 
-    def what_is(
-        self, place: Place, vocabulary: Sequence[str] | None = None, top: int = 5
-    ) -> list[Named]:
+    def what_is(self, place: Place, names: Sequence[str] | None = None, top: int = 5) -> list[Word]:
         """The best words for what is at a Gaussian (its row), a point (world xyz) or a click (view, x, y).
 
-        vocabulary: the words to choose from, None for those of an encoder that knows a list.
+        names: the words to choose from, None for those of an encoder that knows a list.
 
         Raises: InputError: nothing with a feature there, or no list of words.
         """
         feature = self.feature_of(place)
-        return [
-            Named(*one) for one in best_names(self.encoder, self.field, feature, vocabulary, top)
-        ]
+        return [Word(*one) for one in best_names(self.encoder, self.field, feature, names, top)]
 
     def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
         """The unit feature at a Gaussian, a point or a click.
@@ -211,7 +235,7 @@ class AskableScene:
     def picture(
         self,
         view: View | str | None = None,
-        shown: Asked | Integer[np.ndarray, " m"] | None = None,
+        shown: Answer | Integer[np.ndarray, " m"] | None = None,
         *,
         photo: bool = False,
         max_side: int | None = None,
@@ -223,7 +247,7 @@ class AskableScene:
 
         Raises: InputError: no such view, or none to choose from.
         """
-        ids = shown.gaussian_ids if isinstance(shown, Asked) else shown
+        ids = shown.gaussian_ids if isinstance(shown, Answer) else shown
         chosen = self.best_view(ids) if view is None else view
         chosen = self.view(chosen) if isinstance(chosen, str) else chosen
         chosen = _limited(chosen, max_side)
@@ -259,10 +283,18 @@ class AskableScene:
         feature: np.ndarray = self.field.feature(np.array([row]))[0]
         return feature
 
-    def _support(self, thing: Instance, asked: Asked) -> list[Explanation]:
-        if self.field.evidence is None:
-            return []
-        return supporting_masks(self.field, thing.gaussian_ids, asked.query, top=SUPPORT)
+    def _support(self, match: Match, answer: Answer) -> tuple[Explanation, ...]:
+        if self.field.evidence is None or answer.vector is None:
+            return ()
+        return tuple(supporting_masks(self.field, match.gaussian_ids, answer.vector, top=SUPPORT))
+
+
+def _source(
+    field: LanguageField, encoder: Encoder | Callable[[], Encoder] | None
+) -> Callable[[], Encoder]:
+    if encoder is None:
+        return lambda: encoder_for(field)
+    return (lambda: encoder) if isinstance(encoder, Encoder) else encoder
 
 
 def _limited(view: View, max_side: int | None) -> View:

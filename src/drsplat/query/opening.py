@@ -1,20 +1,21 @@
 """From a folder, or from files, to a scene that can be asked."""
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
 from ..adapters.loading import load_encoder
-from ..boxes import up_of
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
+from ..formats.field_folder import MANIFEST
 from ..formats.scenes import read_gaussians
 from ..gaussians import Gaussians
 from ..views import View
 from .encoding import Load, encoder_for
-from .scene import AskableScene
+from .scene import Scene
 
 FIELD_SUFFIX = ".field"
 SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
@@ -61,38 +62,72 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
 
 
+def scene_files(
+    path: str | PathLike[str],
+    scene: str | PathLike[str] | None = None,
+    views: str | PathLike[str] | None = None,
+) -> SceneFiles:
+    """The files of a field, or of a folder that has one; scene and views, where they are given, instead of what lies there.
+
+    Raises: as `find_scene`.
+    """
+    path = Path(path)
+    is_field = (path / MANIFEST).exists() or path.suffix == FIELD_SUFFIX or not path.is_dir()
+    found = SceneFiles(path.stem, path, ()) if is_field else find_scene(path)
+    if scene is not None:
+        found = replace(found, scenes=(Path(scene),))
+    return found if views is None else replace(found, capture=Path(views))
+
+
 def open_scene(
-    files: SceneFiles | str | PathLike[str],
+    path: str | PathLike[str] | SceneFiles,
     *,
+    scene: str | PathLike[str] | None = None,
+    views: str | PathLike[str] | None = None,
     encoder: str | None = None,
     vocabulary: str | None = None,
     device: str = "auto",
     threads: int = 0,
+    images: str | PathLike[str] | None = None,
+    dataparser_transforms: str | PathLike[str] | None = None,
+    max_side: int | None = None,
     load: Load = load_encoder,
-) -> AskableScene:
-    """Open a folder, or the files named.
+) -> Scene:
+    """Open a folder with a field, its scene and photos, or a field (NAME.field) alone.
 
-    encoder, vocabulary, device: who embeds words, as on the command line;
-    fields of the built-in encoders need none. load: see `encoder_for`. The encoder is loaded when it is
-    first needed.
+    scene, views: the Gaussians that were registered and the capture, where they lie elsewhere. A field without Gaussians
+    selects, but cannot tell places. encoder, vocabulary, device: who embeds words; fields of the built-in
+    encoders need none. images, dataparser_transforms, max_side: as for `read_views`. load: see `encoder_for`.
+    The encoder and the photos are looked at when they are first needed.
 
     Raises: InputError: files are missing. FormatError: damaged files. MismatchError: the field is of
     none of the scenes.
     """
-    if not isinstance(files, SceneFiles):
-        files = find_scene(files)
+    files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
     field = load_field(files.field)
-    gaussians = registered_scene(files, field)[1]
-    views = () if files.capture is None else _views(files.capture)
-    if field.up is None:  # registered by an older version
-        field = replace(field, up=up_of(views))
-    return AskableScene(
-        files.name,
-        gaussians,
+    gaussians = registered_scene(files, field)[1] if files.scenes else None
+
+    def photos() -> Sequence[View]:
+        if files.capture is None:
+            return ()
+        with warnings.catch_warnings():  # of photos that are missing; the views stay
+            warnings.simplefilter("ignore", DrSplatWarning)
+            return read_views(
+                files.capture,
+                images=None if images is None else Path(images),
+                dataparser_transforms=None
+                if dataparser_transforms is None
+                else Path(dataparser_transforms),
+                max_side=max_side,
+            )
+
+    return Scene(
         field,
-        views,
+        gaussians,
+        photos,
         lambda: encoder_for(field, vocabulary, encoder, device, load),
-        threads,
+        name=files.name,
+        threads=threads,
     )
 
 
@@ -114,9 +149,3 @@ def registered_scene(
             continue
         return path, gaussians
     raise InputError("no scene was given")
-
-
-def _views(capture: Path) -> tuple[View, ...]:
-    with warnings.catch_warnings():  # of photos that are missing; the views stay
-        warnings.simplefilter("ignore", DrSplatWarning)
-        return tuple(read_views(capture))

@@ -1,0 +1,49 @@
+"""The engine: an opened `Scene` is asked a `Query` and gives an `Answer`, and `Match`es where it has Gaussians.
+
+Every rule of measuring, cutting and grouping is here, and every default: the command line, Python, the viewer, HTTP, MCP,
+the demo and the evaluation turn their input into a query and show an answer. Imports what stands below it
+(scene, models, kernels, evidence, field, drawing, formats), never a front. Names are loaded when they are first used: the
+command line reads the defaults here without NumPy.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .answer import Answer, Match
+    from .encoding import encoder_for
+    from .opening import SceneFiles, find_scene, open_scene
+    from .query import Cut, Query
+    from .scene import Scene, Segmentation, Word
+    from .views import view_named
+
+_HOMES = {
+    "answer": ("Answer", "Match"),
+    "encoding": ("encoder_for",),
+    "opening": ("SceneFiles", "find_scene", "open_scene"),
+    "query": ("Cut", "Query"),
+    "scene": ("Scene", "Segmentation", "Word"),
+    "views": ("view_named",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Answer",
+    "Cut",
+    "Match",
+    "Query",
+    "Scene",
+    "SceneFiles",
+    "Segmentation",
+    "Word",
+    "encoder_for",
+    "find_scene",
+    "open_scene",
+    "view_named",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'drsplat.query' has no attribute '{name}'")
+    return getattr(import_module(f".{_HOME_OF[name]}", __name__), name)

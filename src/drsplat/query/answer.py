@@ -1,0 +1,94 @@
+"""What comes back: values and a threshold, and the places that they make."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+
+from ..errors import InputError
+from ..evidence import Explanation
+from ..field import LanguageField
+from ..terminal import counted
+from .defaults import COSINE, GIVEN, RELEVANCY
+from .search import LOWEST
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """vector: unit, of the query, None where values came without one. values: per row of the field what is compared with the threshold. scores: cosines.
+
+    measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
+    encoder or default.
+    """
+
+    field: LanguageField
+    vector: Float32[np.ndarray, " D"] | None
+    values: Float32[np.ndarray, " r"]
+    measure: str
+    threshold: float
+    rule: str
+    scores: Float32[np.ndarray, " r"]
+
+    @classmethod
+    def of(
+        cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float
+    ) -> "Answer":
+        """Of values that were made elsewhere, one per row of the field.
+
+        Raises: InputError: not one per row.
+        """
+        if values.shape != (len(field),):
+            raise InputError(
+                f"expected {len(field)} values, one per row of the field; got shape {values.shape}"
+            )
+        return cls(field, None, values, COSINE, threshold, GIVEN, values)
+
+    def __repr__(self) -> str:
+        selected = f"{int((self.values > self.threshold).sum()):,} of {counted(len(self.field), 'Gaussian')}"
+        return f"Answer({selected}, {self.measure} above {self.threshold:.4g}, rule '{self.rule}')"
+
+    @property
+    def lowest(self) -> float:
+        """What a Gaussian has that nothing selects."""
+        return 0.0 if self.measure == RELEVANCY else LOWEST
+
+    @property
+    def dense(self) -> Float32[np.ndarray, " n"]:
+        """Values per Gaussian of the scene; the lowest where there is no feature."""
+        return self.field.dense(self.values, fill=self.lowest)
+
+    @property
+    def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
+        """Rows in the scene of the Gaussians above the threshold, ascending.
+
+        Source: Dr. Splat Sec. B "3D object selection".
+        """
+        return self.field.gaussian_ids[self.values > self.threshold].astype(np.int64)
+
+    def cut_at(self, threshold: float) -> "Answer":
+        """The same values with another threshold."""
+        return replace(self, threshold=threshold, rule=GIVEN)
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A place that a query found, in scene units and world coordinates.
+
+    center, axes, extent: oriented box; row a of `axes` is the unit direction of full length extent[a].
+    Upright: the third axis is up, the first the longer of the others. Free: longest first. score: mean value of its
+    Gaussians weighted by opacity. support: the masks that contribute most, none where the field kept no evidence.
+    """
+
+    center: Float64[np.ndarray, " 3"]
+    axes: Float64[np.ndarray, "3 3"]
+    extent: Float64[np.ndarray, " 3"]
+    score: float
+    gaussian_ids: Int64[np.ndarray, " m"]
+    support: tuple[Explanation, ...] = ()
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.center)
+        return f"Match({counted(len(self), 'Gaussian')} at ({place}), score {self.score:.3f})"
+
+    def __len__(self) -> int:
+        return len(self.gaussian_ids)

@@ -1,0 +1,73 @@
+"""What is asked of a scene, how it is measured and where it is cut: the same names in every front."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..errors import InputError
+from .defaults import AUTO
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cut:
+    """How scores are measured, and above which threshold they select.
+
+    threshold: a number, "auto", or None for the default; top_share, a share of the registered Gaussians,
+    takes its place. relevancy: measure how much better the query fits than `negatives`, texts or vectors
+    (n, D); None takes those of the field, else LERF's.
+
+    Raises: InputError: parts that exclude each other.
+    """
+
+    threshold: float | str | None = None
+    top_share: float | None = None
+    relevancy: bool = False
+    negatives: tuple[str, ...] | Float32[np.ndarray, "n D"] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.threshold, str) and self.threshold != AUTO:
+            raise InputError(f"threshold: expected a number or 'auto', got {self.threshold!r}")
+        if self.threshold is not None and self.top_share is not None:
+            raise InputError("threshold=NUMBER and top_share=SHARE both say where to cut: drop one")
+        if self.threshold == AUTO and self.measures_relevancy:
+            raise InputError(
+                "threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number"
+            )
+
+    @property
+    def measures_relevancy(self) -> bool:
+        return self.relevancy or self.negatives is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Query(Cut):
+    """Exactly one of text, vector, image, point and click.
+
+    text: "mug, not red" leaves out what "red mug" fits as well; exclude: more such words. vector: (D,), of the
+    encoder's space. image: RGB of a thing, best cut out on black, as masks are. point: world coordinates; what is
+    there. click: a view's name and a pixel of it, the centre of the first one at (0.5, 0.5).
+
+    Raises: InputError: not one of the five, or parts that exclude each other.
+    """
+
+    text: str | None = None
+    vector: Float32[np.ndarray, " D"] | None = None
+    image: UInt8[np.ndarray, "h w 3"] | None = None
+    point: tuple[float, float, float] | None = None
+    click: tuple[str, float, float] | None = None
+    exclude: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = [name for name in KINDS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(
+                "expected exactly one of text=WORDS, vector=VECTOR, image=PICTURE, point=X,Y,Z and click=VIEW:X,Y; "
+                f"got {' and '.join(given) or 'none'}"
+            )
+        if self.exclude and self.text is None:
+            raise InputError("exclude=WORDS goes with a query in words")
+
+
+KINDS = ("text", "vector", "image", "point", "click")

@@ -1,0 +1,22 @@
+"""What is asked of the furnished room, and the names of the things that are meant."""
+
+from drsplat.demo.probes import Probe
+
+PROBES = (
+    Probe("red mug", ("red mug",)),
+    Probe("mug", ("red mug", "blue mug")),
+    Probe("something green", ("green sofa", "green apples")),
+    Probe("wooden table", ("wooden table",)),
+    Probe("couch", ("green sofa",)),
+    Probe("cat", ("grey cat",)),
+    Probe("yellow pillow", ("yellow cushion",)),
+    Probe("teddy bear", ("brown teddy",)),
+    Probe("ball", ("orange ball",)),
+    Probe("books", ("books",)),
+    Probe("plant", ("potted plant",)),
+    Probe("lamp", ("lamp",)),
+    Probe("guitar", ("guitar",)),
+    Probe("painting", ("painting",)),
+    Probe("bicycle", ()),
+    Probe("elephant", ()),
+)
