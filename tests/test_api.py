@@ -11,22 +11,22 @@ import pytest
 import drsplat
 
 PUBLIC = {
-    "Codebook", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
-    "Gaussians", "ImageEncoder", "InputError", "Instance", "LanguageField", "Masks", "MiniEncoder", "MismatchError", "MissingExtraError",
-    "Registration", "Segmenter", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
-    "GraphSegmenter", "WordEncoder", "__version__", "automatic_threshold", "choose_code", "embed", "embed_query", "feature_at", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
-    "locate", "query", "read_faiss_codebook", "recoded", "read_features", "read_gaussians",
+    "Answer", "Codebook", "Cut", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
+    "Gaussians", "ImageEncoder", "InputError", "LanguageField", "Masks", "Match", "MiniEncoder", "MismatchError", "MissingExtraError",
+    "Query", "Registration", "Scene", "Segmenter", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
+    "GraphSegmenter", "WordEncoder", "__version__", "choose_code", "embed", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
+    "open_scene", "read_faiss_codebook", "recoded", "read_features", "read_gaussians",
     "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "save_codebook",
-    "segment", "select", "splat_arrays", "supporting_masks", "topk_contributions", "train", "train_codebook",
+    "splat_arrays", "topk_contributions", "train", "train_codebook",
     "view_weights", "write_cameras_json", "write_features", "write_gaussians",
 }  # fmt: skip
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "placing", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
-    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
-    "thresholds", "contrast", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "triangulation", "training",
+    "errors", "placing", "terminal", "kinds", "contents", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
+    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering",
+    "words", "mini", "graph", "adapters", "pictures", "progress", "palette", "query", "embedding", "patches", "access", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent

@@ -14,7 +14,7 @@ from drsplat.demo.album import note, write_album
 from drsplat.demo.household import read_household, unpack_household
 from drsplat.demo.page import write_page
 from drsplat.demo.probes import PROBES
-from drsplat.demo.story import Answer, Story, tell
+from drsplat.demo.story import Story, Verdict, tell
 from drsplat.pictures import visible_share
 
 SHIPPED = Path(__file__).parent.parent / "src/drsplat/demo/scene"
@@ -100,7 +100,7 @@ def test_iou_is_over_the_pixels_of_the_held_out_photos(
     assert answer.iou == pytest.approx(both / either)
 
 
-def made_up(answer: Answer, iou: float | None, places: int) -> Answer:
+def made_up(answer: Verdict, iou: float | None, places: int) -> Verdict:
     return replace(answer, iou=iou, num_matches=places)
 
 

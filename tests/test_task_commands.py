@@ -65,7 +65,7 @@ def test_select_saves_row_numbers_without_a_scene(
     assert ".ply or .npy" in error_of(
         capsys, "select", room / "room.field", "mug", "--save", tmp_path / "ids.txt"
     )
-    assert "needs --scene" in error_of(
+    assert "pass --scene SCENE" in error_of(
         capsys, "select", room / "room.field", "mug", "--save", tmp_path / "a.ply"
     )
 
@@ -191,7 +191,7 @@ def test_clicks_say_what_they_need(room: Path, capsys: Capture) -> None:
     outside = [*scene, "--views", room, "--click", "photo_001:320,3"]
     assert "320x240" in error_of(capsys, "locate", field, *outside)
     both = [*scene, "--views", room, "--click", "photo_001:5,5"]
-    assert "one of these" in error_of(capsys, "locate", field, "mug", *both)
+    assert "exactly one of" in error_of(capsys, "locate", field, "mug", *both)
 
 
 CLASSES = {

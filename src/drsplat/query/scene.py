@@ -267,7 +267,9 @@ class Scene:
         Raises: InputError: the scene has no views.
         """
         if not self.views:
-            raise InputError(f"scene '{self.name}' has no views to look from")
+            raise InputError(
+                f"scene '{self.name}' has no views to look from: pass views=CAPTURE, the photos and their poses"
+            )
         if gaussian_ids is None:
             return self.views[0]
         return best_views(self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
@@ -294,7 +296,9 @@ def _source(
 ) -> Callable[[], Encoder]:
     if encoder is None:
         return lambda: encoder_for(field)
-    return (lambda: encoder) if isinstance(encoder, Encoder) else encoder
+    if isinstance(encoder, Encoder) and not isinstance(encoder, type):  # a class makes one
+        return lambda: encoder
+    return encoder  # type: ignore[return-value]
 
 
 def _limited(view: View, max_side: int | None) -> View:

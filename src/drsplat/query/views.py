@@ -13,7 +13,9 @@ def view_named(views: Sequence[View], name: str) -> View:
     Raises: InputError: there is none.
     """
     if not views:
-        raise InputError(f"there is no view '{name}': this scene has none")
+        raise InputError(
+            f"there is no view '{name}': this scene has none: pass views=CAPTURE, the photos and their poses"
+        )
     for view in views:
         path = Path(view.name)
         if name in (view.name, str(path.with_suffix("")), path.name, path.stem):

@@ -203,8 +203,14 @@ def test_what_is_asked_wrongly_of_a_scene(room: Scene) -> None:
         room.what_is(len(room.gaussians) + 5)
     with pytest.raises(InputError, match="has no feature"):
         room.what_is(-1)
-    with pytest.raises(InputError, match="negatives"):
-        room.ask(Query(point=(0.3, 0.14, 0.82), relevancy=True))
+    nobody = Scene(room.field, room.gaussians, encoder=raising)
+    with pytest.raises(InputError, match="none stored: pass negatives=WORDS"):
+        nobody.ask(Query(point=(0.3, 0.14, 0.82), relevancy=True))
+    assert room.ask(Query(point=(0.3, 0.14, 0.82), relevancy=True)).measure == "relevancy"
+
+
+def raising() -> MiniEncoder:
+    raise InputError("no encoder is known")
 
 
 def test_threads_ask_at_once_what_one_asks_alone(household_folder: Path, room: Scene) -> None:
@@ -243,5 +249,5 @@ def test_the_scene_that_was_registered_is_found_among_others(
     shutil.copytree(folder / "room.field", folder / "other.field")
     with pytest.raises(InputError, match=r"other\.field, room\.field"):
         open_scene(folder)
-    with pytest.raises(InputError, match="no such folder"):
+    with pytest.raises(InputError, match="no such field"):
         open_scene(folder / "none")
