@@ -95,7 +95,7 @@ def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> N
         r"^match 0 is seen in photo_\d.png, photo_\d.png, photo_\d.png$", said, re.MULTILINE
     )
     answer = answer_of(capsys, "locate", room, "red mug")
-    assert answer["field"] == str(room / "room.field")
+    assert answer["field"] == str(room)
     assert answer["num_matches"] == 1
     assert answer_of(capsys, "select", room, "red mug", "--save", room / "found.ply")[
         "num_selected"

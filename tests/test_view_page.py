@@ -109,7 +109,7 @@ def test_a_click_in_the_page_names_the_thing(page: Any) -> None:
 def test_the_page_flies_to_a_thing(page: Any) -> None:
     press(page, "queries", "couch")
     before = page.evaluate("drsplat.state.target")
-    page.locator("#things button").first.click()
+    page.locator("#matches button").first.click()
     target = page.evaluate("drsplat.header.answers[1].matches[0].center")
     eventually(lambda: np.allclose(page.evaluate("drsplat.state.target"), target, atol=1e-3))
     assert not np.allclose(before, target)
@@ -119,7 +119,7 @@ def test_the_page_flies_to_a_thing(page: Any) -> None:
 
 def test_the_page_says_that_nothing_was_found(page: Any) -> None:
     press(page, "queries", "laptop")
-    assert 'Nothing found for "laptop".' in page.locator("#things").inner_text()
+    assert 'Nothing found for "laptop".' in page.locator("#matches").inner_text()
 
 
 def test_the_page_draws_without_webgl(exported: Path, chromium: Any) -> None:
