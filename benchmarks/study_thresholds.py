@@ -1,6 +1,6 @@
 """Which rule cuts the answers of CLIP-like encoders: genuine text vectors against genuine image-side centroids.
 
-    python benchmarks/study_thresholds.py SCENE... --clip FOLDER [--aggregators mean inliers] [--json OUT.json]
+    python benchmarks/study_thresholds.py SCENE... --clip FOLDER [--aggregators mean trusted] [--json OUT.json]
 
 SCENE: packed rooms of world/scenes. FOLDER: the published codebook (pq_index.faiss) and text vectors of its
 encoder (text_vectors.json); neither is part of the project, and without them nothing can be said.
@@ -32,7 +32,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from world.benchmark.masks import MASKS
 from world.benchmark.scenes import BenchScene, read_scene
 
-from drsplat import EncoderIdentity, ViewFeatures, load_image, read_faiss_codebook, register
+from drsplat import (
+    EncoderIdentity,
+    Gaussians,
+    ViewFeatures,
+    load_image,
+    read_faiss_codebook,
+    register,
+)
 from drsplat.aggregation import aggregator
 from drsplat.evidence import Evidence
 from drsplat.mask_selection import segment_maps
@@ -76,6 +83,7 @@ class Clip:
 class Room:
     """evidence: of masks of no meaning; owners: the thing of each mask. labels, mass: per Gaussian."""
 
+    gaussians: Gaussians
     evidence: Evidence
     owners: np.ndarray
     labels: np.ndarray
@@ -112,7 +120,8 @@ def room_of(folder: Path) -> Room:
     things: dict[str, list[int]] = defaultdict(list)
     for thing in (*truth["objects"], *truth["structures"]):
         things[thing["name"]].append(thing["id"])
-    return Room(evidence.rows(rows), owners, labels[rows], votes.sum(1)[rows], things)
+    few = scene.gaussians.subset(rows)
+    return Room(few, evidence.rows(rows), owners, labels[rows], votes.sum(1)[rows], things)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +179,7 @@ def trial(
     )
     moved = clip.centroids[chosen] + noise * clip.noise(rng, len(chosen))
     evidence = replace(room.evidence, embeddings=unit(moved))
-    made = aggregator(how)(evidence, None)
+    made = aggregator(how)(evidence, room.gaussians)
     rows = made.features(0, len(evidence))
     known = np.flatnonzero(rows.any(1))
     truth = np.array([meaning.get(label, -1) for label in room.labels])[known]

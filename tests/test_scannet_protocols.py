@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import metrics, reference, scannet_points, scannet_volume, voxel
 from drsplat.evaluation.label_sets import LabelSet
-from drsplat.evaluation.predictions import Manifest
+from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest
 from drsplat.evaluation.scannet import (
     ScannetScene,
     read_nyu40_scene,
@@ -211,6 +211,25 @@ def test_choosers_have_a_threshold_per_query(scene: ScannetScene, tmp_path: Path
     result = scannet_volume.score([scene], tmp_path)
     assert result["thresholds"]["never"] == "no one"
     assert result["localization"]["never"]["scene_macro"]["miou"] == 0
+
+
+def test_the_automatic_column_is_what_is_answered(scene: ScannetScene, tmp_path: Path) -> None:
+    """Not the scores, but what the engine compares: here they are turned around."""
+    truth = scene.pseudo_labels
+    number = {name: k for k, name in enumerate(LABELS.prompts, start=1)}
+
+    def scores(text: str) -> np.ndarray:
+        return np.where(truth == number[text], 0, 1).astype(np.float32)
+
+    scorer = Scorer(
+        "answers", len(truth), scores, 0.5, (), answer=lambda text: (1 - scores(text), 0.25)
+    )
+    scannet_volume.predict(
+        scene, scorer, tmp_path, choosers={AUTOMATIC: (lambda known: 0.5, "from the scores")}
+    )
+    found = scannet_volume.score([scene], tmp_path)["localization"]
+    assert found[FIXED]["scene_macro"]["miou"] == 0
+    assert found[AUTOMATIC]["scene_macro"]["miou"] == 1
 
 
 @pytest.mark.parametrize(

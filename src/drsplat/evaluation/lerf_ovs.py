@@ -33,6 +33,7 @@ from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..views import View, same_aspect
 from . import metrics
 from .predictions import (
+    ANSWERED,
     AUTOMATIC,
     FIXED,
     TUNED,
@@ -119,7 +120,7 @@ def predict(
         **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
     }
     if AUTOMATIC in chosen and scorer.answer is not None:
-        columns[AUTOMATIC] = "per query, as `drsplat select` answers"
+        columns[AUTOMATIC] = ANSWERED
     splats = splat_arrays(gaussians)
     peaks: dict[str, dict[str, list[float] | None]] = {}
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}

@@ -25,6 +25,7 @@ MANIFEST = "predictions.json"
 OCCUPIED = 10  # a pixel above this is inside, as OpenGaussian reads its masks
 FIXED, TUNED, SWEEP = "fixed", "tuned on test", "sweep"
 AUTOMATIC = "automatic"
+ANSWERED = "per query, as `drsplat select` answers"
 
 Chooser = Callable[[Float32[np.ndarray, " N"]], float]
 """A threshold from a query's scores alone, NaN where there is none; never from the truth."""

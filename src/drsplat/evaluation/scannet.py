@@ -24,7 +24,7 @@ from ..formats.scannet import (
 from ..gaussians import Gaussians
 from . import metrics
 from .label_sets import LabelSet
-from .predictions import FIXED, Chooser, Manifest, read_array, sweep_column
+from .predictions import ANSWERED, AUTOMATIC, FIXED, Chooser, Manifest, read_array, sweep_column
 from .pseudo_labels import LabelledPoints, pseudo_labels
 from .scorers import Scorer, hashed
 
@@ -120,6 +120,7 @@ def predict_classes(
     count = len(scene.gaussians)
     best, found = np.full(count, -np.inf, np.float32), np.zeros(count, np.int32)
     chosen = choosers or {}
+    answers = scorer.answer if AUTOMATIC in chosen else None
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
     numbers = track(range(1, len(scene.labels.prompts) + 1), f"{scene.name}: classes")
     for number, scores in zip(numbers, scorer.each(scene.labels.prompts), strict=True):
@@ -129,6 +130,10 @@ def predict_classes(
             write_npy(scores_path(folder, scene.name, number), scores, overwrite=True)
             for name, (choose, _) in chosen.items():
                 picked[name][str(number)] = choose(scores)
+            if answers is not None:
+                values, threshold = answers(scene.labels.prompts[number - 1])
+                write_npy(answer_path(folder, scene.name, number), values, overwrite=True)
+                picked[AUTOMATIC][str(number)] = threshold
     write_npy(place / LABELS, found, overwrite=True)
     columns = {"argmax": "the class of the highest score; no threshold"}
     if keep_scores:
@@ -137,6 +142,7 @@ def predict_classes(
             **{name: how for name, (_, how) in chosen.items()},
             **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
         }
+        columns |= {AUTOMATIC: ANSWERED} if answers is not None else {}
     inputs = {
         **scene.inputs,
         "scorer": dict(scorer.about),
@@ -153,6 +159,11 @@ def predict_classes(
 
 def scores_path(folder: Path, scene: str, number: int) -> Path:
     return folder / scene / f"scores_{number:03d}.npy"
+
+
+def answer_path(folder: Path, scene: str, number: int) -> Path:
+    """What a class's threshold of its own is compared with, where that is not the scores."""
+    return folder / scene / f"answer_{number:03d}.npy"
 
 
 def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " n"]:
@@ -176,6 +187,13 @@ def predicted_scores(
 ) -> Float32[np.ndarray, " n"] | None:
     scores = read_array(scores_path(folder, scene.name, number), len(scene.gaussians), "f")
     return None if scores is None else scores.astype(np.float32)
+
+
+def predicted_answers(
+    scene: ScannetScene, folder: Path, number: int
+) -> Float32[np.ndarray, " n"] | None:
+    values = read_array(answer_path(folder, scene.name, number), len(scene.gaussians), "f")
+    return None if values is None else values.astype(np.float32)
 
 
 def segmentation_record(

@@ -17,12 +17,13 @@ import numpy as np
 from ..codes import Track, untracked
 from ..errors import InputError, MismatchError
 from . import metrics
-from .predictions import FIXED, TUNED, Chooser, Manifest, is_sweep, read_manifest
+from .predictions import AUTOMATIC, FIXED, TUNED, Chooser, Manifest, is_sweep, read_manifest
 from .scannet import (
     ACCURACIES,
     ScannetScene,
     over_scenes,
     predict_classes,
+    predicted_answers,
     predicted_classes,
     predicted_scores,
     segmentation_record,
@@ -111,7 +112,13 @@ def _class_ious_by_column(
         at = [_threshold(thresholds, column, number) for column in manifest.columns]
         ious = np.zeros(len(at))
         if scores is not None:
-            ious = sweep_weighted_ious(scores[counted], truth[counted] == number, weights, at)
+            meant = truth[counted] == number
+            ious = sweep_weighted_ious(scores[counted], meant, weights, at)
+            values = predicted_answers(scene, folder, number)
+            if AUTOMATIC in found and values is not None:
+                own = list(manifest.columns).index(AUTOMATIC)
+                cut = sweep_weighted_ious(values[counted], meant, weights, [at[own]])
+                ious[own] = cut[0]
         for column, iou in zip(manifest.columns, ious.tolist(), strict=True):
             found[column][name] = iou
     return found
