@@ -33,7 +33,8 @@ inline void require(bool ok, const char *what) {
   if (!ok) throw std::invalid_argument(what);
 }
 
-// A member of a tuple as what it has to be. Arrays are not converted: the tuple keeps one alive, and nothing would a copy.
+// A member of a tuple as what it has to be, without a conversion. An array is to be held as long as it is read: what
+// the tuple has may export a copy that nobody else holds.
 template <class T>
 T member(const nb::tuple &whole, size_t place, const char *what) {
   T value;
@@ -43,11 +44,14 @@ T member(const nb::tuple &whole, size_t place, const char *what) {
 
 inline const Kernels &kernels_named(const std::string &isa) {
   const Kernels *kernels = find_kernels(isa.c_str());
-  if (!kernels) throw std::invalid_argument("instruction set '" + isa + "' is not available on this machine or in this build");
+  if (!kernels)
+    throw std::invalid_argument("instruction set '" + isa + "' is not available on this machine or in this build");
   return *kernels;
 }
 
-inline int thread_count(int threads) { return threads > 0 ? std::min(threads, 256) : std::max(1u, std::thread::hardware_concurrency()); }
+inline int thread_count(int threads) {
+  return threads > 0 ? std::min(threads, 256) : std::max(1u, std::thread::hardware_concurrency());
+}
 
 // Memory that the kernels write and that then belongs to NumPy.
 template <class T>
@@ -85,6 +89,12 @@ inline void require_starts(const Array<int64_t, 1> &starts, size_t entries) {
   for (size_t i = 0; i < rows; i++) require(start[i] <= start[i + 1], "row starts that do not fall");
 }
 
+inline void require_sh(const Array<float, 3> &sh, size_t gaussians) {
+  const size_t k = sh.shape(1);
+  require(sh.shape(0) == gaussians && sh.shape(2) == 3 && (k == 1 || k == 4 || k == 9 || k == 16),
+          "sh (N, 1 | 4 | 9 | 16, 3)");
+}
+
 template <class Work>
 auto without_gil(Work work) {
   const nb::gil_scoped_release release;
@@ -99,7 +109,8 @@ inline Camera camera_of(const Array<float, 1> &camera, int width, int height) {
   Camera c;
   std::copy_n(camera.data(), 9, c.rotation);
   std::copy_n(camera.data() + 9, 3, c.translation);
-  c.fx = camera.data()[12], c.fy = camera.data()[13], c.cx = camera.data()[14], c.cy = camera.data()[15], c.near_z = camera.data()[16];
+  c.fx = camera.data()[12], c.fy = camera.data()[13], c.cx = camera.data()[14], c.cy = camera.data()[15],
+  c.near_z = camera.data()[16];
   c.width = width, c.height = height;
   return c;
 }

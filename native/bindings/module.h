@@ -1,5 +1,5 @@
-// The Python module, a file for each of its parts: contiguous arrays in, arrays out, the GIL released while working. Shapes
-// are checked only as far as memory safety needs; drsplat.kernels has the friendly messages.
+// The Python module, a file for each of its parts: contiguous arrays in, arrays out, the GIL released while working.
+// Shapes are checked only as far as memory safety needs; drsplat.kernels has the friendly messages.
 #pragma once
 #include <nanobind/nanobind.h>
 

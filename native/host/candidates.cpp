@@ -9,7 +9,9 @@ namespace {
 
 constexpr float kLowest = -std::numeric_limits<float>::infinity();
 
-bool before(const CandidateRow &a, const CandidateRow &b) { return a.score > b.score || (a.score == b.score && a.row < b.row); }
+bool before(const CandidateRow &a, const CandidateRow &b) {
+  return a.score > b.score || (a.score == b.score && a.row < b.row);
+}
 
 // Leaves the `count` best, the last of them at the end.
 void shrink(Candidates &found, size_t count) {
@@ -20,11 +22,13 @@ void shrink(Candidates &found, size_t count) {
 
 }  // namespace
 
-void append_above(const ScanKernels &kernels, const float *scores, const float *floor, float threshold, uint64_t first, uint64_t count, Candidates &out) {
+void append_above(const ScanKernels &kernels, const float *scores, const float *floor, float threshold, uint64_t first,
+                  uint64_t count, Candidates &out) {
   CandidateRow found[kPairRows + 1];
   for (uint64_t at = 0; at < count; at += kPairRows) {
     const uint32_t rows = (uint32_t)std::min<uint64_t>(kPairRows, count - at);
-    out.insert(out.end(), found, found + kernels.above(scores + at, floor ? floor + at : nullptr, threshold, first + at, rows, found));
+    out.insert(out.end(), found,
+               found + kernels.above(scores + at, floor ? floor + at : nullptr, threshold, first + at, rows, found));
   }
 }
 
@@ -37,7 +41,8 @@ Candidates joined(const std::vector<Candidates> &parts) {
   return all;
 }
 
-BestRows::BestRows(const ScanKernels &kernels, size_t count, int threads) : kernels_(kernels), count_(count), of_thread_(threads, {{}, kLowest}) {}
+BestRows::BestRows(const ScanKernels &kernels, size_t count, int threads)
+    : kernels_(kernels), count_(count), of_thread_(threads, {{}, kLowest}) {}
 
 void BestRows::offer(int thread, const float *scores, uint64_t first, uint64_t rows) {
   Seen &seen = of_thread_[thread];

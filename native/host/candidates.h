@@ -9,7 +9,8 @@ namespace drsplat {
 using Candidates = std::vector<CandidateRow>;
 
 // Those of `count` rows from `first` on whose score - floor exceeds the threshold; `floor` may be null.
-void append_above(const ScanKernels &, const float *scores, const float *floor, float threshold, uint64_t first, uint64_t count, Candidates &out);
+void append_above(const ScanKernels &, const float *scores, const float *floor, float threshold, uint64_t first,
+                  uint64_t count, Candidates &out);
 
 Candidates joined(const std::vector<Candidates> &);
 

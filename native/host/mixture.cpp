@@ -1,5 +1,5 @@
-// Scores are sums of whole numbers and every row is made by
-// one thread, so that they are the same to the bit for any number of threads, queries and instruction set.
+// Scores are sums of whole numbers and every row is made by one thread, so that they are the same to the bit for any
+// number of threads, queries and instruction set.
 #include "host/mixture.h"
 
 #include "host/parallel.h"
@@ -13,7 +13,7 @@
 namespace drsplat {
 namespace {
 
-constexpr uint64_t kRowBlock = 4096;   // of a scan: its scores stay in the first-level cache
+constexpr uint64_t kRowBlock = 4096;    // of a scan: its scores stay in the first-level cache
 constexpr size_t kAddressable = 65536;  // what an id can name; the table answers all of it
 constexpr int16_t kNoQuery = -32768;
 
@@ -39,7 +39,8 @@ float whole_query(const float *query, uint32_t dim, int16_t *whole) {
 // is for one query; all others are whole times 32.
 class Table {
  public:
-  Table(const Kernels &kernels, const Atoms &atoms, const MixtureQueries &queries, uint32_t stride, int threads) : stride_(stride) {
+  Table(const Kernels &kernels, const Atoms &atoms, const MixtureQueries &queries, uint32_t stride, int threads)
+      : stride_(stride) {
     std::vector<int16_t> whole((size_t)queries.count * atoms.dim);
     std::vector<float> steps(queries.count);
     std::vector<uint32_t> places(queries.count);
@@ -91,7 +92,8 @@ size_t longest_row(const MixtureSource &source, uint64_t begin, uint64_t end) {
 
 }  // namespace
 
-void mixture_encode(const Kernels &kernels, const Atoms &atoms, const MixtureSource &source, uint64_t rows, int threads, const MixtureRows &out) {
+void mixture_encode(const Kernels &kernels, const Atoms &atoms, const MixtureSource &source, uint64_t rows, int threads,
+                    const MixtureRows &out) {
   over_rows(rows, 64, threads, [&](int, uint64_t begin, uint64_t end) {
     const size_t candidates = longest_row(source, begin, end);
     std::vector<float> scratch((5 + 2 * source.wanted) * candidates);
@@ -101,14 +103,16 @@ void mixture_encode(const Kernels &kernels, const Atoms &atoms, const MixtureSou
   });
 }
 
-void nearest_centres(const Kernels &kernels, const Embeddings &centres, const float *points, uint64_t rows, int threads, int32_t *nearest) {
+void nearest_centres(const Kernels &kernels, const Embeddings &centres, const float *points, uint64_t rows, int threads,
+                     int32_t *nearest) {
   over_rows(rows, 256, threads, [&](int, uint64_t begin, uint64_t end) {
     std::vector<float> scratch(kEncodeScratch * centres.dim);
     kernels.mixture->nearest_centres(centres, points, begin, end, scratch.data(), nearest);
   });
 }
 
-void nearest_members(const Kernels &kernels, const Atoms &atoms, const Groups &groups, const float *points, uint64_t rows, int threads, int32_t *nearest) {
+void nearest_members(const Kernels &kernels, const Atoms &atoms, const Groups &groups, const float *points,
+                     uint64_t rows, int threads, int32_t *nearest) {
   over_rows(rows, 256, threads, [&](int, uint64_t begin, uint64_t end) {
     std::vector<float> products(groups.size);
     std::vector<int16_t> whole(atoms.dim);
@@ -116,38 +120,50 @@ void nearest_members(const Kernels &kernels, const Atoms &atoms, const Groups &g
   });
 }
 
-void mixture_scores(const Kernels &kernels, const MixtureCode &code, const MixtureQueries &queries, int threads, float *scores) {
+void mixture_scores(const Kernels &kernels, const MixtureCode &code, const MixtureQueries &queries, int threads,
+                    float *scores) {
   for (uint32_t q = 0; q < queries.count; q++) {
     const Table table(kernels, code.atoms, {queries.values + (size_t)q * code.atoms.dim, 1}, 1, threads);
     float *out = scores + q * code.rows;
-    over_rows(code.rows, 4 * kRowBlock, threads, [&](int, uint64_t begin, uint64_t end) { kernels.mixture->scores(code.mixtures, table.entries(), begin, end, out + begin); });
+    over_rows(code.rows, 4 * kRowBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+      kernels.mixture->scores(code.mixtures, table.entries(), begin, end, out + begin);
+    });
   }
 }
 
-Candidates mixture_select(const Kernels &kernels, const MixtureCode &code, const float *query, float threshold, const float *floor, int threads) {
+Candidates mixture_select(const Kernels &kernels, const MixtureCode &code, const float *query, float threshold,
+                          const float *floor, int threads) {
   std::vector<Candidates> of_block((code.rows + kRowBlock - 1) / kRowBlock);
   over_scores(kernels, code, query, threads, [&](int, uint64_t begin, uint64_t end, const float *scores) {
-    append_above(*kernels.scan, scores, floor ? floor + begin : nullptr, threshold, begin, end - begin, of_block[begin / kRowBlock]);
+    append_above(*kernels.scan, scores, floor ? floor + begin : nullptr, threshold, begin, end - begin,
+                 of_block[begin / kRowBlock]);
   });
   return joined(of_block);
 }
 
-Candidates mixture_top(const Kernels &kernels, const MixtureCode &code, const float *query, uint64_t count, int threads) {
+Candidates mixture_top(const Kernels &kernels, const MixtureCode &code, const float *query, uint64_t count,
+                       int threads) {
   if (!count) return {};
   BestRows best(*kernels.scan, std::min(count, code.rows), threads);
-  over_scores(kernels, code, query, threads, [&](int thread, uint64_t begin, uint64_t end, const float *scores) { best.offer(thread, scores, begin, end - begin); });
+  over_scores(kernels, code, query, threads, [&](int thread, uint64_t begin, uint64_t end, const float *scores) {
+    best.offer(thread, scores, begin, end - begin);
+  });
   return best.best();
 }
 
-void mixture_best(const Kernels &kernels, const MixtureCode &code, const MixtureQueries &queries, int threads, const MixtureBest &out) {
+void mixture_best(const Kernels &kernels, const MixtureCode &code, const MixtureQueries &queries, int threads,
+                  const MixtureBest &out) {
   std::vector<int32_t> best(code.rows, INT_MIN), second(code.rows, INT_MIN);
   std::fill_n(out.index, code.rows, 0);
   const uint32_t tile_queries = kernels.mixture->tile_queries;
   for (uint32_t first = 0; first < queries.count; first += tile_queries) {
     const uint32_t count = std::min(tile_queries, queries.count - first);
-    const Table table(kernels, code.atoms, {queries.values + (size_t)first * code.atoms.dim, count}, (count + 31) / 32 * 32, threads);
+    const Table table(kernels, code.atoms, {queries.values + (size_t)first * code.atoms.dim, count},
+                      (count + 31) / 32 * 32, threads);
     const QueryTile tile = {table.entries(), first, table.stride()};
-    over_rows(code.rows, kRowBlock, threads, [&](int, uint64_t row, uint64_t end) { kernels.mixture->best(code.mixtures, tile, row, end, {best.data(), second.data(), out.index}); });
+    over_rows(code.rows, kRowBlock, threads, [&](int, uint64_t row, uint64_t end) {
+      kernels.mixture->best(code.mixtures, tile, row, end, {best.data(), second.data(), out.index});
+    });
   }
   for (uint64_t row = 0; row < code.rows; row++) {
     const float step = scale_of(code.mixtures.scales[row]) * (1.f / 32767);

@@ -16,15 +16,16 @@ template <class Work>
 void parallel(int threads, Work work) {
   std::vector<std::exception_ptr> errors(threads);
   const auto guarded = [&](int t) {
-    try { work(t); } catch (...) { errors[t] = std::current_exception(); }
+    try {
+      work(t);
+    } catch (...) { errors[t] = std::current_exception(); }
   };
   std::vector<std::thread> pool;
   pool.reserve((size_t)threads);
   try {
     while ((int)pool.size() + 1 < threads) pool.emplace_back(guarded, (int)pool.size() + 1);
   } catch (const std::system_error &) {
-  } catch (const std::bad_alloc &) {
-  }
+  } catch (const std::bad_alloc &) {}
   guarded(0);
   for (int t = (int)pool.size() + 1; t < threads; t++) guarded(t);
   for (auto &thread : pool) thread.join();

@@ -6,7 +6,10 @@
 namespace drsplat {
 namespace {
 
-struct TileRun { int worker; size_t begin, end; };  // where a tile's triples lie
+struct TileRun {
+  int worker;
+  size_t begin, end;
+};  // where a tile's triples lie
 
 // Adds one weight to the last Gaussian's entries, which begin at `first` and stay sorted by segment.
 void add_weight(ViewTriples &out, size_t first, uint32_t id, SegmentWeight entry) {
@@ -25,7 +28,8 @@ void add_weight(ViewTriples &out, size_t first, uint32_t id, SegmentWeight entry
 
 // Sorts the triples of Gaussians [begin, end) by Gaussian (in tile order, so that sums do not
 // depend on who computed which tile), then adds up equal segments of each Gaussian.
-void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t begin, uint32_t end, Worker &worker, ViewTriples &out) {
+void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t begin, uint32_t end, Worker &worker,
+                ViewTriples &out) {
   const uint32_t rows = end - begin;
   auto &start = worker.row_start;
   start.assign(rows + 2, 0);  // counts of row r go to r + 2, so that filling leaves starts in place
@@ -41,7 +45,8 @@ void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t b
   for (uint32_t r = 2; r < rows + 2; r++) start[r] += start[r - 1];
   grow(worker.by_row, start[rows + 1]);
   each_triple([&](uint32_t row, const Triples &triples, size_t i) {
-    worker.by_row[start[row + 1]++] = {((const int32_t *)triples.segment_ids.data)[i], ((const float *)triples.weights.data)[i]};
+    worker.by_row[start[row + 1]++] = {((const int32_t *)triples.segment_ids.data)[i],
+                                       ((const float *)triples.weights.data)[i]};
   });
   const uint32_t size = start[rows];
   out.gaussian_ids.reserve(size), out.segment_ids.reserve(size), out.weights.reserve(size);
@@ -52,11 +57,14 @@ void merge_part(const Workspace &w, const std::vector<TileRun> &runs, uint32_t b
 }
 
 template <class T>
-void append(std::vector<T> &to, const std::vector<T> &from) { to.insert(to.end(), from.begin(), from.end()); }
+void append(std::vector<T> &to, const std::vector<T> &from) {
+  to.insert(to.end(), from.begin(), from.end());
+}
 
 ViewTriples merge(const Workspace &w, const std::vector<TileRun> &runs, uint32_t count, int threads) {
   std::vector<ViewTriples> parts(threads);
-  over_parts(count, threads, [&](int t, uint32_t begin, uint32_t end) { merge_part(w, runs, begin, end, *w.workers[t], parts[t]); });
+  over_parts(count, threads,
+             [&](int t, uint32_t begin, uint32_t end) { merge_part(w, runs, begin, end, *w.workers[t], parts[t]); });
   for (int t = 1; t < threads; t++) {
     append(parts[0].gaussian_ids, parts[t].gaussian_ids);
     append(parts[0].segment_ids, parts[t].segment_ids);
@@ -67,8 +75,8 @@ ViewTriples merge(const Workspace &w, const std::vector<TileRun> &runs, uint32_t
 
 }  // namespace
 
-ViewTriples view_weights(const Kernels &kernels, const Scene &scene, const Camera &camera, const Selection &selection, const int32_t *segment_ids, int threads,
-                         StageSeconds &seconds) {
+ViewTriples view_weights(const Kernels &kernels, const Scene &scene, const Camera &camera, const Selection &selection,
+                         const int32_t *segment_ids, int threads, StageSeconds &seconds) {
   Lease w(threads);
   seconds = prepare(*w, kernels, scene, camera, threads);
   const double t0 = now();
@@ -89,22 +97,29 @@ ViewTriples view_weights(const Kernels &kernels, const Scene &scene, const Camer
   return out;
 }
 
-void topk_contributions(const Kernels &kernels, const Scene &scene, const Camera &camera, const Selection &selection, int threads, int32_t *ids, float *weights) {
+void topk_contributions(const Kernels &kernels, const Scene &scene, const Camera &camera, const Selection &selection,
+                        int threads, int32_t *ids, float *weights) {
   Lease w(threads);
   prepare(*w, kernels, scene, camera, threads);
-  each_tile(*w, camera, threads, [&](int t, int, const Tile &tile) { kernels.tile_contributions(tile, selection, w->workers[t]->scratch, ids, weights); });
+  each_tile(*w, camera, threads, [&](int t, int, const Tile &tile) {
+    kernels.tile_contributions(tile, selection, w->workers[t]->scratch, ids, weights);
+  });
 }
 
-void render(const Kernels &kernels, const Scene &scene, const Camera &camera, const float *values, int32_t channels, const float *background, int threads, float *image,
-            float *alpha, float *depth) {
+void render(const Kernels &kernels, const Scene &scene, const Camera &camera, const float *values, int32_t channels,
+            const float *background, int threads, float *image, float *alpha, float *depth) {
   Lease w(threads);
   prepare(*w, kernels, scene, camera, threads);
-  each_tile(*w, camera, threads,
-            [&](int t, int, const Tile &tile) { kernels.tile_render(tile, values, channels, background, w->workers[t]->scratch, image, alpha, depth); });
+  each_tile(*w, camera, threads, [&](int t, int, const Tile &tile) {
+    kernels.tile_render(tile, values, channels, background, w->workers[t]->scratch, image, alpha, depth);
+  });
 }
 
-void sh_colors(const Kernels &kernels, const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t count, int threads, float *colors) {
-  over_parts(count, threads, [&](int, uint32_t begin, uint32_t end) { kernels.sh_colors(sh, coefficients, means, center, begin, end, colors); });
+void sh_colors(const Kernels &kernels, const float *sh, int32_t coefficients, const float *means, const float *center,
+               uint32_t count, int threads, float *colors) {
+  over_parts(count, threads, [&](int, uint32_t begin, uint32_t end) {
+    kernels.sh_colors(sh, coefficients, means, center, begin, end, colors);
+  });
 }
 
 }  // namespace drsplat

@@ -10,9 +10,13 @@ struct ViewTriples {  // sorted by (Gaussian, segment)
   std::vector<float> weights;
 };
 
-ViewTriples view_weights(const Kernels &, const Scene &, const Camera &, const Selection &, const int32_t *segment_ids, int threads, StageSeconds &);
-void topk_contributions(const Kernels &, const Scene &, const Camera &, const Selection &, int threads, int32_t *ids, float *weights);
-void render(const Kernels &, const Scene &, const Camera &, const float *values, int32_t channels, const float *background, int threads, float *image, float *alpha, float *depth);
-void sh_colors(const Kernels &, const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t count, int threads, float *colors);
+ViewTriples view_weights(const Kernels &, const Scene &, const Camera &, const Selection &, const int32_t *segment_ids,
+                         int threads, StageSeconds &);
+void topk_contributions(const Kernels &, const Scene &, const Camera &, const Selection &, int threads, int32_t *ids,
+                        float *weights);
+void render(const Kernels &, const Scene &, const Camera &, const float *values, int32_t channels,
+            const float *background, int threads, float *image, float *alpha, float *depth);
+void sh_colors(const Kernels &, const float *sh, int32_t coefficients, const float *means, const float *center,
+               uint32_t count, int threads, float *colors);
 
 }  // namespace drsplat

@@ -12,7 +12,8 @@ void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const
   Kept<uint32_t> &written = w.projected_counts;
   written.assign(threads, 0);
   over_parts(scene.count, threads, [&](int t, uint32_t begin, uint32_t end) {
-    written[t] = kernels.project(scene, camera, begin, end, w.projected.data() + begin, w.projected_extents.data() + begin);
+    written[t] =
+        kernels.project(scene, camera, begin, end, w.projected.data() + begin, w.projected_extents.data() + begin);
   });
   w.visible = 0;
   for (uint32_t n : written) w.visible += n;
@@ -92,7 +93,8 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
     for (uint32_t i = begin; i < end; i++) rows += w.extents[i].y1 - w.extents[i].y0;
     grow(worker.spans, rows);
     worker.tile_counts.assign(tiles, 0);
-    kernels.tile_spans(w.splats.data() + begin, w.extents.data() + begin, end - begin, w.columns, worker.spans.data(), worker.tile_counts.data());
+    kernels.tile_spans(w.splats.data() + begin, w.extents.data() + begin, end - begin, w.columns, worker.spans.data(),
+                       worker.tile_counts.data());
   });
   grow(w.tile_start, tiles + 1);
   uint64_t sum = 0;
@@ -124,7 +126,8 @@ void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_
 
 }  // namespace
 
-StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads, bool way_back) {
+StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads,
+                     bool way_back) {
   StageSeconds seconds;
   const double t0 = now();
   project_all(w, kernels, scene, camera, threads);

@@ -7,7 +7,9 @@
 
 namespace drsplat {
 
-inline double now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+inline double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
 
 struct StageSeconds { double project = 0, sort = 0, bin = 0, composite = 0, merge = 0; };
 
@@ -20,7 +22,9 @@ void each_tile(Workspace &w, const Camera &camera, int threads, Work work) {
   over_rows((uint64_t)w.columns * w.rows, 4, threads, [&](int t, uint64_t begin, uint64_t end) {
     for (int i = (int)begin; i < (int)end; i++) {
       const uint32_t first = w.tile_start[i];
-      const Tile tile = {w.splats.data(), w.list.data() + first, w.tile_start[i + 1] - first, i % w.columns, i / w.columns, camera.width, camera.height};
+      const Tile tile = {w.splats.data(), w.list.data() + first, w.tile_start[i + 1] - first,
+                         i % w.columns,   i / w.columns,         camera.width,
+                         camera.height};
       work(t, i, tile);
     }
   });

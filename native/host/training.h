@@ -4,12 +4,15 @@
 
 namespace drsplat {
 
-struct TrainingSeconds { double activate = 0, project = 0, sort = 0, bin = 0, color = 0, forward = 0, backward = 0, parameters = 0; };
+struct TrainingSeconds {
+  double activate = 0, project = 0, sort = 0, bin = 0, color = 0, forward = 0, backward = 0, parameters = 0;
+};
 
 // One forward pass, with all that its backward pass needs. The parameters must stay as they are between.
 class TrainingPass {
  public:
-  TrainingPass(const Kernels &, const Parameters &, const Camera &, int32_t active, const float *background, int threads);
+  TrainingPass(const Kernels &, const Parameters &, const Camera &, int32_t active, const float *background,
+               int threads);
   void forward(float *image, float *alpha);
   // The arrays live in the workspace: as long as this pass does.
   GradientArrays backward(const float *image, const float *image_gradient);
@@ -30,7 +33,9 @@ class TrainingPass {
 
 struct LossValue { double l1, ssim; };
 
-LossValue photometric_loss(const Kernels &, const float *image, const float *target, int width, int height, float ssim_weight, int threads, float *gradient);
-void adam_step(const Kernels &, float *parameter, const float *gradient, float *first, float *second, size_t count, const AdamStep &, int threads);
+LossValue photometric_loss(const Kernels &, const float *image, const float *target, int width, int height,
+                           float ssim_weight, int threads, float *gradient);
+void adam_step(const Kernels &, float *parameter, const float *gradient, float *first, float *second, size_t count,
+               const AdamStep &, int threads);
 
 }  // namespace drsplat

@@ -8,7 +8,10 @@
 
 namespace drsplat {
 
-struct SegmentWeight { int32_t segment; float weight; };
+struct SegmentWeight {
+  int32_t segment;
+  float weight;
+};
 
 struct Worker {
   TileScratch scratch;

@@ -1,6 +1,5 @@
 // From the parameters that are trained to what projection needs.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/projection.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -26,7 +25,8 @@ INLINE Floats exp_of(Floats x) { return exp2_of(clamp(x * splat(kLog2E), -115.f,
 INLINE Floats sigmoid_of(Floats x) { return splat(1.f) / (splat(1.f) + exp_of(-x)); }
 
 // means (3, N), covariances (6, N), opacities (N), as Scene has them.
-static void activate(const Parameters &p, uint32_t begin, uint32_t end, float *means, float *covariances, float *opacities) {
+static void activate(const Parameters &p, uint32_t begin, uint32_t end, float *means, float *covariances,
+                     float *opacities) {
   const size_t N = p.count;
   for (uint32_t at = begin; at < end; at += 16) {
     const int n = end - at < 16 ? (int)(end - at) : 16;
@@ -46,12 +46,14 @@ static void activate(const Parameters &p, uint32_t begin, uint32_t end, float *m
       out[a] = load(raw[a]);
     }
     for (int r = 0, i = 3; r < 3; r++)
-      for (int c = r; c < 3; c++, i++) out[i] = R[3 * r] * R[3 * c] + R[3 * r + 1] * R[3 * c + 1] + R[3 * r + 2] * R[3 * c + 2];
+      for (int c = r; c < 3; c++, i++)
+        out[i] = R[3 * r] * R[3 * c] + R[3 * r + 1] * R[3 * c + 1] + R[3 * r + 2] * R[3 * c + 2];
     out[9] = sigmoid_of(load(raw[10]));
     for (int i = 0; i < 10; i++) {
       float *to = i < 3 ? means + i * N : i < 9 ? covariances + (i - 3) * N : opacities;
       if (n == 16) store(to + at, out[i]);
-      else for (int l = 0; l < n; l++) to[at + (uint32_t)l] = lane(out[i], l);
+      else
+        for (int l = 0; l < n; l++) to[at + (uint32_t)l] = lane(out[i], l);
     }
   }
 }

@@ -1,15 +1,18 @@
 // The Adam step.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
-INLINE float adam_change(float rate, float first, float second, const AdamStep &s) { return rate * first / (__builtin_sqrtf(second) * s.root_correction + s.epsilon); }
+INLINE float adam_change(float rate, float first, float second, const AdamStep &s) {
+  return rate * first / (__builtin_sqrtf(second) * s.root_correction + s.epsilon);
+}
 
-static inline void adam_at_one_rate(float *parameter, const float *gradient, float *first, float *second, size_t count, const AdamStep &s) {
+static inline void adam_at_one_rate(float *parameter, const float *gradient, float *first, float *second, size_t count,
+                                    const AdamStep &s) {
   for (size_t i = 0; i < count; i++) {
-    const float g = gradient[i], m = s.beta1 * first[i] + (1 - s.beta1) * g, v = s.beta2 * second[i] + (1 - s.beta2) * g * g;
+    const float g = gradient[i], m = s.beta1 * first[i] + (1 - s.beta1) * g,
+                v = s.beta2 * second[i] + (1 - s.beta2) * g * g;
     first[i] = m, second[i] = v;
     parameter[i] -= adam_change(s.rate, m, v, s);
   }
@@ -23,8 +26,10 @@ static inline void copy_heads(const float *rows, size_t row, size_t count, float
 // One Adam step, in place. rate and epsilon carry the bias corrections (Kingma & Ba 2015, end of Sec. 2).
 // Heads are stepped with their row and then once more, from where they were: of sixteen rows at a time,
 // because a few numbers in a row are too few for a vector.
-static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &s) {
-  if (!s.row) return adam_at_one_rate(parameter + begin, gradient + begin, first + begin, second + begin, end - begin, s);
+static void adam(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
+                 const AdamStep &s) {
+  if (!s.row)
+    return adam_at_one_rate(parameter + begin, gradient + begin, first + begin, second + begin, end - begin, s);
   float heads[16 * kAdamHead], firsts[16 * kAdamHead], seconds[16 * kAdamHead];
   const size_t sixteen = (size_t)16 * s.row;
   for (size_t at = begin; at < end; at += sixteen) {

@@ -2,7 +2,6 @@
 // max(0, 0.5 + sum_k c_k Y_k(d)), d the unit direction from the camera to the Gaussian.
 #pragma once
 #include "kernels/group.h"
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -10,7 +9,8 @@ namespace drsplat::DRSPLAT_ISA {
 // Of the basis polynomials; two of the second and of the third degree share one.
 constexpr float kSh0 = 0.28209479177387814f, kSh1 = 0.4886025119029199f;
 constexpr float kSh4 = 1.0925484305920792f, kSh6 = 0.31539156525252005f, kSh8 = 0.5462742152960396f;
-constexpr float kSh9 = 0.5900435899266435f, kSh10 = 2.890611442640554f, kSh11 = 0.4570457994644658f, kSh12 = 0.3731763325901154f, kSh14 = 1.445305721320277f;
+constexpr float kSh9 = 0.5900435899266435f, kSh10 = 2.890611442640554f, kSh11 = 0.4570457994644658f,
+                kSh12 = 0.3731763325901154f, kSh14 = 1.445305721320277f;
 
 // F is float, or Floats for sixteen directions at once.
 template <class F>
@@ -36,7 +36,8 @@ static inline int sh_basis(F x, F y, F z, int coefficients, F *Y) {
   return 16;
 }
 
-static void sh_colors(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin, uint32_t end, float *colors) {
+static void sh_colors(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin,
+                      uint32_t end, float *colors) {
   for (uint32_t i = begin; i < end; i++) {
     float d[3], Y[16], color[3] = {0.5f, 0.5f, 0.5f};
     for (int a = 0; a < 3; a++) d[a] = means[3 * (size_t)i + a] - center[a];
@@ -53,7 +54,8 @@ struct Directions { Floats x, y, z, inverse_distance; };  // unit, from the came
 
 static inline Directions directions_to(const Floats *mean, const float *center) {
   const Floats x = mean[0] - splat(center[0]), y = mean[1] - splat(center[1]), z = mean[2] - splat(center[2]);
-  const Floats norm2 = x * x + y * y + z * z, inverse = keep(splat(0.f) < norm2, splat(1.f) / square_root(maximum(norm2, splat(1e-30f))));
+  const Floats norm2 = x * x + y * y + z * z,
+               inverse = keep(splat(0.f) < norm2, splat(1.f) / square_root(maximum(norm2, splat(1e-30f))));
   return {x * inverse, y * inverse, z * inverse, inverse};
 }
 
@@ -101,11 +103,12 @@ static inline void add_basis_slopes(const Directions &to, int coefficients, cons
   if (coefficients <= 9) return;
   const float e = kSh9, f = kSh10, g = kSh11, h = kSh12, i = kSh14;
   const Floats xx = x * x, yy = y * y, zz = z * z, xy = x * y, xz = x * z, yz = y * z;
-  out[0] = out[0] - (6 * e) * (s[9] * xy) + f * (s[10] * yz) + (2 * g) * (s[11] * xy) - (6 * h) * (s[12] * xz) - g * (s[13] * (4.f * zz - 3.f * xx - yy)) +
-           (2 * i) * (s[14] * xz) - (3 * e) * (s[15] * (xx - yy));
-  out[1] = out[1] - (3 * e) * (s[9] * (xx - yy)) + f * (s[10] * xz) - g * (s[11] * (4.f * zz - xx - 3.f * yy)) - (6 * h) * (s[12] * yz) + (2 * g) * (s[13] * xy) -
-           (2 * i) * (s[14] * yz) + (6 * e) * (s[15] * xy);
-  out[2] = out[2] + f * (s[10] * xy) - (8 * g) * (s[11] * yz) + h * (s[12] * (6.f * zz - 3.f * xx - 3.f * yy)) - (8 * g) * (s[13] * xz) + i * (s[14] * (xx - yy));
+  out[0] = out[0] - (6 * e) * (s[9] * xy) + f * (s[10] * yz) + (2 * g) * (s[11] * xy) - (6 * h) * (s[12] * xz) -
+           g * (s[13] * (4.f * zz - 3.f * xx - yy)) + (2 * i) * (s[14] * xz) - (3 * e) * (s[15] * (xx - yy));
+  out[1] = out[1] - (3 * e) * (s[9] * (xx - yy)) + f * (s[10] * xz) - g * (s[11] * (4.f * zz - xx - 3.f * yy)) -
+           (6 * h) * (s[12] * yz) + (2 * g) * (s[13] * xy) - (2 * i) * (s[14] * yz) + (6 * e) * (s[15] * xy);
+  out[2] = out[2] + f * (s[10] * xy) - (8 * g) * (s[11] * yz) + h * (s[12] * (6.f * zz - 3.f * xx - 3.f * yy)) -
+           (8 * g) * (s[13] * xz) + i * (s[14] * (xx - yy));
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

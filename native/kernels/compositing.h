@@ -4,14 +4,13 @@
 // touch which block is found for all 16 blocks at once (one lane per block), lazily, as deep as any
 // block needs to look.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/projection.h"
 #include "kernels/ranking.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
 constexpr int kBlocks = 16, kBlockWidth = 8, kBlockHeight = 2;
-constexpr uint32_t kChunk = 128;        // list entries per look-ahead
+constexpr uint32_t kChunk = 128;  // list entries per look-ahead
 constexpr float kMinTransmittance = 1e-4f, kMaxAlpha = 0.99f;
 constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
 
@@ -34,20 +33,22 @@ struct Walk {
   }
 };
 
-struct Pixels {  // of a block
+struct Pixels {   // of a block
   int left, top;  // its first
   Mask inside;    // which of them are in the image
 };
 
 INLINE Pixels pixels_of(const Walk &w, int block) {
   const int left = w.tile.x * 16 + block % 2 * kBlockWidth, top = w.tile.y * 16 + block / 2 * kBlockHeight;
-  return {left, top, (w.lane_x < splat((float)(w.tile.width - left))) & (w.lane_y < splat((float)(w.tile.height - top)))};
+  return {left, top,
+          (w.lane_x < splat((float)(w.tile.width - left))) & (w.lane_y < splat((float)(w.tile.height - top)))};
 }
 
 struct Offsets { Floats x, y; };  // from a splat's centre to those of a block's pixels
 
 INLINE Offsets offsets(const Walk &w, int block, const Splat &g) {
-  const Floats x = w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)), y = w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight));
+  const Floats x = w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)),
+               y = w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight));
   return {x - splat(g.x), y - splat(g.y)};
 }
 
@@ -219,7 +220,7 @@ static Floats selection_threshold(const Record &r, const Selection &s, Ints &gue
 struct TileSegments {
   int32_t ids[256];  // segment of each local slot, in order of first appearance
   int count = 0;
-  Ints slot_of_lane[kBlocks];  // -1: no segment
+  Ints slot_of_lane[kBlocks];           // -1: no segment
   uint32_t slots_of_block[kBlocks][8];  // bit set
 };
 
@@ -228,7 +229,8 @@ static void find_segments(const Tile &tile, const int32_t *segment_ids, TileSegm
   for (int b = 0; b < kBlocks; b++) {
     int32_t slots[16];
     for (int l = 0; l < 16; l++) {
-      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth, y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
+      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
+                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
       const int32_t id = x < tile.width && y < tile.height ? segment_ids[(size_t)y * tile.width + x] : -1;
       int slot = -1;
       if (id >= 0) {
@@ -263,7 +265,8 @@ static inline void each_slot(const TileSegments &s, int block, Add add) {
 
 // Adds up the tile in a table of (list entry, slot) cells of 16 lanes. Where the table would be huge
 // (noise as a segment map, or a very long list), every hit becomes a triple of its own instead.
-static void tile_weights(const Tile &tile, const Selection &selection, const int32_t *segment_ids, TileScratch &scratch, Triples &out) {
+static void tile_weights(const Tile &tile, const Selection &selection, const int32_t *segment_ids, TileScratch &scratch,
+                         Triples &out) {
   TileSegments segments;
   find_segments(tile, segment_ids, segments);
   if (!segments.count || !tile.count) return;
@@ -296,13 +299,15 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   if (!tabled) return;
   reserve_triples(out, cleared * slots);
   for (uint32_t i = 0; i < cleared; i++)
-    for (size_t slot = 0; slot < slots; slot++) emit(out, tile.splats[tile.list[i]].id, segments.ids[slot], sum(table[i * slots + slot]));
+    for (size_t slot = 0; slot < slots; slot++)
+      emit(out, tile.splats[tile.list[i]].id, segments.ids[slot], sum(table[i * slots + slot]));
 }
 
 // --- per-pixel contributors ---------------------------------------------------------------------
 
 // Fills ids and weights, both (height, width, topk); the caller has set them to -1 and 0.
-static void tile_contributions(const Tile &tile, const Selection &selection, TileScratch &scratch, int32_t *ids, float *weights) {
+static void tile_contributions(const Tile &tile, const Selection &selection, TileScratch &scratch, int32_t *ids,
+                               float *weights) {
   if (!tile.count) return;
   Walk walk(tile, scratch);
   const size_t k = selection.topk;
@@ -330,7 +335,8 @@ static void tile_contributions(const Tile &tile, const Selection &selection, Til
 
 constexpr int kChannelsAtOnce = 16;
 
-static inline void write_lanes(float *image, const Tile &tile, int left, int top, Mask inside, size_t stride, Floats value) {
+static inline void write_lanes(float *image, const Tile &tile, int left, int top, Mask inside, size_t stride,
+                               Floats value) {
   for (uint32_t m = lanes_of(inside); m; m &= m - 1) {
     const int l = __builtin_ctz(m);
     image[((size_t)(top + l / kBlockWidth) * tile.width + left + l % kBlockWidth) * stride] = lane(value, l);
@@ -338,7 +344,8 @@ static inline void write_lanes(float *image, const Tile &tile, int left, int top
 }
 
 // image (height, width, channels): sum of w * value, plus the background behind what is left.
-static void tile_render(const Tile &tile, const float *values, int32_t channels, const float *background, TileScratch &scratch, float *image, float *alpha, float *depth) {
+static void tile_render(const Tile &tile, const float *values, int32_t channels, const float *background,
+                        TileScratch &scratch, float *image, float *alpha, float *depth) {
   Walk walk(tile, scratch);
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
@@ -357,10 +364,12 @@ static void tile_render(const Tile &tile, const float *values, int32_t channels,
             depth_sum = depth_sum + w * splat(g.depth);
           });
       for (int c = 0; c < n; c++)
-        write_lanes(image + first + c, tile, left, top, inside, channels, total[c] + rest * splat(background[first + c]));
+        write_lanes(image + first + c, tile, left, top, inside, channels,
+                    total[c] + rest * splat(background[first + c]));
       if (first) continue;
       write_lanes(alpha, tile, left, top, inside, 1, splat(1.f) - rest);
-      write_lanes(depth, tile, left, top, inside, 1, keep(splat(0.f) < weight_sum, depth_sum / maximum(weight_sum, splat(1e-30f))));
+      write_lanes(depth, tile, left, top, inside, 1,
+                  keep(splat(0.f) < weight_sum, depth_sum / maximum(weight_sum, splat(1e-30f))));
     }
   }
 }

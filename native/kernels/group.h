@@ -1,6 +1,5 @@
 // Sixteen splats of a view, one a lane, from rows in the order of the scene's Gaussians.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -13,7 +12,8 @@ struct Group {
   int count;
   float *unused;  // room for a row
 
-  Group(const Visible &v, uint32_t first, float *room) : count(v.count - first < 16 ? (int)(v.count - first) : 16), unused(room) {
+  Group(const Visible &v, uint32_t first, float *room)
+      : count(v.count - first < 16 ? (int)(v.count - first) : 16), unused(room) {
     for (int l = 0; l < 16; l++) ids[l] = v.splats[first + (l < count ? l : 0)].id;
   }
   void gather(const float *rows, int stride, int width, float (*columns)[16]) const {

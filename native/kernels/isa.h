@@ -1,5 +1,5 @@
-// For code that is compiled once per instruction set, each copy in a namespace of its own. Everything in it is static or
-// a template of its own: no symbol may be shared between the copies, so that no std:: template may be instantiated
+// For code that is compiled once per instruction set, each copy in a namespace of its own. All of it is static or a
+// template of its own: the linker must not share a symbol between the copies, so that none of std:: may be instantiated
 // (see CMakeLists.txt).
 #pragma once
 #include <stdint.h>

@@ -21,12 +21,31 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table, table_place, mixture_scores, mixture_best, kTileQueries};
+static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table,
+                                               table_place,    mixture_scores,  mixture_best,    kTileQueries};
 
 extern const ScanKernels scan_table;  // scan_kernels.cpp
 extern const Kernels table;
-const Kernels table = {
-    DRSPLAT_STRING(DRSPLAT_ISA), project, tile_spans, tile_weights, tile_contributions, tile_render, sh_colors, weighted_rows, pq_encode, pq_scores,
-    activate, splat_colors, tile_forward, tile_backward, splats_backward, ssim_rows, ssim_partials, loss_gradient, adam, &scan_table, &mixture_kernels};
+const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
+                       project,
+                       tile_spans,
+                       tile_weights,
+                       tile_contributions,
+                       tile_render,
+                       sh_colors,
+                       weighted_rows,
+                       pq_encode,
+                       pq_scores,
+                       activate,
+                       splat_colors,
+                       tile_forward,
+                       tile_backward,
+                       splats_backward,
+                       ssim_rows,
+                       ssim_partials,
+                       loss_gradient,
+                       adam,
+                       &scan_table,
+                       &mixture_kernels};
 
 }  // namespace drsplat::DRSPLAT_ISA

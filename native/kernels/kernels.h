@@ -17,7 +17,7 @@ struct Camera {
   int32_t width, height;
 };
 
-struct Scene {  // structure of arrays, `count` floats each
+struct Scene {               // structure of arrays, `count` floats each
   const float *means;        // 3 rows: x, y, z
   const float *covariances;  // 6 rows: xx, xy, xz, yy, yz, zz
   const float *opacities;
@@ -43,13 +43,11 @@ struct Triples {  // structure of arrays, grown together
   size_t size = 0;
 };
 
-struct TileScratch {
-  Buffer block_masks, hits, hit_list, table;
-};
+struct TileScratch { Buffer block_masks, hits, hit_list, table; };
 
 struct Tile {
-  const Splat *splats;    // all visible ones, front to back
-  const uint32_t *list;   // indices into `splats` of those that may touch this tile, front to back
+  const Splat *splats;   // all visible ones, front to back
+  const uint32_t *list;  // indices into `splats` of those that may touch this tile, front to back
   uint32_t count;
   int32_t x, y;           // tile coordinates
   int32_t width, height;  // of the whole image
@@ -60,7 +58,7 @@ struct Selection {
   int32_t first_hits;  // 0 = all
 };
 
-struct SparseRows {  // CSR
+struct SparseRows {       // CSR
   const int64_t *starts;  // one more than there are rows
   const int32_t *columns;
   const float *weights;
@@ -79,8 +77,8 @@ constexpr size_t kEncodeScratch = 32;  // floats of scratch per dimension of a s
 
 // score = (bias + sum over m of lut[m][code m]) * scale
 struct Scan {
-  const uint8_t *codes;  // rows x subvectors
-  const float *lut;      // subvectors x 256
+  const uint8_t *codes;       // rows x subvectors
+  const float *lut;           // subvectors x 256
   const float *scale, *bias;  // per row; bias may be null
   uint32_t subvectors;
 };
@@ -91,7 +89,7 @@ struct Parameters {  // a scene while it is trained: pre-activation, rows of Gau
   int32_t coefficients;
 };
 
-constexpr int kSplatSums = 9;  // see gradients.h
+constexpr int kSplatSums = 9;  // see training_tiles.h
 
 struct Visible {  // a run of projected splats, in index order
   const Splat *splats;
@@ -131,25 +129,35 @@ struct MixtureKernels;  // mixture_kernels.h
 struct Kernels {
   const char *name;
   uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
-  uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans, uint32_t *histogram);
+  uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans,
+                          uint32_t *histogram);
   void (*tile_weights)(const Tile &, const Selection &, const int32_t *segment_ids, TileScratch &, Triples &);
   void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
-  void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &, float *image, float *alpha, float *depth);
-  void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin, uint32_t end, float *colors);
+  void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &,
+                      float *image, float *alpha, float *depth);
+  void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin,
+                    uint32_t end, float *colors);
   bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
-  void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch, uint8_t *codes);
+  void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch,
+                    uint8_t *codes);
   void (*pq_scores)(const Scan &, uint64_t begin, uint64_t end, float *scores);
 
   // training
-  void (*activate)(const Parameters &, uint32_t begin, uint32_t end, float *means, float *covariances, float *opacities);
+  void (*activate)(const Parameters &, uint32_t begin, uint32_t end, float *means, float *covariances,
+                   float *opacities);
   void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
-  void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image, float *alpha);
-  void (*tile_backward)(const Tile &, const float *colors, const float *image, const float *gradient, TileScratch &, float *sums);
-  void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active, const float *center, const GradientArrays &);
+  void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image,
+                       float *alpha);
+  void (*tile_backward)(const Tile &, const float *colors, const float *image, const float *gradient, TileScratch &,
+                        float *sums);
+  void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active,
+                          const float *center, const GradientArrays &);
   void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);
   void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
-  void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin, int row_end, float *gradient, double *row_sums);
-  void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end, const AdamStep &);
+  void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin,
+                        int row_end, float *gradient, double *row_sums);
+  void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
+               const AdamStep &);
 
   const ScanKernels *scan;
   const MixtureKernels *mixture;

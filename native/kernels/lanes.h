@@ -28,8 +28,12 @@ struct Mask { __mmask16 lanes; };
 struct Mask { IntPart part[kParts]; };  // all bits set = true
 #endif
 
-#define EACH_PART for (int i = 0; i < kParts; i++)
-#define LANES(Type, value) Type r; EACH_PART r.part[i] = value; return r
+#define EACH_PART(statement) \
+  for (int i = 0; i < kParts; i++) statement
+#define LANES(Type, value)      \
+  Type r;                       \
+  EACH_PART(r.part[i] = value); \
+  return r
 
 // x - 0 is x for every float, x + 0 is not for -0: only the former compiles to a plain broadcast.
 INLINE Floats splat(float x) { LANES(Floats, x - FloatPart{}); }
@@ -40,13 +44,17 @@ typedef float LooseFloats __attribute__((vector_size(kVectorBytes), aligned(4), 
 typedef int32_t LooseInts __attribute__((vector_size(kVectorBytes), aligned(4), may_alias));
 INLINE Floats load(const float *p) { LANES(Floats, ((const LooseFloats *)p)[i]); }
 INLINE Ints load_int(const int32_t *p) { LANES(Ints, ((const LooseInts *)p)[i]); }
-INLINE void store(float *p, Floats a) { EACH_PART ((LooseFloats *)p)[i] = a.part[i]; }
-INLINE void store_int(int32_t *p, Ints a) { EACH_PART ((LooseInts *)p)[i] = a.part[i]; }
+INLINE void store(float *p, Floats a) { EACH_PART(((LooseFloats *)p)[i] = a.part[i]); }
+INLINE void store_int(int32_t *p, Ints a) { EACH_PART(((LooseInts *)p)[i] = a.part[i]); }
 
 #define LANE_OPERATOR(Type, op) \
   INLINE Type operator op(Type a, Type b) { LANES(Type, a.part[i] op b.part[i]); }
-LANE_OPERATOR(Floats, +) LANE_OPERATOR(Floats, -) LANE_OPERATOR(Floats, *) LANE_OPERATOR(Floats, /)
-LANE_OPERATOR(Ints, &) LANE_OPERATOR(Ints, |)
+LANE_OPERATOR(Floats, +)
+LANE_OPERATOR(Floats, -)
+LANE_OPERATOR(Floats, *)
+LANE_OPERATOR(Floats, /)
+LANE_OPERATOR(Ints, &)
+LANE_OPERATOR(Ints, |)
 #undef LANE_OPERATOR
 // Bits of floats beyond any range may be added up: they wrap.
 INLINE Ints operator+(Ints a, Ints b) { LANES(Ints, (IntPart)((UintPart)a.part[i] + (UintPart)b.part[i])); }
@@ -54,7 +62,7 @@ INLINE Ints operator-(Ints a, Ints b) { LANES(Ints, (IntPart)((UintPart)a.part[i
 
 // For sums in memory: GCC 12 copies a whole struct in pieces of 16 bytes, and a wider load of what was just
 // stored in pieces waits for the store buffer to drain.
-INLINE void add_to(Floats &total, Floats a) { EACH_PART total.part[i] += a.part[i]; }
+INLINE void add_to(Floats &total, Floats a) { EACH_PART(total.part[i] += a.part[i]); }
 
 template <class F> F constant(float x);
 template <> inline __attribute__((always_inline)) float constant<float>(float x) { return x; }
@@ -71,25 +79,38 @@ INLINE Floats to_float(Ints a) { LANES(Floats, __builtin_convertvector(a.part[i]
 INLINE Ints truncate(Floats a) { LANES(Ints, __builtin_convertvector(a.part[i], IntPart)); }
 
 #if DRSPLAT_AVX512
-INLINE Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_LT_OQ)}; }
-INLINE Mask operator>=(Floats a, Floats b) { return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GE_OQ)}; }
+INLINE Mask operator<(Floats a, Floats b) {
+  return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_LT_OQ)};
+}
+INLINE Mask operator>=(Floats a, Floats b) {
+  return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GE_OQ)};
+}
 INLINE Mask operator<(Ints a, Ints b) { return {_mm512_cmplt_epi32_mask((__m512i)a.part[0], (__m512i)b.part[0])}; }
 INLINE Mask operator==(Ints a, Ints b) { return {_mm512_cmpeq_epi32_mask((__m512i)a.part[0], (__m512i)b.part[0])}; }
 INLINE Mask operator&(Mask a, Mask b) { return {(__mmask16)(a.lanes & b.lanes)}; }
 INLINE Mask operator|(Mask a, Mask b) { return {(__mmask16)(a.lanes | b.lanes)}; }
 INLINE Mask operator!(Mask a) { return {(__mmask16)~a.lanes}; }
 INLINE uint32_t lanes_of(Mask m) { return m.lanes; }
-INLINE Floats select(Mask m, Floats a, Floats b) { return {{(FloatPart)_mm512_mask_blend_ps(m.lanes, (__m512)b.part[0], (__m512)a.part[0])}}; }
-INLINE Ints select(Mask m, Ints a, Ints b) { return {{(IntPart)_mm512_mask_blend_epi32(m.lanes, (__m512i)b.part[0], (__m512i)a.part[0])}}; }
+INLINE Floats select(Mask m, Floats a, Floats b) {
+  return {{(FloatPart)_mm512_mask_blend_ps(m.lanes, (__m512)b.part[0], (__m512)a.part[0])}};
+}
+INLINE Ints select(Mask m, Ints a, Ints b) {
+  return {{(IntPart)_mm512_mask_blend_epi32(m.lanes, (__m512i)b.part[0], (__m512i)a.part[0])}};
+}
 INLINE Floats keep(Mask m, Floats a) { return {{(FloatPart)_mm512_maskz_mov_ps(m.lanes, (__m512)a.part[0])}}; }
-INLINE Ints increment(Ints a, Mask m) { return {{(IntPart)_mm512_mask_sub_epi32((__m512i)a.part[0], m.lanes, (__m512i)a.part[0], _mm512_set1_epi32(-1))}}; }
+INLINE Ints increment(Ints a, Mask m) {
+  return {{(IntPart)_mm512_mask_sub_epi32((__m512i)a.part[0], m.lanes, (__m512i)a.part[0], _mm512_set1_epi32(-1))}};
+}
 INLINE Floats minimum(Floats a, Floats b) { return {{(FloatPart)_mm512_min_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
 INLINE Floats maximum(Floats a, Floats b) { return {{(FloatPart)_mm512_max_ps((__m512)a.part[0], (__m512)b.part[0])}}; }
 INLINE Floats square_root(Floats a) { return {{(FloatPart)_mm512_sqrt_ps((__m512)a.part[0])}}; }
 #else
 #define LANE_COMPARISON(Type, op) \
   INLINE Mask operator op(Type a, Type b) { LANES(Mask, a.part[i] op b.part[i]); }
-LANE_COMPARISON(Floats, <) LANE_COMPARISON(Floats, >=) LANE_COMPARISON(Ints, <) LANE_COMPARISON(Ints, ==)
+LANE_COMPARISON(Floats, <)
+LANE_COMPARISON(Floats, >=)
+LANE_COMPARISON(Ints, <)
+LANE_COMPARISON(Ints, ==)
 #undef LANE_COMPARISON
 INLINE Mask operator&(Mask a, Mask b) { LANES(Mask, a.part[i] & b.part[i]); }
 INLINE Mask operator|(Mask a, Mask b) { LANES(Mask, a.part[i] | b.part[i]); }
@@ -108,7 +129,7 @@ INLINE Floats square_root(Floats a) { LANES(Floats, (FloatPart)_mm256_sqrt_ps((_
 #elif defined(__SSE2__)
 INLINE uint32_t lanes_of(Mask m) {
   uint32_t r = 0;
-  EACH_PART r |= (uint32_t)_mm_movemask_ps((__m128)m.part[i]) << (4 * i);
+  EACH_PART(r |= (uint32_t)_mm_movemask_ps((__m128)m.part[i]) << (4 * i));
   return r;
 }
 INLINE Floats square_root(Floats a) { LANES(Floats, (FloatPart)_mm_sqrt_ps((__m128)a.part[i])); }
@@ -144,10 +165,12 @@ INLINE float sum(const Floats &a) {
 typedef int32_t FourIndices __attribute__((vector_size(16)));
 
 // Rows a, b, c, d of four numbers become the columns of w, x, y, z.
-INLINE void transpose_4x4(const float *a, const float *b, const float *c, const float *d, float *w, float *x, float *y, float *z) {
+INLINE void transpose_4x4(const float *a, const float *b, const float *c, const float *d, float *w, float *x, float *y,
+                          float *z) {
   const FourIndices low = {0, 4, 1, 5}, high = {2, 6, 3, 7}, first = {0, 1, 4, 5}, second = {2, 3, 6, 7};
   const Four A = *(const Four *)a, B = *(const Four *)b, C = *(const Four *)c, D = *(const Four *)d;
-  const Four ab = __builtin_shuffle(A, B, low), AB = __builtin_shuffle(A, B, high), cd = __builtin_shuffle(C, D, low), CD = __builtin_shuffle(C, D, high);
+  const Four ab = __builtin_shuffle(A, B, low), AB = __builtin_shuffle(A, B, high), cd = __builtin_shuffle(C, D, low),
+             CD = __builtin_shuffle(C, D, high);
   *(Four *)w = __builtin_shuffle(ab, cd, first), *(Four *)x = __builtin_shuffle(ab, cd, second);
   *(Four *)y = __builtin_shuffle(AB, CD, first), *(Four *)z = __builtin_shuffle(AB, CD, second);
 }
@@ -156,7 +179,9 @@ INLINE void transpose_4x4(const float *a, const float *b, const float *c, const 
 INLINE void gather_rows(const float *const *rows, int width, float (*columns)[16]) {
   int i = 0;
   for (; i + 4 <= width; i += 4)
-    for (int l = 0; l < 16; l += 4) transpose_4x4(rows[l] + i, rows[l + 1] + i, rows[l + 2] + i, rows[l + 3] + i, columns[i] + l, columns[i + 1] + l, columns[i + 2] + l, columns[i + 3] + l);
+    for (int l = 0; l < 16; l += 4)
+      transpose_4x4(rows[l] + i, rows[l + 1] + i, rows[l + 2] + i, rows[l + 3] + i, columns[i] + l, columns[i + 1] + l,
+                    columns[i + 2] + l, columns[i + 3] + l);
   for (; i < width; i++)
     for (int l = 0; l < 16; l++) columns[i][l] = rows[l][i];
 }
@@ -165,7 +190,9 @@ INLINE void gather_rows(const float *const *rows, int width, float (*columns)[16
 INLINE void scatter_rows(const float (*columns)[16], int width, float *const *rows) {
   int i = 0;
   for (; i + 4 <= width; i += 4)
-    for (int l = 0; l < 16; l += 4) transpose_4x4(columns[i] + l, columns[i + 1] + l, columns[i + 2] + l, columns[i + 3] + l, rows[l] + i, rows[l + 1] + i, rows[l + 2] + i, rows[l + 3] + i);
+    for (int l = 0; l < 16; l += 4)
+      transpose_4x4(columns[i] + l, columns[i + 1] + l, columns[i + 2] + l, columns[i + 3] + l, rows[l] + i,
+                    rows[l + 1] + i, rows[l + 2] + i, rows[l + 3] + i);
   for (; i < width; i++)
     for (int l = 0; l < 16; l++) rows[l][i] = columns[i][l];
 }
@@ -174,7 +201,8 @@ INLINE void scatter_rows(const float (*columns)[16], int width, float *const *ro
 INLINE void store_sums(float *out, const Floats &a, const Floats &b, const Floats &c, const Floats &d) {
   const FourIndices low = {0, 4, 1, 5}, high = {2, 6, 3, 7}, first = {0, 1, 4, 5}, second = {2, 3, 6, 7};
   const Four A = quarters(a), B = quarters(b), C = quarters(c), D = quarters(d);
-  const Four ab = __builtin_shuffle(A, B, low) + __builtin_shuffle(A, B, high), cd = __builtin_shuffle(C, D, low) + __builtin_shuffle(C, D, high);
+  const Four ab = __builtin_shuffle(A, B, low) + __builtin_shuffle(A, B, high),
+             cd = __builtin_shuffle(C, D, low) + __builtin_shuffle(C, D, high);
   *(Four *)out = __builtin_shuffle(ab, cd, first) + __builtin_shuffle(ab, cd, second);
 }
 

@@ -1,6 +1,5 @@
 // The photometric loss of 3DGS, (1 - w) L1 + w (1 - SSIM), with its gradient.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -26,7 +25,9 @@ INLINE Floats first_lanes(Floats a, int n) {
   return load(kept);
 }
 
-static inline float *plane_of(const LossPlanes &p, int i, int channel) { return p.planes + (size_t)(i * 3 + channel) * p.stride * (size_t)p.height; }
+static inline float *plane_of(const LossPlanes &p, int i, int channel) {
+  return p.planes + (size_t)(i * 3 + channel) * p.stride * (size_t)p.height;
+}
 
 // One row, zero beyond its ends: `padded` has kReach zeros in front and 16 + kReach behind.
 static inline void blur_row(const Window &g, const float *padded, float *out, int width) {
@@ -58,7 +59,8 @@ static void ssim_rows(const float *image, const float *target, const LossPlanes 
       for (int x = 0; x < p.width; x++) {
         const size_t at = ((size_t)y * p.width + x) * 3 + c;
         const float a = image[at], b = target[at];
-        rows[0][kReach + x] = a, rows[1][kReach + x] = b, rows[2][kReach + x] = a * a, rows[3][kReach + x] = b * b, rows[4][kReach + x] = a * b;
+        rows[0][kReach + x] = a, rows[1][kReach + x] = b, rows[2][kReach + x] = a * a, rows[3][kReach + x] = b * b,
+                         rows[4][kReach + x] = a * b;
       }
       for (int i = 0; i < 5; i++) blur_row(g, rows[i], plane_of(p, i, c) + (size_t)y * p.stride, p.width);
     }
@@ -86,7 +88,8 @@ static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, doubl
         const Floats by_square = splat(0.f) - ssim / low2;
         const Floats by_mean = two * b * (top2 - top1) * inverse - two * a * ssim * (one / low1 - one / low2);
         total = total + first_lanes(ssim, n);
-        store(rows[0] + kReach + x, first_lanes(by_mean, n)), store(rows[1] + kReach + x, first_lanes(by_square, n)), store(rows[2] + kReach + x, first_lanes(by_product, n));
+        store(rows[0] + kReach + x, first_lanes(by_mean, n)), store(rows[1] + kReach + x, first_lanes(by_square, n)),
+            store(rows[2] + kReach + x, first_lanes(by_product, n));
       }
       row_sums[y * 3 + c] = (double)sum(total);
       for (int i = 0; i < 3; i++) blur_row(g, rows[i], plane_of(p, 5 + i, c) + (size_t)y * p.stride, p.width);
@@ -94,9 +97,11 @@ static void ssim_partials(const LossPlanes &p, int row_begin, int row_end, doubl
 }
 
 // The vertical half of the transposed blur, and the loss's gradient; row_sums of |image - target|.
-static void loss_gradient(const float *image, const float *target, const LossPlanes &p, float ssim_weight, int row_begin, int row_end, float *gradient, double *row_sums) {
+static void loss_gradient(const float *image, const float *target, const LossPlanes &p, float ssim_weight,
+                          int row_begin, int row_end, float *gradient, double *row_sums) {
   const Window g;
-  const float share = 1.f / (3.f * (float)p.width * (float)p.height), l1 = (1 - ssim_weight) * share, structure = -ssim_weight * share;
+  const float share = 1.f / (3.f * (float)p.width * (float)p.height), l1 = (1 - ssim_weight) * share,
+              structure = -ssim_weight * share;
   for (int y = row_begin; y < row_end; y++)
     for (int c = 0; c < 3; c++) {
       Floats total = splat(0.f);

@@ -1,7 +1,7 @@
 // Products of atoms, which are signed bytes, with vectors that are rounded to whole numbers.
 #pragma once
-#include "kernels/mixture_kernels.h"
 #include "kernels/lanes.h"
+#include "kernels/mixture_kernels.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
@@ -58,18 +58,21 @@ static float whole_vector(const float *x, uint32_t dim, int16_t *whole) {
   const bool known = squared > 1e-24f && squared < 1e24f;
   const float room = (0.98f * 2147483648.f / (127 * __builtin_sqrtf((float)dim)) - 1) / __builtin_sqrtf(squared);
   const float factor = !known ? 0.f : room < 32767 / largest ? room : 32767 / largest;
-  for (uint32_t d = 0; d < dim; d++) whole[d] = known ? (int16_t)(int32_t)(x[d] * factor + (x[d] < 0 ? -0.5f : 0.5f)) : 0;
+  for (uint32_t d = 0; d < dim; d++)
+    whole[d] = known ? (int16_t)(int32_t)(x[d] * factor + (x[d] < 0 ? -0.5f : 0.5f)) : 0;
   return factor > 0 ? 1 / factor : 0.f;
 }
 
 // step * <atom, x> of some atoms.
-static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const int16_t *x, float step, float *products) {
+static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const int16_t *x, float step,
+                          float *products) {
   const int8_t *rows[4];
   for (size_t i = 0; i < count; i += 4) {
     for (size_t r = 0; r < 4; r++) rows[r] = atoms.values + (size_t)ids[i + r < count ? i + r : i] * atoms.dim;
     int32_t whole[4];
     whole_products<4>(rows, x, atoms.dim, whole);
-    for (size_t r = 0; r < 4 && i + r < count; r++) products[i + r] = (float)whole[r] * (atoms.scales[ids[i + r]] * step);
+    for (size_t r = 0; r < 4 && i + r < count; r++)
+      products[i + r] = (float)whole[r] * (atoms.scales[ids[i + r]] * step);
   }
 }
 

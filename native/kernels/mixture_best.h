@@ -13,7 +13,9 @@ INLINE Wide wide_load(const int16_t *p) { return _mm512_loadu_si512(p); }
 INLINE Wide wide_splat(int32_t x) { return _mm512_set1_epi32(x); }
 INLINE Wide wide_larger(Wide a, Wide b) { return _mm512_max_epi32(a, b); }
 INLINE Wide wide_smaller(Wide a, Wide b) { return _mm512_min_epi32(a, b); }
-INLINE Wide wide_marked(Wide a, int32_t bits, int32_t mark) { return _mm512_or_si512(_mm512_slli_epi32(a, (unsigned)bits), wide_splat(mark)); }
+INLINE Wide wide_marked(Wide a, int32_t bits, int32_t mark) {
+  return _mm512_or_si512(_mm512_slli_epi32(a, (unsigned)bits), wide_splat(mark));
+}
 // Adds the entries x and y of two atoms with their weights: of the first kLanes queries to low, of the others to high.
 INLINE void wide_add(Wide x, Wide y, Wide weights, Wide *low, Wide *high) {
   *low = _mm512_add_epi32(*low, _mm512_madd_epi16(_mm512_unpacklo_epi16(x, y), weights));
@@ -21,7 +23,9 @@ INLINE void wide_add(Wide x, Wide y, Wide weights, Wide *low, Wide *high) {
 }
 INLINE int32_t wide_largest(Wide a) { return _mm512_reduce_max_epi32(a); }
 INLINE uint32_t wide_where(Wide a, int32_t x) { return _mm512_cmpeq_epi32_mask(a, wide_splat(x)); }
-INLINE Wide wide_replaced(Wide a, uint32_t lane, Wide b) { return _mm512_mask_mov_epi32(a, (__mmask16)(1u << lane), b); }
+INLINE Wide wide_replaced(Wide a, uint32_t lane, Wide b) {
+  return _mm512_mask_mov_epi32(a, (__mmask16)(1u << lane), b);
+}
 #elif defined(__AVX2__)
 typedef __m256i Wide;
 constexpr uint32_t kLanes = 8;
@@ -29,7 +33,9 @@ INLINE Wide wide_load(const int16_t *p) { return _mm256_loadu_si256((const __m25
 INLINE Wide wide_splat(int32_t x) { return _mm256_set1_epi32(x); }
 INLINE Wide wide_larger(Wide a, Wide b) { return _mm256_max_epi32(a, b); }
 INLINE Wide wide_smaller(Wide a, Wide b) { return _mm256_min_epi32(a, b); }
-INLINE Wide wide_marked(Wide a, int32_t bits, int32_t mark) { return _mm256_or_si256(_mm256_slli_epi32(a, bits), wide_splat(mark)); }
+INLINE Wide wide_marked(Wide a, int32_t bits, int32_t mark) {
+  return _mm256_or_si256(_mm256_slli_epi32(a, bits), wide_splat(mark));
+}
 INLINE void wide_add(Wide x, Wide y, Wide weights, Wide *low, Wide *high) {
   *low = _mm256_add_epi32(*low, _mm256_madd_epi16(_mm256_unpacklo_epi16(x, y), weights));
   *high = _mm256_add_epi32(*high, _mm256_madd_epi16(_mm256_unpackhi_epi16(x, y), weights));
@@ -39,7 +45,9 @@ INLINE int32_t wide_largest(Wide a) {
   half = _mm_max_epi32(half, _mm_shuffle_epi32(half, 0x4e));
   return _mm_cvtsi128_si32(_mm_max_epi32(half, _mm_shuffle_epi32(half, 0xb1)));
 }
-INLINE uint32_t wide_where(Wide a, int32_t x) { return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(a, wide_splat(x)))); }
+INLINE uint32_t wide_where(Wide a, int32_t x) {
+  return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(a, wide_splat(x))));
+}
 INLINE Wide wide_replaced(Wide a, uint32_t lane, Wide b) {
   const __m256i there = _mm256_cmpeq_epi32(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), wide_splat((int32_t)lane));
   return _mm256_blendv_epi8(a, b, there);
@@ -80,7 +88,8 @@ INLINE TopTwo top_two(const int16_t *const *entries, const int32_t *pairs, uint3
   Wide best = wide_splat(INT32_MIN), second = best;
   for (uint32_t q = 0; q < stride; q += 2 * kLanes) {
     Wide sums[2] = {wide_splat(0), wide_splat(0)};
-    for (uint32_t k = 0; k < num_pairs; k++) wide_add(wide_load(entries[2 * k] + q), wide_load(entries[2 * k + 1] + q), weights[k], &sums[0], &sums[1]);
+    for (uint32_t k = 0; k < num_pairs; k++)
+      wide_add(wide_load(entries[2 * k] + q), wide_load(entries[2 * k + 1] + q), weights[k], &sums[0], &sums[1]);
     for (int half = 0; half < 2; half++, mark--) {
       const Wide marked = wide_marked(sums[half], kMarkBits, mark);
       second = wide_larger(second, wide_smaller(best, marked));
@@ -115,7 +124,8 @@ INLINE TopTwo top_two(const int16_t *const *entries, const int32_t *pairs, uint3
 }
 
 template <uint32_t PerRow>
-static inline void best_of_rows(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end, const BestSums &found) {
+static inline void best_of_rows(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end,
+                                const BestSums &found) {
   const uint32_t per_row = PerRow ? PerRow : m.per_row, num_pairs = (per_row + 1) / 2;
   for (uint64_t row = begin; row < end; row++) {
     const size_t at = row / kMixtureBlock * per_row * kMixtureBlock + row % kMixtureBlock;
@@ -129,7 +139,8 @@ static inline void best_of_rows(const Mixtures &m, const QueryTile &tile, uint64
     for (uint32_t k = 0; k < num_pairs; k++) pairs[k] = weights[2 * k] | weights[2 * k + 1] << 16;
     const TopTwo top = top_two<(PerRow + 1) / 2>(entries, pairs, num_pairs, tile.stride);
     const bool wins = top.best > found.best[row];
-    const int32_t loser = wins ? found.best[row] : top.best, other = top.second > found.second[row] ? top.second : found.second[row];
+    const int32_t loser = wins ? found.best[row] : top.best,
+                  other = top.second > found.second[row] ? top.second : found.second[row];
     found.second[row] = loser > other ? loser : other;
     found.best[row] = wins ? top.best : found.best[row];
     found.index[row] = wins ? (int32_t)tile.first + top.index : found.index[row];
@@ -138,7 +149,8 @@ static inline void best_of_rows(const Mixtures &m, const QueryTile &tile, uint64
 
 // The best and second best of a tile of queries for rows [begin, end), merged into those of the tiles before.
 // Places of the table without a query hold -32768, which loses against every query.
-static void mixture_best(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end, const BestSums &found) {
+static void mixture_best(const Mixtures &m, const QueryTile &tile, uint64_t begin, uint64_t end,
+                         const BestSums &found) {
   switch (m.per_row) {
     case 2: return best_of_rows<2>(m, tile, begin, end, found);
     case 4: return best_of_rows<4>(m, tile, begin, end, found);

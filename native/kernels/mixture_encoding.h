@@ -109,7 +109,9 @@ static int least_weight(const Pursuit &p, const float *weights) {
   return least;
 }
 
-static bool all_positive(const Pursuit &p, const float *weights) { return finite_or_least(weights[least_weight(p, weights)]) > 0; }
+static bool all_positive(const Pursuit &p, const float *weights) {
+  return finite_or_least(weights[least_weight(p, weights)]) > 0;
+}
 
 // Solves for the weights, dropping the least until all are above zero. Ends: every round that does not return leaves
 // one atom fewer, so there are at most as many as atoms, whatever the numbers say.
@@ -179,13 +181,15 @@ static float quantise(const Pursuit &p, const float *weights, int wanted, int32_
   }
   double squared = 0;
   for (int k = 0; k < p.chosen; k++)
-    for (int l = 0; l < p.chosen; l++) squared += (double)bytes[k] * bytes[l] * p.gram[order[k] * p.stride + p.places[order[l]]];
+    for (int l = 0; l < p.chosen; l++)
+      squared += (double)bytes[k] * bytes[l] * p.gram[order[k] * p.stride + p.places[order[l]]];
   return squared > 0 ? (float)(1 / __builtin_sqrt(squared)) : 0.f;
 }
 
 // `scratch`: (5 + 2 * wanted) * n floats, where n is the most candidates of a row in whole sixteens; `candidates`:
 // n numbers; `whole`: dim numbers.
-static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, int16_t *whole, const MixtureRows &out) {
+static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint64_t begin, uint64_t end,
+                           float *scratch, int32_t *candidates, int16_t *whole, const MixtureRows &out) {
   const int wanted = (int)source.wanted;
   for (uint64_t row = begin; row < end; row++) {
     Pursuit p;

@@ -16,7 +16,7 @@ constexpr int kMostAtoms = 16;     // of one row
 constexpr int kMixtureBlock = 64;  // rows; within a block, the k-th ids of all rows lie together
 constexpr uint32_t kMostWanted = 64;
 
-struct MixtureSource {  // rows to encode, each from the atoms of its columns and `num_further` more
+struct MixtureSource {    // rows to encode, each from the atoms of its columns and `num_further` more
   const float *features;  // rows x dim
   const int64_t *starts;  // one more than there are rows
   const int32_t *columns, *further;
@@ -29,7 +29,7 @@ struct MixtureRows {  // what they become: rows x wanted
   float *scales;  // one per row
 };
 
-struct Groups {  // of atoms; of[row] is the one to search
+struct Groups {                 // of atoms; of[row] is the one to search
   const int32_t *of, *members;  // members: groups x size
   uint32_t size, wanted;
 };
@@ -58,7 +58,7 @@ struct WholeQueries {
 };
 
 struct QueryTile {
-  const int16_t *table;  // atoms x stride
+  const int16_t *table;    // atoms x stride
   uint32_t first, stride;  // number of its first query
 };
 
@@ -68,9 +68,12 @@ struct BestSums {  // one per row
 
 // Part of Kernels.
 struct MixtureKernels {
-  void (*encode)(const Atoms &, const MixtureSource &, uint64_t begin, uint64_t end, float *scratch, int32_t *candidates, int16_t *whole, const MixtureRows &);
-  void (*nearest_centres)(const Embeddings &, const float *points, uint64_t begin, uint64_t end, float *scratch, int32_t *nearest);
-  void (*nearest_members)(const Atoms &, const Groups &, const float *points, uint64_t begin, uint64_t end, float *products, int16_t *whole, int32_t *nearest);
+  void (*encode)(const Atoms &, const MixtureSource &, uint64_t begin, uint64_t end, float *scratch,
+                 int32_t *candidates, int16_t *whole, const MixtureRows &);
+  void (*nearest_centres)(const Embeddings &, const float *points, uint64_t begin, uint64_t end, float *scratch,
+                          int32_t *nearest);
+  void (*nearest_members)(const Atoms &, const Groups &, const float *points, uint64_t begin, uint64_t end,
+                          float *products, int16_t *whole, int32_t *nearest);
   void (*score_table)(const Atoms &, const WholeQueries &, uint64_t begin, uint64_t end, int16_t *table);
   uint32_t (*table_place)(uint32_t query);
   void (*scores)(const Mixtures &, const int16_t *table, uint64_t begin, uint64_t end, float *scores);

@@ -20,11 +20,14 @@ static void score_table(const Atoms &atoms, const WholeQueries &queries, uint64_
     const int8_t *rows[4];
     for (int r = 0; r < 4; r++) rows[r] = atoms.values + (first + (uint64_t)(r < count ? r : 0)) * atoms.dim;
     if (first + kAtomsAhead + 4 <= end)
-      for (uint32_t d = 0; d < 4 * atoms.dim; d += 64) __builtin_prefetch(atoms.values + (first + kAtomsAhead) * atoms.dim + d);
+      for (uint32_t d = 0; d < 4 * atoms.dim; d += 64)
+        __builtin_prefetch(atoms.values + (first + kAtomsAhead) * atoms.dim + d);
     for (uint32_t q = 0; q < queries.count; q++) {
       int32_t products[4];
       whole_products<4>(rows, queries.values + (size_t)q * atoms.dim, atoms.dim, products);
-      for (int r = 0; r < count; r++) table[(first + r) * queries.stride + queries.places[q]] = table_entry(products[r], atoms.scales[first + r] * queries.steps[q]);
+      for (int r = 0; r < count; r++)
+        table[(first + r) * queries.stride + queries.places[q]] =
+            table_entry(products[r], atoms.scales[first + r] * queries.steps[q]);
     }
   }
 }
@@ -45,8 +48,10 @@ INLINE Ints sixteen_sums(const uint16_t *ids, const uint8_t *weights, uint32_t p
   __m512i total = _mm512_setzero_si512();
   for (uint32_t k = 0; k < per_row; k++, ids += kMixtureBlock, weights += kMixtureBlock) {
     // Each lane holds its entry and the next one; the weight of the next is zero.
-    const __m512i entries = _mm512_i32gather_epi32(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i *)ids)), table, 2);
-    total = _mm512_add_epi32(total, _mm512_madd_epi16(entries, _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)weights))));
+    const __m512i entries =
+        _mm512_i32gather_epi32(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i *)ids)), table, 2);
+    total = _mm512_add_epi32(
+        total, _mm512_madd_epi16(entries, _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)weights))));
   }
   return {{(IntPart)total}};
 #else
@@ -58,7 +63,8 @@ INLINE Ints sixteen_sums(const uint16_t *ids, const uint8_t *weights, uint32_t p
 }
 
 template <uint32_t PerRow>
-static inline void block_scores(const Mixtures &m, uint64_t block, const uint16_t *scales, const int16_t *table, float *scores) {
+static inline void block_scores(const Mixtures &m, uint64_t block, const uint16_t *scales, const int16_t *table,
+                                float *scores) {
   const uint32_t per_row = PerRow ? PerRow : m.per_row;
   const uint16_t *ids = m.ids + block * per_row * kMixtureBlock;
   const uint8_t *weights = m.weights + block * per_row * kMixtureBlock;

@@ -1,6 +1,5 @@
 // Product quantisation: the nearest centroids of rows, and scores by table look-up.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -32,7 +31,8 @@ static inline void nearest_centroids(const float *subvectors, const float *centr
 }
 
 // `scratch`: kEncodeScratch * dim floats.
-static void pq_encode(const Quantizer &q, const float *features, uint64_t begin, uint64_t end, float *scratch, uint8_t *codes) {
+static void pq_encode(const Quantizer &q, const float *features, uint64_t begin, uint64_t end, float *scratch,
+                      uint8_t *codes) {
   const uint32_t dim = q.dim;
   const size_t stride = (size_t)q.subvectors * dim;
   int32_t nearest[kLaneRows];
@@ -48,7 +48,8 @@ static void pq_encode(const Quantizer &q, const float *features, uint64_t begin,
         case 16: nearest_centroids<16>(scratch, centroids, dim, nearest); break;
         default: nearest_centroids<0>(scratch, centroids, dim, nearest);
       }
-      for (int r = 0; r < kLaneRows && (uint64_t)r < left; r++) codes[(first + r) * q.subvectors + m] = (uint8_t)nearest[r];
+      for (int r = 0; r < kLaneRows && (uint64_t)r < left; r++)
+        codes[(first + r) * q.subvectors + m] = (uint8_t)nearest[r];
     }
   }
 }

@@ -1,6 +1,5 @@
 // 3D Gaussians -> 2D splats, sixteen at a time. 3DGS "EWA" projection with its conventions (method.md 1).
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -17,7 +16,7 @@ INLINE Floats load_some(const float *p, uint32_t n) {
 }
 INLINE Floats clamp(Floats a, float low, float high) { return minimum(maximum(a, splat(low)), splat(high)); }
 
-// |x / z| beyond which the Jacobian is that at the bound: 1.3 times the field of view, symmetric about the optical axis.
+// |x / z| beyond which the Jacobian is that at the bound: 1.3 times the field of view, symmetric about the axis.
 INLINE float most_slanted(int32_t size, float focal) { return 1.3f * 0.5f * (float)size / focal; }
 
 // Pixels that a splat reaches as published: 3 sigma of the longer axis, in whole ones.
@@ -37,8 +36,10 @@ struct Projected {  // sixteen lanes of Splat and Extent, plus who survived
 INLINE void tile_range(Floats centre, Floats radius, Floats half, int tiles, Ints &first, Ints &last) {
   const Floats tile = splat(1.f / 16), bound = splat(16.f * (float)tiles);
   Floats pixel = centre - splat(0.5f), zero = splat(0.f);
-  Floats low = minimum(maximum(pixel - radius, zero), bound), high = minimum(maximum(pixel + radius + splat(15.f), zero), bound);
-  Floats tight_low = minimum(maximum(pixel - half, splat(-16.f)), bound), tight_high = minimum(maximum(pixel + half, splat(-16.f)), bound);
+  Floats low = minimum(maximum(pixel - radius, zero), bound),
+         high = minimum(maximum(pixel + radius + splat(15.f), zero), bound);
+  Floats tight_low = minimum(maximum(pixel - half, splat(-16.f)), bound),
+         tight_high = minimum(maximum(pixel + half, splat(-16.f)), bound);
   Ints a = truncate(low * tile), b = truncate(high * tile);
   Ints ta = truncate(floor_of(tight_low * tile)), tb = truncate(floor_of(tight_high * tile)) + splat_int(1);
   first = select(a < ta, ta, a);
@@ -49,7 +50,8 @@ INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uin
   Projected out;
   const size_t N = s.count;
   const float *R = c.rotation;
-  const Floats mx = load_some(s.means + at, n), my = load_some(s.means + N + at, n), mz = load_some(s.means + 2 * N + at, n);
+  const Floats mx = load_some(s.means + at, n), my = load_some(s.means + N + at, n),
+               mz = load_some(s.means + 2 * N + at, n);
   const Floats opacity = load_some(s.opacities + at, n);
   const Floats Z = splat(R[6]) * mx + splat(R[7]) * my + splat(R[8]) * mz + splat(c.translation[2]);
   Mask seen = (splat(c.near_z) < Z) & (opacity >= splat(kMinAlpha));
@@ -102,17 +104,25 @@ INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uin
   return out;
 }
 
-static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin, uint32_t end, Splat *splats, Extent *extents) {
+static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin, uint32_t end, Splat *splats,
+                        Extent *extents) {
   uint32_t written = 0;
   for (uint32_t at = begin; at < end; at += 16) {
     const Projected p = project_lanes(scene, camera, at, end - at);
     for (uint32_t m = p.visible; m; m &= m - 1) {
       const int i = __builtin_ctz(m);
-      splats[written] = {lane(p.splat[0], i), lane(p.splat[1], i), lane(p.splat[2], i), lane(p.splat[3], i),
-                         lane(p.splat[4], i), lane(p.splat[5], i), at + i, lane(p.depth, i)};
+      splats[written] = {lane(p.splat[0], i),
+                         lane(p.splat[1], i),
+                         lane(p.splat[2], i),
+                         lane(p.splat[3], i),
+                         lane(p.splat[4], i),
+                         lane(p.splat[5], i),
+                         at + i,
+                         lane(p.depth, i)};
       const auto tile = [i](const Ints &a) { return (int16_t)((const int32_t *)&a)[i]; };
-      extents[written++] = {lane(p.extent[0], i), lane(p.extent[1], i), lane(p.extent[2], i), lane(p.extent[3], i),
-                            lane(p.extent[4], i), lane(p.extent[5], i), tile(p.x0), tile(p.x1), tile(p.y0), tile(p.y1)};
+      extents[written++] = {
+          lane(p.extent[0], i), lane(p.extent[1], i), lane(p.extent[2], i), lane(p.extent[3], i), lane(p.extent[4], i),
+          lane(p.extent[5], i), tile(p.x0),           tile(p.x1),           tile(p.y0),           tile(p.y1)};
     }
   }
   return written;
@@ -121,7 +131,9 @@ static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin
 struct TileSpan { int first, last; };
 
 // Whole tiles at or below x; far outside any image where x is, or is no number.
-static inline int tile_at(float x) { return x > -1e6f && x < 1e6f ? (int)__builtin_floorf(x) : x < 0 ? -1000000 : 1000000; }
+static inline int tile_at(float x) {
+  return x > -1e6f && x < 1e6f ? (int)__builtin_floorf(x) : x < 0 ? -1000000 : 1000000;
+}
 
 // Tile columns that the ellipse d^T cov^-1 d <= reach touches within one tile row: its extreme x there
 // is at the dy of its overall extreme where the row holds that, else at the row's nearer edge.
@@ -133,8 +145,10 @@ static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
   const float at_extreme = e.half_width * e.cov_xy / e.cov_xx;
   const float right_y = at_extreme < top ? top : at_extreme > bottom ? bottom : at_extreme;
   const float left_y = -at_extreme < top ? top : -at_extreme > bottom ? bottom : -at_extreme;
-  const float inverse = 1.f / e.cov_yy, slope = e.cov_xy * inverse, scale = (e.cov_xx * e.cov_yy - e.cov_xy * e.cov_xy) * inverse;
-  const float right_2 = (e.reach - right_y * right_y * inverse) * scale, left_2 = (e.reach - left_y * left_y * inverse) * scale;
+  const float inverse = 1.f / e.cov_yy, slope = e.cov_xy * inverse,
+              scale = (e.cov_xx * e.cov_yy - e.cov_xy * e.cov_xy) * inverse;
+  const float right_2 = (e.reach - right_y * right_y * inverse) * scale,
+              left_2 = (e.reach - left_y * left_y * inverse) * scale;
   const float right = right_y * slope + (right_2 > 0 ? __builtin_sqrtf(right_2) : 0.f);
   const float left = left_y * slope - (left_2 > 0 ? __builtin_sqrtf(left_2) : 0.f);
   const float origin = g.x - 0.5f;
@@ -145,7 +159,8 @@ static inline TileSpan span_in_row(const Splat &g, const Extent &e, int row) {
 }
 
 // Writes, for every splat and every tile row of its rectangle, first | last << 16; counts tiles.
-static uint32_t *tile_spans(const Splat *splats, const Extent *extents, uint32_t count, int32_t columns, uint32_t *spans, uint32_t *histogram) {
+static uint32_t *tile_spans(const Splat *splats, const Extent *extents, uint32_t count, int32_t columns,
+                            uint32_t *spans, uint32_t *histogram) {
   for (uint32_t i = 0; i < count; i++) {
     const Extent &e = extents[i];
     const bool narrow = e.x1 - e.x0 == 1;

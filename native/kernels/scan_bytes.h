@@ -14,11 +14,11 @@ constexpr uint32_t kPlanes = 3;
 
 namespace drsplat::DRSPLAT_ISA {
 
-constexpr uint32_t kTile = 32;                 // sub-vectors whose codes stay in the L1 cache
-constexpr uint32_t kChunk = 256;               // sub-vectors whose bytes fit a 16-bit sum
-constexpr float kMaxSteps = (1 << 23) - 2;     // what digits of 7, 8 and 8 bits hold
+constexpr uint32_t kTile = 32;              // sub-vectors whose codes stay in the L1 cache
+constexpr uint32_t kChunk = 256;            // sub-vectors whose bytes fit a 16-bit sum
+constexpr float kMaxSteps = (1 << 23) - 2;  // what digits of 7, 8 and 8 bits hold
 
-struct Step {  // one table of 256 bytes
+struct Step {        // one table of 256 bytes
   uint16_t in_tile;  // its sub-vector, within the tile
   uint16_t flush;    // widen the packed bytes after it
 };
@@ -43,11 +43,14 @@ INLINE size_t run_bytes(uint32_t subvectors) { return rounded(tiles_of(subvector
 INLINE size_t step_bytes(uint32_t subvectors) { return rounded((size_t)subvectors * kPlanes * sizeof(Step)); }
 INLINE size_t range_bytes(uint32_t subvectors) { return rounded(subvectors * sizeof(Range)); }
 INLINE size_t plan_bytes(uint32_t subvectors) {
-  return rounded(sizeof(BytePlan)) + range_bytes(subvectors) + run_bytes(subvectors) + step_bytes(subvectors) + (size_t)subvectors * kPlanes * 256;
+  return rounded(sizeof(BytePlan)) + range_bytes(subvectors) + run_bytes(subvectors) + step_bytes(subvectors) +
+         (size_t)subvectors * kPlanes * 256;
 }
 static size_t prepared_bytes(uint32_t subvectors, uint32_t queries) { return plan_bytes(subvectors) * queries; }
 
-INLINE BytePlan &plan_at(const void *prepared, uint32_t subvectors, uint32_t query) { return *(BytePlan *)((char *)prepared + plan_bytes(subvectors) * query); }
+INLINE BytePlan &plan_at(const void *prepared, uint32_t subvectors, uint32_t query) {
+  return *(BytePlan *)((char *)prepared + plan_bytes(subvectors) * query);
+}
 
 static BytePlan &new_plan(void *prepared, uint32_t subvectors, uint32_t query) {
   BytePlan &plan = plan_at(prepared, subvectors, query);
@@ -61,7 +64,8 @@ static BytePlan &new_plan(void *prepared, uint32_t subvectors, uint32_t query) {
 
 static Range range_of(const float *table) {
   __m512 low = _mm512_loadu_ps(table), high = low;
-  for (int c = 16; c < 256; c += 16) low = _mm512_min_ps(low, _mm512_loadu_ps(table + c)), high = _mm512_max_ps(high, _mm512_loadu_ps(table + c));
+  for (int c = 16; c < 256; c += 16)
+    low = _mm512_min_ps(low, _mm512_loadu_ps(table + c)), high = _mm512_max_ps(high, _mm512_loadu_ps(table + c));
   const float lowest = _mm512_reduce_min_ps(low);
   return {lowest, _mm512_reduce_max_ps(high) - lowest};
 }
@@ -125,12 +129,14 @@ static uint32_t packing_of(const uint32_t *largest, uint32_t count) {
   return 1;
 }
 
-static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32_t last, int shift, uint32_t mask, Run &run) {
+static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32_t last, int shift, uint32_t mask,
+                     Run &run) {
   const float per_step = 1.f / plan.step;
   uint32_t largest[kTile], count = 0;
   for (uint32_t m = first; m < last; m++) {
     const uint32_t at = run.begin + count;
-    largest[count] = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, plan.tables + 256 * (size_t)at);
+    largest[count] =
+        digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, plan.tables + 256 * (size_t)at);
     if (largest[count] == 0) continue;
     plan.steps[at] = {(uint16_t)(m - first), 0};
     count++;
@@ -142,7 +148,8 @@ static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32
 
 static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, BytePlan &plan) {
   double bias = 0;
-  for (uint32_t m = 0; m < subvectors; m++) plan.ranges[m] = range_of(tables + 256 * (size_t)m), bias += plan.ranges[m].low;
+  for (uint32_t m = 0; m < subvectors; m++)
+    plan.ranges[m] = range_of(tables + 256 * (size_t)m), bias += plan.ranges[m].low;
   plan.step = step_of(plan.ranges, subvectors, precision), plan.bias = (float)bias, plan.planes = 1;
   const int lowest = precision.wide ? 8 : 7;  // bits; pairs of 7 fit a byte
   const int shifts[kPlanes] = {0, lowest, lowest + 8};
@@ -151,15 +158,18 @@ static void prepare_one(const float *tables, uint32_t subvectors, Precision prec
   for (uint32_t first = 0, i = 0; first < subvectors; first += kTile)
     for (uint32_t plane = 0; plane < kPlanes; plane++, i++) {
       plan.runs[i].begin = at;
-      plan_run(plan, tables, first, first + kTile < subvectors ? first + kTile : subvectors, shifts[plane], masks[plane], plan.runs[i]);
+      plan_run(plan, tables, first, first + kTile < subvectors ? first + kTile : subvectors, shifts[plane],
+               masks[plane], plan.runs[i]);
       at = plan.runs[i].end;
       if (at > plan.runs[i].begin && plan.planes <= plane) plan.planes = plane + 1;
       plan.weights[plane] = (float)(1 << shifts[plane]);
     }
 }
 
-static void prepare(const QueryTables &q, uint32_t subvectors, Precision precision, uint32_t begin, uint32_t end, void *prepared) {
-  for (uint32_t i = begin; i < end; i++) prepare_one(q.tables + (size_t)i * subvectors * 256, subvectors, precision, new_plan(prepared, subvectors, i));
+static void prepare(const QueryTables &q, uint32_t subvectors, Precision precision, uint32_t begin, uint32_t end,
+                    void *prepared) {
+  for (uint32_t i = begin; i < end; i++)
+    prepare_one(q.tables + (size_t)i * subvectors * 256, subvectors, precision, new_plan(prepared, subvectors, i));
 }
 
 struct Accumulators { __m512i even[8], odd[8]; };  // of two groups
@@ -173,7 +183,9 @@ enum Prefetch { kNothing, kFirst, kSecond };  // one group at a time: more reque
 INLINE __m512i look_up(const __m512i *table, const uint8_t *from) {
   __m512i codes = _mm512_loadu_si512(from);
   __asm__("" : "+v"(codes));  // else GCC loads once for each use, and loads are what the loop waits for
-  return _mm512_mask_blend_epi8(_mm512_cmplt_epi8_mask(codes, _mm512_setzero_si512()), _mm512_permutex2var_epi8(table[0], codes, table[1]), _mm512_permutex2var_epi8(table[2], codes, table[3]));
+  return _mm512_mask_blend_epi8(_mm512_cmplt_epi8_mask(codes, _mm512_setzero_si512()),
+                                _mm512_permutex2var_epi8(table[0], codes, table[1]),
+                                _mm512_permutex2var_epi8(table[2], codes, table[3]));
 }
 
 template <Prefetch Ahead, bool Packed>
@@ -188,7 +200,8 @@ static void accumulate(const BytePlan &plan, Run run, const CodeTile &codes, boo
   const __m512i second = _mm512_set1_epi16(1 << 8);  // as pairs of bytes: takes the odd one of two rows
   for (uint32_t s = run.begin; s < run.end; s++) {
     const uint8_t *entries = plan.tables + 256 * (size_t)s;
-    const __m512i table[4] = {_mm512_loadu_si512(entries), _mm512_loadu_si512(entries + 64), _mm512_loadu_si512(entries + 128), _mm512_loadu_si512(entries + 192)};
+    const __m512i table[4] = {_mm512_loadu_si512(entries), _mm512_loadu_si512(entries + 64),
+                              _mm512_loadu_si512(entries + 128), _mm512_loadu_si512(entries + 192)};
     const size_t at = (size_t)plan.steps[s].in_tile * 256;
 #pragma GCC unroll 8
     for (int b = 0; b < 8; b++) {
@@ -217,7 +230,8 @@ static void accumulate(const BytePlan &plan, Run run, const CodeTile &codes, boo
 }
 
 template <Prefetch Ahead>
-INLINE void accumulate_run(const BytePlan &plan, const Run &run, const CodeTile &codes, bool fresh, Accumulators &sums) {
+INLINE void accumulate_run(const BytePlan &plan, const Run &run, const CodeTile &codes, bool fresh,
+                           Accumulators &sums) {
   if (run.packed) accumulate<Ahead, true>(plan, run, codes, fresh, sums);
   else accumulate<Ahead, false>(plan, run, codes, fresh, sums);
 }
@@ -226,8 +240,10 @@ INLINE __m512 widened(__m256i v) { return _mm512_cvtepi32_ps(_mm512_cvtepu16_epi
 
 // Sums of 64 rows, in their order.
 INLINE void unpack(__m512i even, __m512i odd, __m512 *rows) {
-  const __m512i low = _mm512_set_epi16(47, 15, 46, 14, 45, 13, 44, 12, 43, 11, 42, 10, 41, 9, 40, 8, 39, 7, 38, 6, 37, 5, 36, 4, 35, 3, 34, 2, 33, 1, 32, 0);
-  const __m512i high = _mm512_set_epi16(63, 31, 62, 30, 61, 29, 60, 28, 59, 27, 58, 26, 57, 25, 56, 24, 55, 23, 54, 22, 53, 21, 52, 20, 51, 19, 50, 18, 49, 17, 48, 16);
+  const __m512i low = _mm512_set_epi16(47, 15, 46, 14, 45, 13, 44, 12, 43, 11, 42, 10, 41, 9, 40, 8, 39, 7, 38, 6, 37,
+                                       5, 36, 4, 35, 3, 34, 2, 33, 1, 32, 0);
+  const __m512i high = _mm512_set_epi16(63, 31, 62, 30, 61, 29, 60, 28, 59, 27, 58, 26, 57, 25, 56, 24, 55, 23, 54, 22,
+                                        53, 21, 52, 20, 51, 19, 50, 18, 49, 17, 48, 16);
   even = _mm512_sub_epi16(even, _mm512_slli_epi16(odd, 8));
   const __m512i a = _mm512_permutex2var_epi16(even, low, odd), b = _mm512_permutex2var_epi16(even, high, odd);
   rows[0] = widened(_mm512_castsi512_si256(a)), rows[1] = widened(_mm512_extracti64x4_epi64(a, 1));
@@ -252,24 +268,29 @@ static void emit(const BytePlan &plan, const Accumulators *totals, bool first_ch
   }
 }
 
-static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32_t begin, uint32_t end, uint64_t first_row, void *scratch, float *out) {
+static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32_t begin, uint32_t end,
+                 uint64_t first_row, void *scratch, float *out) {
   const uint32_t subvectors = rows.subvectors, tiles = tiles_of(subvectors);
   const size_t group_bytes = (size_t)subvectors * kGroupRows;
   const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, group = first_row / kGroupRows;
   const uint8_t *first = rows.codes + group * group_bytes, *second = group + 1 < groups ? first + group_bytes : first;
-  const uint8_t *later_first = group + 2 < groups ? first + 2 * group_bytes : first, *later_second = group + 3 < groups ? later_first + group_bytes : later_first;
+  const uint8_t *later_first = group + 2 < groups ? first + 2 * group_bytes : first,
+                *later_second = group + 3 < groups ? later_first + group_bytes : later_first;
   Accumulators(*totals)[kPlanes] = (Accumulators(*)[kPlanes])scratch;
   for (uint32_t tile = 0; tile < tiles; tile++) {
     const size_t at = (size_t)tile * kTile * 256, next = at + kTile * 256;
-    const bool ends = tile + 1 == tiles, fresh = tile % (kChunk / kTile) == 0, last = ends || (tile + 1) % (kChunk / kTile) == 0;
-    const CodeTile codes = {first + at, second + at, ends ? later_first : first + next, ends ? later_second : second + next};
+    const bool ends = tile + 1 == tiles, fresh = tile % (kChunk / kTile) == 0,
+               last = ends || (tile + 1) % (kChunk / kTile) == 0;
+    const CodeTile codes = {first + at, second + at, ends ? later_first : first + next,
+                            ends ? later_second : second + next};
     for (uint32_t q = begin; q < end; q++) {
       const BytePlan &plan = plan_at(prepared, subvectors, q);
       Accumulators *total = totals[q - begin];
       for (uint32_t plane = 0; plane < plan.planes; plane++) {
         const Run &run = plan.runs[tile * kPlanes + plane];
         if (q == begin && plane == 0) accumulate_run<kFirst>(plan, run, codes, fresh, total[plane]);
-        else if (end - begin == 1 ? plane == 1 : q == begin + 1 && plane == 0) accumulate_run<kSecond>(plan, run, codes, fresh, total[plane]);
+        else if (end - begin == 1 ? plane == 1 : q == begin + 1 && plane == 0)
+          accumulate_run<kSecond>(plan, run, codes, fresh, total[plane]);
         else if (fresh || run.begin < run.end) accumulate_run<kNothing>(plan, run, codes, fresh, total[plane]);
       }
       if (last) emit(plan, total, tile < kChunk / kTile, out + (q - begin) * kPairRows);

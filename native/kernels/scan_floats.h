@@ -11,13 +11,16 @@ constexpr uint32_t kTile = 8, kWideTile = 4;  // sub-vectors whose tables stay i
 typedef float Eight __attribute__((vector_size(32), aligned(4), may_alias));
 
 INLINE size_t entries_of(uint32_t subvectors) { return (size_t)subvectors * 256; }
-static size_t prepared_bytes(uint32_t subvectors, uint32_t queries) { return entries_of(subvectors) * ((queries + kWide - 1) / kWide * kWide) * sizeof(float); }
+static size_t prepared_bytes(uint32_t subvectors, uint32_t queries) {
+  return entries_of(subvectors) * ((queries + kWide - 1) / kWide * kWide) * sizeof(float);
+}
 static size_t scratch_bytes(uint32_t) { return kGroupRows * sizeof(Eight); }
 
 // Queries from `first` on are looked up eight by eight while this says so: half an eight pays.
 INLINE bool in_eights(uint32_t first, uint32_t queries) { return queries - first / kWide * kWide >= kWide / 2; }
 
-static void prepare(const QueryTables &q, uint32_t subvectors, Precision, uint32_t begin, uint32_t end, void *prepared) {
+static void prepare(const QueryTables &q, uint32_t subvectors, Precision, uint32_t begin, uint32_t end,
+                    void *prepared) {
   const size_t entries = entries_of(subvectors);
   for (uint32_t i = begin; i < end; i++) {
     const float *from = q.tables + i * entries;
@@ -70,11 +73,13 @@ static void add_eights(const uint8_t *codes, const float *tables, Eight *total) 
 static void sum_eight(const uint8_t *codes, const float *tables, uint32_t subvectors, Eight *total) {
   memset((void *)total, 0, kGroupRows * sizeof(Eight));
   uint32_t m = 0;
-  for (; m + kWideTile <= subvectors; m += kWideTile) add_eights<kWideTile>(codes + 256 * m, tables + kWide * 256 * m, total);
+  for (; m + kWideTile <= subvectors; m += kWideTile)
+    add_eights<kWideTile>(codes + 256 * m, tables + kWide * 256 * m, total);
   for (; m < subvectors; m++) add_eights<1>(codes + 256 * m, tables + kWide * 256 * m, total);
 }
 
-static void sums(const GroupedRows &rows, uint32_t queries, const void *prepared, uint32_t begin, uint32_t end, uint64_t first_row, void *scratch, float *out) {
+static void sums(const GroupedRows &rows, uint32_t queries, const void *prepared, uint32_t begin, uint32_t end,
+                 uint64_t first_row, void *scratch, float *out) {
   const size_t entries = entries_of(rows.subvectors);
   const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, group = first_row / kGroupRows;
   for (uint32_t half = 0; half < 2 && group + half < groups; half++, out += kGroupRows) {

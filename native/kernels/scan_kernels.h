@@ -47,15 +47,20 @@ struct ScanKernels {
   // Tables as `sums` reads them, of queries [begin, end); begin is a multiple of kQueryTile.
   void (*prepare)(const QueryTables &, uint32_t subvectors, Precision, uint32_t begin, uint32_t end, void *prepared);
   // Sums of look-ups of rows [first_row, first_row + 512) for queries [begin, end) of one tile: (queries, 512).
-  void (*sums)(const GroupedRows &, uint32_t queries, const void *prepared, uint32_t begin, uint32_t end, uint64_t first_row, void *scratch, float *out);
+  void (*sums)(const GroupedRows &, uint32_t queries, const void *prepared, uint32_t begin, uint32_t end,
+               uint64_t first_row, void *scratch, float *out);
   // scores = (sum + coarse term) * inverse norm; `out` may be `sums`.
-  void (*finish)(const GroupedRows &, const float *coarse, uint32_t coarse_count, uint64_t first_row, uint32_t count, const float *sums, float *out);
+  void (*finish)(const GroupedRows &, const float *coarse, uint32_t coarse_count, uint64_t first_row, uint32_t count,
+                 const float *sums, float *out);
   // Rows whose score - floor (or score, where floor is null) exceeds the threshold; returns how many.
-  uint32_t (*above)(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count, CandidateRow *out);
+  uint32_t (*above)(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count,
+                    CandidateRow *out);
   // Let query `index` compete with sum * scale: `best` and `runner_up` are the two highest so far, ties to the earlier.
-  void (*compete)(const float *sums, const float *scale, int32_t index, uint32_t count, int32_t *winner, float *best, float *runner_up);
+  void (*compete)(const float *sums, const float *scale, int32_t index, uint32_t count, int32_t *winner, float *best,
+                  float *runner_up);
   // tables[q][m][c] = sum over d of queries[q][m][d] * centroids[m][d][c], for sub-vectors [begin, end).
-  void (*lookup_tables)(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *tables);
+  void (*lookup_tables)(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim,
+                        uint32_t begin, uint32_t end, float *tables);
 };
 
 }  // namespace drsplat

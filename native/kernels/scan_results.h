@@ -5,7 +5,8 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse_count, uint64_t first_row, uint32_t count, const float *sums, float *out) {
+static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse_count, uint64_t first_row,
+                   uint32_t count, const float *sums, float *out) {
   const float *scale = rows.inverse_norms + first_row;
   if (!rows.coarse_ids) {
     for (uint32_t i = 0; i < count; i++) out[i] = sums[i] * scale[i];
@@ -18,14 +19,16 @@ static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse
   }
 }
 
-static uint32_t above(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count, CandidateRow *out) {
+static uint32_t above(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count,
+                      CandidateRow *out) {
   uint32_t found = 0;
   for (uint32_t begin = 0; begin < count; begin += 16) {
     const uint32_t end = begin + 16 < count ? begin + 16 : count;
     float margins[16];
     int any = 0;
     if (end == begin + 16)
-      for (uint32_t i = 0; i < 16; i++) margins[i] = floor ? scores[begin + i] - floor[begin + i] : scores[begin + i], any |= margins[i] > threshold;
+      for (uint32_t i = 0; i < 16; i++)
+        margins[i] = floor ? scores[begin + i] - floor[begin + i] : scores[begin + i], any |= margins[i] > threshold;
     else
       for (uint32_t i = begin; i < end; i++) margins[i - begin] = floor ? scores[i] - floor[i] : scores[i], any = 1;
     if (!any) continue;
@@ -37,7 +40,8 @@ static uint32_t above(const float *scores, const float *floor, float threshold, 
   return found;
 }
 
-static void compete(const float *__restrict sums, const float *__restrict scale, int32_t index, uint32_t count, int32_t *__restrict winner, float *__restrict best, float *__restrict runner_up) {
+static void compete(const float *__restrict sums, const float *__restrict scale, int32_t index, uint32_t count,
+                    int32_t *__restrict winner, float *__restrict best, float *__restrict runner_up) {
   for (uint32_t i = 0; i < count; i++) {
     const float score = sums[i] * scale[i], other = best[i] < score ? best[i] : score;
     runner_up[i] = runner_up[i] < other ? other : runner_up[i];
@@ -46,7 +50,8 @@ static void compete(const float *__restrict sums, const float *__restrict scale,
   }
 }
 
-static void lookup_tables(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim, uint32_t begin, uint32_t end, float *tables) {
+static void lookup_tables(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors,
+                          uint32_t dim, uint32_t begin, uint32_t end, float *tables) {
   for (uint32_t m = begin; m < end; m++) {
     for (uint32_t q = 0; q < count; q++) {
       const float *part = queries + ((size_t)q * subvectors + m) * dim, *from = centroids + (size_t)m * dim * 256;

@@ -1,13 +1,14 @@
-// Tiles of a training pass: their pixels' colours, and from dL/d(image) the sums over pixels that every splat's gradients
-// are made of. Same decisions as the forward pass: no gradient through the clamp at 0.99, the cut at 1/255 and the stop
-// at 1e-4.
+// Tiles of a training pass: their pixels' colours, and from dL/d(image) the sums over pixels that the gradients of
+// every splat are made of. Same decisions as the forward pass: no gradient through the clamp at 0.99, the cut at 1/255
+// and the stop at 1e-4.
 #pragma once
 #include "kernels/compositing.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
 // colors: 3 per splat. image (height, width, 3), alpha (height, width).
-static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch, float *image, float *alpha) {
+static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch,
+                         float *image, float *alpha) {
   Walk walk(tile, scratch);
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
@@ -26,7 +27,7 @@ static void tile_forward(const Tile &tile, const float *colors, const float *bac
   }
 }
 
-struct BlockState {  // 16 pixels during the backward walk
+struct BlockState {              // 16 pixels during the backward walk
   Floats transmittance, behind;  // behind: (what is composited from here on) . dL/dpixel
   Floats red, green, blue;       // dL/dpixel
 };
@@ -37,7 +38,8 @@ static inline uint32_t start_blocks(const Walk &walk, const float *image, const 
   for (int b = 0; b < kBlocks; b++) {
     float t[16], behind[16], g[3][16];
     for (int l = 0; l < 16; l++) {
-      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth, y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
+      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
+                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
       const bool inside = x < tile.width && y < tile.height;
       const size_t pixel = inside ? ((size_t)y * tile.width + x) * 3 : 0;
       t[l] = inside, behind[l] = 0;
@@ -57,7 +59,8 @@ static inline uint32_t start_blocks(const Walk &walk, const float *image, const 
 //
 // dL/d(alpha_i) = T_i (c_i . g) - (what is behind i) / (1 - alpha_i), and what is behind i is the pixel's
 // value less what was composited up to i: so one walk front to back, without a record, is enough.
-static void tile_backward(const Tile &tile, const float *colors, const float *image, const float *gradient, TileScratch &scratch, float *sums) {
+static void tile_backward(const Tile &tile, const float *colors, const float *image, const float *gradient,
+                          TileScratch &scratch, float *sums) {
   memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
   if (!tile.count) return;
   const Walk walk(tile, scratch);
@@ -91,7 +94,8 @@ static void tile_backward(const Tile &tile, const float *colors, const float *im
       add_to(total[6], gx * d.x), add_to(total[7], gx * d.y), add_to(total[8], gy * d.y);
     }
     float *out = sums + (size_t)i * kSplatSums;
-    store_sums(out, total[0], total[1], total[2], total[3]), store_sums(out + 4, total[4], total[5], total[6], total[7]);
+    store_sums(out, total[0], total[1], total[2], total[3]),
+        store_sums(out + 4, total[4], total[5], total[6], total[7]);
     out[8] = sum(total[8]);
   }
 }

@@ -1,15 +1,15 @@
 // Rows of W @ E, of length one.
 #pragma once
-#include "kernels/kernels.h"
 #include "kernels/lanes.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
 constexpr int kColumnParts = kParts == 1 ? 8 : 4;  // sums of 16 columns kept in registers
-constexpr int64_t kPartialSum = 32;  // entries added up before they join the total: keeps long rows exact
+constexpr int64_t kPartialSum = 32;                // entries added up before they join the total: keeps long rows exact
 
 template <int Parts>
-static inline void weighted_columns(const SparseRows &w, int64_t begin, int64_t end, const float *embeddings, size_t dim, float *out) {
+static inline void weighted_columns(const SparseRows &w, int64_t begin, int64_t end, const float *embeddings,
+                                    size_t dim, float *out) {
   Floats total[Parts];
   for (int p = 0; p < Parts; p++) total[p] = splat(0.f);
   for (int64_t first = begin; first < end; first += kPartialSum) {
@@ -26,7 +26,8 @@ static inline void weighted_columns(const SparseRows &w, int64_t begin, int64_t 
   for (int p = 0; p < Parts; p++) store(out + 16 * p, total[p]);
 }
 
-static inline float weighted_column(const SparseRows &w, int64_t begin, int64_t end, const float *embeddings, size_t dim) {
+static inline float weighted_column(const SparseRows &w, int64_t begin, int64_t end, const float *embeddings,
+                                    size_t dim) {
   float total = 0.f;
   for (int64_t first = begin; first < end; first += kPartialSum) {
     const int64_t last = end - first < kPartialSum ? end : first + kPartialSum;
@@ -43,7 +44,8 @@ static inline void normalize(float *row, size_t dim) {
   for (; c + 8 <= dim; c += 8)
     for (int i = 0; i < 8; i++) lanes[i] += (double)row[c + i] * row[c + i];
   for (int i = 0; c < dim; c++, i++) lanes[i] += (double)row[c] * row[c];
-  const double squared = ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]));
+  const double squared =
+      ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]));
   if (!(squared > 0)) return;
   const double scale = 1 / __builtin_sqrt(squared);
   for (c = 0; c < dim; c++) row[c] = (float)(row[c] * scale);
