@@ -11,6 +11,11 @@ using Ids = Array<uint16_t, 1>;
 using Luts = Array<float, 3>;
 
 struct Asked {
+  Codes codes;  // these five hold what is pointed into
+  Vector norms;
+  std::optional<Ids> ids;
+  Luts luts;
+  std::optional<Rows> coarse;
   const ScanKernels &kernels;
   GroupedRows rows;
   QueryTables tables;
@@ -39,7 +44,12 @@ Asked asked_of(const nb::tuple &rows, const nb::tuple &tables, const nb::tuple &
           "a coarse id per row and a coarse table per query");
   const float error = member<float>(how, 0, "an error above 0");
   require(error > 0, "an error above 0");
-  return {*kernels_named(member<std::string>(how, 3, "the name of an instruction set")).scan,
+  return {codes,
+          norms,
+          ids,
+          luts,
+          coarse,
+          *kernels_named(member<std::string>(how, 3, "the name of an instruction set")).scan,
           {codes.data(), norms.data(), ids ? ids->data() : nullptr, n, (uint32_t)subvectors},
           {luts.data(), coarse ? coarse->data() : nullptr, (uint32_t)queries, coarse ? (uint32_t)coarse->shape(1) : 0},
           {error, member<uint32_t>(how, 1, "how many tables are wide")},
