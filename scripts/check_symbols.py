@@ -14,14 +14,14 @@ from pathlib import Path
 NATIVE = Path(__file__).resolve().parent.parent / "native"
 LEVELS = {"portable": [], **{level: [f"-march=x86-64-{level}"] for level in ("v2", "v3", "v4")}}
 BYTES = {"v4_vbmi": ["-march=x86-64-v4", "-mavx512vbmi"]}
-UNITS = {"kernels.cpp": LEVELS, "scan_kernels.cpp": LEVELS | BYTES}
+UNITS = {"kernels/kernels.cpp": LEVELS, "kernels/scan_kernels.cpp": LEVELS | BYTES}
 
 
 def shared_weak_symbols(unit: str, level: str, folder: Path) -> list[str]:
     """Weak symbols of a unit, demangled, outside the namespace drsplat::LEVEL."""
     target = folder / f"{level}.o"
     compiler = os.environ.get("CXX", "g++")
-    flags = ["-O1", "-std=c++17", "-fPIC", "-w", *UNITS[unit][level], f"-DDRSPLAT_ISA={level}"]
+    flags = ["-O1", "-std=c++17", "-fPIC", "-w", *UNITS[unit][level], f"-DDRSPLAT_ISA={level}", f"-I{NATIVE}"]
     subprocess.run([compiler, *flags, "-c", NATIVE / unit, "-o", target], check=True)
     listing = subprocess.run(
         ["nm", "-C", target], check=True, capture_output=True, text=True

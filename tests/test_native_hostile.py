@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import weakref
 
 import numpy as np
 import pytest
@@ -128,3 +129,47 @@ assert (_native.nearest_centres(*arrays, 200, "") == expected).all()
 def test_a_system_without_more_threads_takes_longer() -> None:
     """The process was ended, by threads that were not joined."""
     in_own_process(FEW_THREADS)
+
+
+class Lent:
+    """Lends its numbers, and wipes them when they are given back."""
+
+    def __init__(self, numbers: np.ndarray) -> None:
+        self.numbers = numbers.copy()
+
+    def __dlpack__(self, **_: object) -> object:
+        view = self.numbers.view()
+        weakref.finalize(view, self.numbers.fill, 0)
+        return view.__dlpack__()
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return 1, 0
+
+
+def lent(parts: tuple) -> tuple:
+    return tuple(Lent(part) for part in parts)
+
+
+def test_what_a_scan_reads_is_held_until_its_end() -> None:
+    rng = np.random.default_rng(0)
+    codes, ids = rng.integers(0, 256, (2, 8, 256), np.uint8), rng.integers(0, 9, 500, np.uint16)
+    rows = codes, rng.random(500, np.float32) + 1, ids
+    tables = rng.random((3, 8, 256), np.float32), rng.random((3, 9), np.float32)
+    how = 1e-4, 0, 1, ""
+    expected = _native.scan_scores(rows, tables, how)
+    assert expected.all()
+    np.testing.assert_array_equal(_native.scan_scores(lent(rows), lent(tables), how), expected)
+
+
+def test_what_a_mixture_scan_reads_is_held_until_its_end() -> None:
+    rng = np.random.default_rng(0)
+    ids, weights = (
+        rng.integers(0, 20, (3, 4, 64), np.uint16),
+        rng.integers(1, 256, (3, 4, 64), np.uint8),
+    )
+    scales = rng.uniform(1, 2, 150).astype(np.float16).view(np.uint16)
+    parts = ids, weights, scales, rng.integers(1, 100, (20, 6), np.int8), np.ones(20, np.float32)
+    queries = rng.random((2, 6), np.float32)
+    expected = _native.mixture_scores(parts, queries, 1, "")
+    assert expected.all()
+    np.testing.assert_array_equal(_native.mixture_scores(lent(parts), queries, 1, ""), expected)

@@ -1,0 +1,62 @@
+#include "host/algebra.h"
+#include "bindings/arrays.h"
+#include "bindings/module.h"
+
+using namespace drsplat;
+
+namespace {
+
+nb::object weighted_rows_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns, Vector weights, Rows embeddings,
+                            int threads, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  require(starts.shape(0) >= 1 && columns.shape(0) == weights.shape(0),
+          "starts (rows + 1), columns and weights of one length");
+  require(embeddings.shape(0) < (1u << 31) && embeddings.shape(1) < (1u << 24),
+          "fewer than 2^31 embeddings of fewer than 2^24 numbers");
+  const size_t rows = starts.shape(0) - 1, dim = embeddings.shape(1);
+  require_starts(starts, columns.shape(0));
+  Fresh<float> out(rows * dim);
+  const bool ok = without_gil([&] {
+    return weighted_rows(kernels, {starts.data(), columns.data(), weights.data()},
+                         {embeddings.data(), (uint32_t)embeddings.shape(0), (uint32_t)dim}, rows, thread_count(threads),
+                         out.get());
+  });
+  require(ok, "column indices of existing embeddings");
+  return out.numpy({rows, dim});
+}
+
+nb::object pq_encode_of(Rows features, Array<float, 3> centroids, int threads, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t rows = features.shape(0), subvectors = centroids.shape(0), dim = centroids.shape(2);
+  require(centroids.shape(1) == 256 && subvectors > 0 && dim > 0 && subvectors * dim == features.shape(1) &&
+              subvectors < (1u << 24) && dim < (1u << 24),
+          "centroids (L, 256, D / L), L and D above 0");
+  Fresh<uint8_t> codes(rows * subvectors);
+  without_gil([&] {
+    pq_encode(kernels, {centroids.data(), (uint32_t)subvectors, (uint32_t)dim}, features.data(), rows,
+              thread_count(threads), codes.get());
+  });
+  return codes.numpy({rows, subvectors});
+}
+
+nb::object pq_scores_of(Array<uint8_t, 2> codes, Rows lut, Vector scale, std::optional<Vector> bias, int threads,
+                        const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t rows = codes.shape(0);
+  require(lut.shape(0) == codes.shape(1) && lut.shape(1) == 256 && lut.shape(0) < (1u << 24), "lut (L, 256)");
+  require(scale.shape(0) == rows && (!bias || bias->shape(0) == rows), "one scale and one bias per row");
+  Fresh<float> scores(rows);
+  without_gil([&] {
+    pq_scores(kernels, {codes.data(), lut.data(), scale.data(), bias ? bias->data() : nullptr, (uint32_t)lut.shape(0)},
+              rows, thread_count(threads), scores.get());
+  });
+  return scores.numpy({rows});
+}
+
+}  // namespace
+
+void bind_algebra(nb::module_ &m) {
+  m.def("weighted_rows", &weighted_rows_of, "starts"_a, "columns"_a, "weights"_a, "embeddings"_a, "threads"_a, "isa"_a);
+  m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);
+  m.def("pq_scores", &pq_scores_of, "codes"_a, "lut"_a, "scale"_a, "bias"_a.none(), "threads"_a, "isa"_a);
+}

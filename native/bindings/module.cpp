@@ -1,0 +1,19 @@
+#include "bindings/module.h"
+
+#include "bindings/arrays.h"
+
+using namespace drsplat;
+
+NB_MODULE(_native, m) {
+  bind_algebra(m);
+  bind_mixture(m);
+  bind_scan(m);
+  bind_splatting(m);
+  bind_training(m);
+  m.def("available_isas", [] {
+    nb::list names;
+    for (auto list = available_kernels(); *list; list++) names.append((*list)->name);
+    return names;
+  });
+  m.def("default_isa", [] { return std::string(kernels_named("").name); });
+}

@@ -1,0 +1,142 @@
+#include "host/tiling.h"
+
+#include <cstring>
+#include <new>
+
+namespace drsplat {
+namespace {
+
+void project_all(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads) {
+  w.columns = (camera.width + 15) / 16, w.rows = (camera.height + 15) / 16;
+  grow(w.projected, scene.count), grow(w.projected_extents, scene.count);
+  Kept<uint32_t> &written = w.projected_counts;
+  written.assign(threads, 0);
+  over_parts(scene.count, threads, [&](int t, uint32_t begin, uint32_t end) {
+    written[t] =
+        kernels.project(scene, camera, begin, end, w.projected.data() + begin, w.projected_extents.data() + begin);
+  });
+  w.visible = 0;
+  for (uint32_t n : written) w.visible += n;
+  grow(w.keys, w.visible), grow(w.other_keys, w.visible);
+  uint32_t at = 0;
+  for (int t = 0; t < threads; t++) {
+    const uint32_t begin = part_start(scene.count, threads, t);
+    for (uint32_t i = begin; i < begin + written[t]; i++) {
+      uint32_t bits;  // of a positive float: orders as the float does
+      std::memcpy(&bits, &w.projected[i].depth, 4);
+      w.keys[at++] = (uint64_t)bits << 32 | i;
+    }
+  }
+}
+
+// One stable counting-sort pass over `bits` bits of the keys; thread histograms keep it stable.
+void radix_pass(Workspace &w, int shift, int bits, int threads) {
+  const uint32_t buckets = 1u << bits, mask = buckets - 1;
+  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
+    auto &counts = w.workers[t]->depth_counts;
+    counts.assign(buckets, 0);
+    for (uint32_t i = begin; i < end; i++) counts[w.keys[i] >> shift & mask]++;
+  });
+  uint32_t sum = 0;
+  for (uint32_t b = 0; b < buckets; b++)
+    for (int t = 0; t < threads; t++) {
+      uint32_t &c = w.workers[t]->depth_counts[b], n = c;
+      c = sum, sum += n;
+    }
+  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
+    auto &next = w.workers[t]->depth_counts;
+    for (uint32_t i = begin; i < end; i++) w.other_keys[next[w.keys[i] >> shift & mask]++] = w.keys[i];
+  });
+  w.keys.swap(w.other_keys);
+}
+
+// Front to back; equal depths in index order.
+void sort_by_depth(Workspace &w, int threads, bool way_back) {
+  for (int pass = 0; pass < 3; pass++) radix_pass(w, 32 + 11 * pass, pass == 2 ? 10 : 11, threads);
+  grow(w.splats, w.visible), grow(w.extents, w.visible);
+  if (way_back) grow(w.ranks, w.projected.size());
+  over_parts(w.visible, threads, [&](int, uint32_t begin, uint32_t end) {
+    for (uint32_t i = begin; i < end; i++) {
+      if (i + 16 < end) {
+        __builtin_prefetch(&w.projected[(uint32_t)w.keys[i + 16]]);
+        __builtin_prefetch(&w.projected_extents[(uint32_t)w.keys[i + 16]]);
+      }
+      w.splats[i] = w.projected[(uint32_t)w.keys[i]];
+      w.extents[i] = w.projected_extents[(uint32_t)w.keys[i]];
+      if (way_back) w.ranks[(uint32_t)w.keys[i]] = i;
+    }
+  });
+}
+
+// Room for each splat's places, in index order: as many as tiles in its spans.
+void find_places(Workspace &w, uint64_t pairs, int threads) {
+  const size_t n = w.projected.size();
+  grow(w.places, pairs + 1), grow(w.places_start, n + 1);
+  std::fill_n(w.places_start.begin(), n + 1, 0);
+  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
+    const uint32_t *span = w.workers[t]->spans.data();
+    for (uint32_t i = begin; i < end; i++) {
+      uint32_t count = 0;
+      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++) count += (*span >> 16) - (*span & 0xffff);
+      w.places_start[(uint32_t)w.keys[i] + 1] = count;
+    }
+  });
+  for (size_t i = 0; i < n; i++) w.places_start[i + 1] += w.places_start[i];
+}
+
+// Counting sort of (tile, splat) pairs by tile; since splats come in depth order, so does every list.
+void bin_into_tiles(Workspace &w, const Kernels &kernels, int threads, bool way_back) {
+  const int tiles = w.columns * w.rows;
+  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
+    Worker &worker = *w.workers[t];
+    size_t rows = 0;
+    for (uint32_t i = begin; i < end; i++) rows += w.extents[i].y1 - w.extents[i].y0;
+    grow(worker.spans, rows);
+    worker.tile_counts.assign(tiles, 0);
+    kernels.tile_spans(w.splats.data() + begin, w.extents.data() + begin, end - begin, w.columns, worker.spans.data(),
+                       worker.tile_counts.data());
+  });
+  grow(w.tile_start, tiles + 1);
+  uint64_t sum = 0;
+  for (int tile = 0; tile < tiles; tile++) {
+    w.tile_start[tile] = (uint32_t)sum;
+    for (int t = 0; t < threads; t++) {
+      uint32_t &c = w.workers[t]->tile_counts[tile], n = c;
+      c = (uint32_t)sum, sum += n;
+    }
+  }
+  if (sum > UINT32_MAX) throw std::bad_alloc();
+  w.tile_start[tiles] = (uint32_t)sum;
+  grow(w.list, sum);
+  if (way_back) find_places(w, sum, threads);
+  over_parts(w.visible, threads, [&](int t, uint32_t begin, uint32_t end) {
+    Worker &worker = *w.workers[t];
+    const uint32_t *span = worker.spans.data();
+    for (uint32_t i = begin; i < end; i++) {
+      uint32_t *place = way_back ? &w.places[w.places_start[(uint32_t)w.keys[i]]] : nullptr;
+      for (int row = w.extents[i].y0; row < w.extents[i].y1; row++, span++)
+        for (uint32_t x = *span & 0xffff; x < *span >> 16; x++) {
+          const uint32_t at = worker.tile_counts[(size_t)row * w.columns + x]++;
+          w.list[at] = i;
+          if (place) *place++ = at;
+        }
+    }
+  });
+}
+
+}  // namespace
+
+StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, const Camera &camera, int threads,
+                     bool way_back) {
+  StageSeconds seconds;
+  const double t0 = now();
+  project_all(w, kernels, scene, camera, threads);
+  const double t1 = now();
+  sort_by_depth(w, threads, way_back);
+  const double t2 = now();
+  bin_into_tiles(w, kernels, threads, way_back);
+  seconds.project = t1 - t0, seconds.sort = t2 - t1, seconds.bin = now() - t2;
+  return seconds;
+}
+
+}  // namespace drsplat

@@ -1,0 +1,51 @@
+// Memory for one view at a time.
+#pragma once
+#include <memory>
+#include <vector>
+
+#include "host/memory.h"
+#include "kernels/kernels.h"
+
+namespace drsplat {
+
+struct SegmentWeight {
+  int32_t segment;
+  float weight;
+};
+
+struct Worker {
+  TileScratch scratch;
+  Triples triples;
+  Kept<uint32_t> spans, tile_counts, depth_counts, row_start;
+  Kept<SegmentWeight> by_row;
+};
+
+// What one view needs between projecting its splats and visiting its tiles, kept for the next one: fresh pages cost as
+// much as the work on them.
+struct Workspace {
+  Kept<Splat> projected, splats;
+  Kept<Extent> projected_extents, extents;
+  Kept<uint64_t> keys, other_keys;
+  Kept<uint32_t> list, tile_start;
+  // For the way back, if asked: how many each thread projected, in index order; the depth rank of each,
+  // and its entries of `list` in tile order.
+  Kept<uint32_t> projected_counts, ranks, places, places_start;
+  Kept<float> scene, colors, sums, gradients;  // training only
+  std::vector<std::unique_ptr<Worker>> workers;
+  int columns = 0, rows = 0;
+  uint32_t visible = 0;
+};
+
+class Lease {  // a workspace nobody else is using
+ public:
+  explicit Lease(int threads);
+  ~Lease();
+  Lease(const Lease &) = delete;
+  Workspace *operator->() const { return space_.get(); }
+  Workspace &operator*() const { return *space_; }
+
+ private:
+  std::unique_ptr<Workspace> space_;
+};
+
+}  // namespace drsplat

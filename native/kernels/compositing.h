@@ -1,0 +1,377 @@
+// Front-to-back compositing of one 16x16 tile in blocks of 8x2 pixels, and what is made of the weights.
+//
+// The blocks are done one after the other; each walks the tile's list in depth order. Which splats can
+// touch which block is found for all 16 blocks at once (one lane per block), lazily, as deep as any
+// block needs to look.
+#pragma once
+#include "kernels/projection.h"
+#include "kernels/ranking.h"
+
+namespace drsplat::DRSPLAT_ISA {
+
+constexpr int kBlocks = 16, kBlockWidth = 8, kBlockHeight = 2;
+constexpr uint32_t kChunk = 128;  // list entries per look-ahead
+constexpr float kMinTransmittance = 1e-4f, kMaxAlpha = 0.99f;
+constexpr size_t kTableLimit = 1 << 16;  // 64-byte cells: 4 MiB
+
+struct Walk {
+  const Tile &tile;
+  uint16_t *masks;     // per list entry: the blocks it may touch
+  uint32_t known = 0;  // masks are filled up to here
+  float left, top;     // centre of the tile's first pixel
+  Floats block_x, block_y, lane_x, lane_y;
+
+  Walk(const Tile &t, TileScratch &scratch) : tile(t), left((float)t.x * 16.f + 0.5f), top((float)t.y * 16.f + 0.5f) {
+    reserve(scratch.block_masks, t.count * sizeof(uint16_t));
+    masks = (uint16_t *)scratch.block_masks.data;
+    float bx[16], by[16], lx[16], ly[16];
+    for (int i = 0; i < 16; i++) {
+      bx[i] = left + (float)(i % 2 * kBlockWidth), by[i] = top + (float)(i / 2 * kBlockHeight);
+      lx[i] = (float)(i % kBlockWidth), ly[i] = (float)(i / kBlockWidth);
+    }
+    block_x = load(bx), block_y = load(by), lane_x = load(lx), lane_y = load(ly);
+  }
+};
+
+struct Pixels {   // of a block
+  int left, top;  // its first
+  Mask inside;    // which of them are in the image
+};
+
+INLINE Pixels pixels_of(const Walk &w, int block) {
+  const int left = w.tile.x * 16 + block % 2 * kBlockWidth, top = w.tile.y * 16 + block / 2 * kBlockHeight;
+  return {left, top,
+          (w.lane_x < splat((float)(w.tile.width - left))) & (w.lane_y < splat((float)(w.tile.height - top)))};
+}
+
+struct Offsets { Floats x, y; };  // from a splat's centre to those of a block's pixels
+
+INLINE Offsets offsets(const Walk &w, int block, const Splat &g) {
+  const Floats x = w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)),
+               y = w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight));
+  return {x - splat(g.x), y - splat(g.y)};
+}
+
+// 0 where it is less than 1/255.
+INLINE Floats alpha_at(const Splat &g, const Offsets &d) {
+  const Floats p = (splat(g.xx) * d.x + splat(g.xy) * d.y) * d.x + (splat(g.yy) * d.y * d.y + splat(g.log2_opacity));
+  return keep(p >= splat(kLog2MinAlpha), minimum(exp2_of(p), splat(kMaxAlpha)));
+}
+
+// Exact test of one splat against all blocks: the largest log2(alpha) over each block's rectangle of
+// pixel centres. That maximum of a concave quadratic lies on the line through the point nearest to the
+// centre, along x or along y.
+INLINE uint32_t blocks_touched(const Walk &w, const Splat &g) {
+  const Floats xa = w.block_x - splat(g.x), ya = w.block_y - splat(g.y), zero = splat(0.f);
+  const Floats xb = xa + splat(kBlockWidth - 1.f), yb = ya + splat(kBlockHeight - 1.f);
+  const Floats near_x = minimum(maximum(zero, xa), xb), near_y = minimum(maximum(zero, ya), yb);
+  const Floats best_y = minimum(maximum(near_x * splat(-0.5f * g.xy / g.yy), ya), yb);
+  const Floats best_x = minimum(maximum(near_y * splat(-0.5f * g.xy / g.xx), xa), xb);
+  const Floats xx = splat(g.xx), xy = splat(g.xy), yy = splat(g.yy);
+  const Floats p1 = (xx * near_x + xy * best_y) * near_x + yy * best_y * best_y;
+  const Floats p2 = (xx * best_x + xy * near_y) * best_x + yy * near_y * near_y;
+  return lanes_of(maximum(p1, p2) >= splat(kLog2MinAlpha - g.log2_opacity - 1e-3f));
+}
+
+static inline void look_ahead(Walk &w, uint32_t end) {
+  for (; w.known < end; w.known++) {
+    if (w.known + 8 < w.tile.count) __builtin_prefetch(&w.tile.splats[w.tile.list[w.known + 8]]);
+    w.masks[w.known] = (uint16_t)blocks_touched(w, w.tile.splats[w.tile.list[w.known]]);
+  }
+}
+
+static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint32_t end, uint32_t *out) {
+  uint32_t n = 0;
+  for (uint32_t i = begin; i < end; i++) {
+    out[n] = i;
+    n += w.masks[i] >> block & 1;
+  }
+  return n;
+}
+
+// Calls begin_chunk(n) before up to n visits, visit(list index, weights) for every splat front to back.
+// The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
+// by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
+template <class Begin, class Visit>
+INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit) {
+  const Tile &tile = w.tile;
+  Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
+  Ints hits = splat_int(0);
+  uint32_t chunk[kChunk];
+  for (uint32_t at = 0; at < tile.count; at += kChunk) {
+    const uint32_t end = at + kChunk < tile.count ? at + kChunk : tile.count;
+    look_ahead(w, end);
+    const uint32_t n = candidates(w, block, at, end, chunk);
+    begin_chunk(n);
+    for (uint32_t j = 0; j < n; j++) {
+      const Splat &g = tile.splats[tile.list[chunk[j]]];
+      const Floats alpha = alpha_at(g, offsets(w, block, g));
+      const Floats weight = transmittance * alpha, after = transmittance - weight;
+      Mask live = after >= splat(kMinTransmittance);
+      Floats kept = keep(live, weight);
+      if (first_hits) {
+        hits = increment(hits, splat(0.f) < kept);
+        live = live & !(splat_int(first_hits) < hits);
+        kept = keep(live, kept);
+      }
+      visit(chunk[j], kept);
+      last = select(live, after, last);
+      transmittance = first_hits ? keep(live, after) : after;
+      if (!any(live)) return last;
+    }
+  }
+  return last;
+}
+
+// --- the weights of one block, recorded ---------------------------------------------------------
+
+struct Record {
+  float *weights;   // 16 per hit, front to back
+  uint32_t *index;  // list index of each hit
+  size_t size;
+  Ints lane_sizes;  // hits of each lane
+};
+
+static Record record_block(Walk &w, int block, Mask wanted, const Selection &selection, TileScratch &scratch) {
+  Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0, splat_int(0)};
+  walk_block(
+      w, block, wanted, selection.first_hits,
+      [&](uint32_t n) {
+        reserve(scratch.hits, (r.size + n + 1) * sizeof(Floats));
+        reserve(scratch.hit_list, (r.size + n + 1) * sizeof(uint32_t));
+        r.weights = (float *)scratch.hits.data, r.index = (uint32_t *)scratch.hit_list.data;
+      },
+      [&](uint32_t i, Floats weight) __attribute__((always_inline)) {  // branch-free append
+        const Mask positive = splat(0.f) < weight;
+        store(r.weights + 16 * r.size, weight);
+        r.index[r.size] = i;
+        r.size += any(positive);
+        r.lane_sizes = increment(r.lane_sizes, positive);
+      });
+  return r;
+}
+
+INLINE Ints count_from(const Record &r, Floats threshold) {
+  Ints a = splat_int(0), b = splat_int(0);
+  size_t i = 0;
+  for (; i + 1 < r.size; i += 2) {
+    a = increment(a, load(r.weights + 16 * i) >= threshold);
+    b = increment(b, load(r.weights + 16 * i + 16) >= threshold);
+  }
+  if (i < r.size) a = increment(a, load(r.weights + 16 * i) >= threshold);
+  return a + b;
+}
+
+// Lanes whose k-th and (k+1)-th weight are equal: the earlier ones stay, the later become zero.
+static void drop_late_ties(const Record &r, Floats threshold, Mask tied, int32_t k) {
+  Ints room = splat_int(k) - count_from(r, float_of_bits(bits_of(threshold) + splat_int(1)));
+  for (size_t i = 0; i < r.size; i++) {
+    Floats w = load(r.weights + 16 * i);
+    Mask equal = tied & (bits_of(w) == bits_of(threshold)), full = room < splat_int(1);
+    store(r.weights + 16 * i, keep(!(equal & full), w));
+    room = select(equal, room - splat_int(1), room);
+  }
+}
+
+constexpr int32_t kTinyWeightBits = 0x34000000;  // 1.2e-7, below any weight: at least 1/255 * 1e-4
+constexpr int32_t kOneBits = 0x3f800000;
+constexpr int32_t kFirstGuessBits = 0x3b800000;  // 2^-8
+
+// Per lane, a threshold that exactly its k largest weights reach (all of them, where it has fewer).
+// Positive floats order as their bits do, so the search runs on bits: between `low` (reached by more
+// than k) and `high` (by fewer), starting at `guess`, going on by linear interpolation of the counts,
+// and halving every third round so that it always ends.
+static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
+  const Ints wanted = splat_int(k), one = splat_int(1);
+  Ints low = splat_int(kTinyWeightBits), high = splat_int(kOneBits), threshold = low;
+  Ints count_low = r.lane_sizes, count_high = splat_int(0);
+  Mask busy = wanted < count_low;
+  for (int round = 0; any(busy); round++) {
+    const Ints width = high - low;
+    const Floats share = to_float(count_low - wanted) / to_float(count_low - count_high);
+    Ints step = round == 0 ? guess - low : round % 3 == 2 ? shift_right(width, 1) : truncate(to_float(width) * share);
+    step = select(step < one, one, select(step < width, step, width - one));
+    const Ints middle = low + step, count = count_from(r, float_of_bits(middle));
+    const Mask more = busy & (wanted < count), fewer = busy & (count < wanted);
+    threshold = select(busy & !(more | fewer), middle, threshold);
+    low = select(more, middle, low), count_low = select(more, count, count_low);
+    high = select(fewer, middle, high), count_high = select(fewer, count, count_high);
+    busy = busy & (more | fewer);
+    const Mask tied = busy & (high - low < splat_int(2));
+    if (any(tied)) {
+      threshold = select(tied, low, threshold);
+      drop_late_ties(r, float_of_bits(threshold), tied, k);
+      busy = busy & !tied;
+    }
+  }
+  return threshold;
+}
+
+// Thresholds change little from block to block: `guess` carries the last one over.
+static Floats selection_threshold(const Record &r, const Selection &s, Ints &guess) {
+  if (!s.topk || r.size <= (size_t)s.topk) return float_of_bits(splat_int(kTinyWeightBits));
+  const Ints threshold = topk_threshold(r, s.topk, guess);
+  guess = select(splat_int(kTinyWeightBits) < threshold, threshold, guess);
+  return float_of_bits(threshold);
+}
+
+// --- registration: (Gaussian, segment, weight) triples of a tile --------------------------------
+
+struct TileSegments {
+  int32_t ids[256];  // segment of each local slot, in order of first appearance
+  int count = 0;
+  Ints slot_of_lane[kBlocks];           // -1: no segment
+  uint32_t slots_of_block[kBlocks][8];  // bit set
+};
+
+static void find_segments(const Tile &tile, const int32_t *segment_ids, TileSegments &s) {
+  memset(s.slots_of_block, 0, sizeof s.slots_of_block);
+  for (int b = 0; b < kBlocks; b++) {
+    int32_t slots[16];
+    for (int l = 0; l < 16; l++) {
+      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
+                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
+      const int32_t id = x < tile.width && y < tile.height ? segment_ids[(size_t)y * tile.width + x] : -1;
+      int slot = -1;
+      if (id >= 0) {
+        for (slot = 0; slot < s.count && s.ids[slot] != id; slot++) {}
+        if (slot == s.count) s.ids[s.count++] = id;
+        s.slots_of_block[b][slot / 32] |= 1u << slot % 32;
+      }
+      slots[l] = slot;
+    }
+    s.slot_of_lane[b] = load_int(slots);
+  }
+}
+
+static inline void emit(Triples &out, uint32_t gaussian, int32_t segment, float weight) {
+  ((uint32_t *)out.gaussian_ids.data)[out.size] = gaussian;
+  ((int32_t *)out.segment_ids.data)[out.size] = segment;
+  ((float *)out.weights.data)[out.size] = weight;
+  out.size += weight > 0;
+}
+
+static void reserve_triples(Triples &out, size_t more) {
+  reserve(out.gaussian_ids, (out.size + more + 1) * 4);
+  reserve(out.segment_ids, (out.size + more + 1) * 4);
+  reserve(out.weights, (out.size + more + 1) * 4);
+}
+
+template <class Add>
+static inline void each_slot(const TileSegments &s, int block, Add add) {
+  for (int word = 0; word * 32 < s.count; word++)
+    for (uint32_t m = s.slots_of_block[block][word]; m; m &= m - 1) add(word * 32 + __builtin_ctz(m));
+}
+
+// Adds up the tile in a table of (list entry, slot) cells of 16 lanes. Where the table would be huge
+// (noise as a segment map, or a very long list), every hit becomes a triple of its own instead.
+static void tile_weights(const Tile &tile, const Selection &selection, const int32_t *segment_ids, TileScratch &scratch,
+                         Triples &out) {
+  TileSegments segments;
+  find_segments(tile, segment_ids, segments);
+  if (!segments.count || !tile.count) return;
+  Walk walk(tile, scratch);
+  Ints guess = splat_int(kFirstGuessBits);
+  const size_t slots = segments.count;
+  const bool tabled = tile.count * slots <= kTableLimit;
+  if (tabled) reserve(scratch.table, tile.count * slots * sizeof(Floats));
+  Floats *table = (Floats *)scratch.table.data;
+  uint32_t cleared = 0;
+  for (int b = 0; b < kBlocks; b++) {
+    const Mask wanted = splat_int(-1) < segments.slot_of_lane[b];
+    if (!any(wanted)) continue;
+    const Record r = record_block(walk, b, wanted, selection, scratch);
+    const Floats threshold = selection_threshold(r, selection, guess);
+    if (tabled && cleared < walk.known) {
+      memset(table + cleared * slots, 0, (walk.known - cleared) * slots * sizeof(Floats));
+      cleared = walk.known;
+    }
+    each_slot(segments, b, [&](int slot) {
+      const Mask mine = segments.slot_of_lane[b] == splat_int(slot);
+      if (!tabled) reserve_triples(out, r.size);
+      for (size_t i = 0; i < r.size; i++) {
+        const Floats w = load(r.weights + 16 * i), part = keep(mine & (w >= threshold), w);
+        if (tabled) table[r.index[i] * slots + slot] = table[r.index[i] * slots + slot] + part;
+        else emit(out, tile.splats[tile.list[r.index[i]]].id, segments.ids[slot], sum(part));
+      }
+    });
+  }
+  if (!tabled) return;
+  reserve_triples(out, cleared * slots);
+  for (uint32_t i = 0; i < cleared; i++)
+    for (size_t slot = 0; slot < slots; slot++)
+      emit(out, tile.splats[tile.list[i]].id, segments.ids[slot], sum(table[i * slots + slot]));
+}
+
+// --- per-pixel contributors ---------------------------------------------------------------------
+
+// Fills ids and weights, both (height, width, topk); the caller has set them to -1 and 0.
+static void tile_contributions(const Tile &tile, const Selection &selection, TileScratch &scratch, int32_t *ids,
+                               float *weights) {
+  if (!tile.count) return;
+  Walk walk(tile, scratch);
+  const size_t k = selection.topk;
+  Ints guess = splat_int(kFirstGuessBits);
+  for (int b = 0; b < kBlocks; b++) {
+    const auto [left, top, inside] = pixels_of(walk, b);
+    if (!any(inside)) continue;
+    const Record r = record_block(walk, b, inside, selection, scratch);
+    const Floats threshold = selection_threshold(r, selection, guess);
+    size_t filled[16] = {};
+    for (size_t i = 0; i < r.size; i++) {
+      const Floats w = load(r.weights + 16 * i);
+      const int32_t id = (int32_t)tile.splats[tile.list[r.index[i]]].id;
+      for (uint32_t m = lanes_of(w >= threshold); m; m &= m - 1) {
+        const int l = __builtin_ctz(m);
+        if (filled[l] == k) continue;  // room for k, whatever rounding made of a covariance that is none
+        const size_t pixel = ((size_t)(top + l / kBlockWidth) * tile.width + left + l % kBlockWidth) * k;
+        insert_descending(ids + pixel, weights + pixel, filled[l]++, id, lane(w, l));
+      }
+    }
+  }
+}
+
+// --- rendering ----------------------------------------------------------------------------------
+
+constexpr int kChannelsAtOnce = 16;
+
+static inline void write_lanes(float *image, const Tile &tile, int left, int top, Mask inside, size_t stride,
+                               Floats value) {
+  for (uint32_t m = lanes_of(inside); m; m &= m - 1) {
+    const int l = __builtin_ctz(m);
+    image[((size_t)(top + l / kBlockWidth) * tile.width + left + l % kBlockWidth) * stride] = lane(value, l);
+  }
+}
+
+// image (height, width, channels): sum of w * value, plus the background behind what is left.
+static void tile_render(const Tile &tile, const float *values, int32_t channels, const float *background,
+                        TileScratch &scratch, float *image, float *alpha, float *depth) {
+  Walk walk(tile, scratch);
+  for (int b = 0; b < kBlocks; b++) {
+    const auto [left, top, inside] = pixels_of(walk, b);
+    if (!any(inside)) continue;
+    for (int32_t first = 0; first == 0 || first < channels; first += kChannelsAtOnce) {
+      const int n = channels - first < kChannelsAtOnce ? channels - first : kChannelsAtOnce;
+      Floats total[kChannelsAtOnce], weight_sum = splat(0.f), depth_sum = splat(0.f);
+      for (int c = 0; c < n; c++) total[c] = splat(0.f);
+      const Floats rest = walk_block(
+          walk, b, inside, 0, [](uint32_t) {},
+          [&](uint32_t i, Floats w) __attribute__((always_inline)) {
+            const Splat &g = tile.splats[tile.list[i]];
+            const float *value = values + (size_t)g.id * channels + first;
+            for (int c = 0; c < n; c++) total[c] = total[c] + w * splat(value[c]);
+            weight_sum = weight_sum + w;
+            depth_sum = depth_sum + w * splat(g.depth);
+          });
+      for (int c = 0; c < n; c++)
+        write_lanes(image + first + c, tile, left, top, inside, channels,
+                    total[c] + rest * splat(background[first + c]));
+      if (first) continue;
+      write_lanes(alpha, tile, left, top, inside, 1, splat(1.f) - rest);
+      write_lanes(depth, tile, left, top, inside, 1,
+                  keep(splat(0.f) < weight_sum, depth_sum / maximum(weight_sum, splat(1e-30f))));
+    }
+  }
+}
+
+}  // namespace drsplat::DRSPLAT_ISA

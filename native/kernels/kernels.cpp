@@ -1,0 +1,51 @@
+// Every hot kernel, compiled once per instruction set into a namespace of that name.
+#include "kernels/kernels.h"
+
+#include "kernels/activation.h"
+#include "kernels/adam.h"
+#include "kernels/colors.h"
+#include "kernels/compositing.h"
+#include "kernels/gradients.h"
+#include "kernels/loss.h"
+#include "kernels/mixture_best.h"
+#include "kernels/mixture_encoding.h"
+#include "kernels/mixture_scan.h"
+#include "kernels/mixture_search.h"
+#include "kernels/pq.h"
+#include "kernels/projection.h"
+#include "kernels/training_tiles.h"
+#include "kernels/weighted_rows.h"
+
+#define DRSPLAT_TEXT(x) #x
+#define DRSPLAT_STRING(x) DRSPLAT_TEXT(x)
+
+namespace drsplat::DRSPLAT_ISA {
+
+static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table,
+                                               table_place,    mixture_scores,  mixture_best,    kTileQueries};
+
+extern const ScanKernels scan_table;  // scan_kernels.cpp
+extern const Kernels table;
+const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
+                       project,
+                       tile_spans,
+                       tile_weights,
+                       tile_contributions,
+                       tile_render,
+                       sh_colors,
+                       weighted_rows,
+                       pq_encode,
+                       pq_scores,
+                       activate,
+                       splat_colors,
+                       tile_forward,
+                       tile_backward,
+                       splats_backward,
+                       ssim_rows,
+                       ssim_partials,
+                       loss_gradient,
+                       adam,
+                       &scan_table,
+                       &mixture_kernels};
+
+}  // namespace drsplat::DRSPLAT_ISA

@@ -1,0 +1,166 @@
+// What the hot kernels and the rest of the core say to each other: plain data and a table of functions.
+//
+// Conventions: pixel (0, 0) has its centre at (0.5, 0.5); OpenCV camera axes; tiles of 16x16 pixels,
+// blocks of 8x2 pixels (16 lanes) inside a tile.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+#include "kernels/buffer.h"
+
+namespace drsplat {
+
+struct Camera {
+  float rotation[9], translation[3];  // x_cam = rotation * x_world + translation
+  float fx, fy, cx, cy;
+  float near_z;  // camera z up to which nothing is drawn
+  int32_t width, height;
+};
+
+struct Scene {               // structure of arrays, `count` floats each
+  const float *means;        // 3 rows: x, y, z
+  const float *covariances;  // 6 rows: xx, xy, xz, yy, yz, zz
+  const float *opacities;
+  uint32_t count;
+};
+
+// A projected Gaussian: log2(alpha) = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity, d = pixel - centre.
+struct Splat {
+  float x, y, xx, xy, yy, log2_opacity;
+  uint32_t id;
+  float depth;
+};
+
+// Where a splat can reach alpha >= 1/255: its 2D covariance, the half extents of that ellipse, and
+// the rectangle of tiles [x0, x1) x [y0, y1) that it may touch.
+struct Extent {
+  float half_width, half_height, cov_xx, cov_xy, cov_yy, reach;
+  int16_t x0, x1, y0, y1;
+};
+
+struct Triples {  // structure of arrays, grown together
+  Buffer gaussian_ids, segment_ids, weights;
+  size_t size = 0;
+};
+
+struct TileScratch { Buffer block_masks, hits, hit_list, table; };
+
+struct Tile {
+  const Splat *splats;   // all visible ones, front to back
+  const uint32_t *list;  // indices into `splats` of those that may touch this tile, front to back
+  uint32_t count;
+  int32_t x, y;           // tile coordinates
+  int32_t width, height;  // of the whole image
+};
+
+struct Selection {
+  int32_t topk;        // 0 = all
+  int32_t first_hits;  // 0 = all
+};
+
+struct SparseRows {       // CSR
+  const int64_t *starts;  // one more than there are rows
+  const int32_t *columns;
+  const float *weights;
+};
+
+struct Embeddings {
+  const float *values;  // count x dim
+  uint32_t count, dim;
+};
+
+struct Quantizer {
+  const float *centroids;    // subvectors x 256 x dim
+  uint32_t subvectors, dim;  // dim: of one sub-vector
+};
+constexpr size_t kEncodeScratch = 32;  // floats of scratch per dimension of a sub-vector
+
+// score = (bias + sum over m of lut[m][code m]) * scale
+struct Scan {
+  const uint8_t *codes;       // rows x subvectors
+  const float *lut;           // subvectors x 256
+  const float *scale, *bias;  // per row; bias may be null
+  uint32_t subvectors;
+};
+
+struct Parameters {  // a scene while it is trained: pre-activation, rows of Gaussians
+  const float *means, *log_scales, *quats, *logits, *sh;
+  uint32_t count;
+  int32_t coefficients;
+};
+
+constexpr int kSplatSums = 9;  // see training_tiles.h
+
+struct Visible {  // a run of projected splats, in index order
+  const Splat *splats;
+  const Extent *extents;
+  const uint32_t *ranks;         // by depth
+  const uint32_t *places_start;  // of splat i: rows [places_start[i], places_start[i + 1]) of Sums::places
+  uint32_t count;
+};
+
+struct Sums {  // kSplatSums for each splat in each tile
+  const float *values;
+  const uint32_t *places;  // rows of `values`
+  const float *colors;     // 3 each, by rank
+};
+
+struct GradientArrays {  // as Parameters; zero where a Gaussian is not seen
+  float *means, *log_scales, *quats, *logits, *sh, *screen, *radii;
+};
+
+struct LossPlanes {  // eight planes of each channel, rows padded to whole vectors
+  float *planes, *scratch;
+  int32_t width, height;
+  size_t stride;
+};
+
+struct AdamStep {
+  float rate, beta1, beta2, root_correction, epsilon;
+  // The first kAdamHead numbers of every row of `row` have a rate of their own; row 0: there are none.
+  float head_rate;
+  uint32_t row;
+};
+constexpr int kAdamHead = 3;
+
+struct ScanKernels;     // scan_kernels.h
+struct MixtureKernels;  // mixture_kernels.h
+
+struct Kernels {
+  const char *name;
+  uint32_t (*project)(const Scene &, const Camera &, uint32_t begin, uint32_t end, Splat *, Extent *);
+  uint32_t *(*tile_spans)(const Splat *, const Extent *, uint32_t count, int32_t columns, uint32_t *spans,
+                          uint32_t *histogram);
+  void (*tile_weights)(const Tile &, const Selection &, const int32_t *segment_ids, TileScratch &, Triples &);
+  void (*tile_contributions)(const Tile &, const Selection &, TileScratch &, int32_t *ids, float *weights);
+  void (*tile_render)(const Tile &, const float *values, int32_t channels, const float *background, TileScratch &,
+                      float *image, float *alpha, float *depth);
+  void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin,
+                    uint32_t end, float *colors);
+  bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
+  void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch,
+                    uint8_t *codes);
+  void (*pq_scores)(const Scan &, uint64_t begin, uint64_t end, float *scores);
+
+  // training
+  void (*activate)(const Parameters &, uint32_t begin, uint32_t end, float *means, float *covariances,
+                   float *opacities);
+  void (*splat_colors)(const Visible &, const Parameters &, int32_t active, const float *center, float *colors);
+  void (*tile_forward)(const Tile &, const float *colors, const float *background, TileScratch &, float *image,
+                       float *alpha);
+  void (*tile_backward)(const Tile &, const float *colors, const float *image, const float *gradient, TileScratch &,
+                        float *sums);
+  void (*splats_backward)(const Visible &, const Sums &, const Parameters &, const Camera &, int32_t active,
+                          const float *center, const GradientArrays &);
+  void (*ssim_rows)(const float *image, const float *target, const LossPlanes &, int row_begin, int row_end);
+  void (*ssim_partials)(const LossPlanes &, int row_begin, int row_end, double *row_sums);
+  void (*loss_gradient)(const float *image, const float *target, const LossPlanes &, float ssim_weight, int row_begin,
+                        int row_end, float *gradient, double *row_sums);
+  void (*adam)(float *parameter, const float *gradient, float *first, float *second, size_t begin, size_t end,
+               const AdamStep &);
+
+  const ScanKernels *scan;
+  const MixtureKernels *mixture;
+};
+
+}  // namespace drsplat

@@ -1,0 +1,301 @@
+// Look-ups in tables of bytes (AVX-512 VBMI): 64 codes in two vpermi2b.
+//
+// An entry is rounded to a whole number of steps above the lowest of its table, and the digits of that number
+// are summed apart, as planes of bytes: the lowest digit to base 128 or 256, the others to base 256. Bytes of
+// several sub-vectors are added as bytes while they fit ("packed"), then widened to 16 bits, where bits 8-15
+// count the odd rows too; these are also summed apart, and taken out at the end.
+// Source: Andre et al. 2015, 2017 (PQ Fast Scan, Quick ADC) for sums in small integers of shuffled tables;
+// tables of all 256 entries in registers, and planes, are ours.
+
+constexpr uint32_t kPlanes = 3;
+#pragma once
+#include "kernels/isa.h"
+#include "kernels/scan_kernels.h"
+
+namespace drsplat::DRSPLAT_ISA {
+
+constexpr uint32_t kTile = 32;              // sub-vectors whose codes stay in the L1 cache
+constexpr uint32_t kChunk = 256;            // sub-vectors whose bytes fit a 16-bit sum
+constexpr float kMaxSteps = (1 << 23) - 2;  // what digits of 7, 8 and 8 bits hold
+
+struct Step {        // one table of 256 bytes
+  uint16_t in_tile;  // its sub-vector, within the tile
+  uint16_t flush;    // widen the packed bytes after it
+};
+struct Run {  // the steps of one tile and plane
+  uint32_t begin, end;
+  bool packed;
+};
+struct Range { float low, width; };
+
+struct BytePlan {  // of one query; pointers are set by `plan_at`
+  float step, bias, weights[kPlanes];
+  uint32_t planes;  // in use
+  Range *ranges;    // of each sub-vector
+  Run *runs;        // tiles x kPlanes
+  Step *steps;      // up to kPlanes for each sub-vector
+  uint8_t *tables;  // 256 for each step
+};
+
+INLINE uint32_t tiles_of(uint32_t subvectors) { return (subvectors + kTile - 1) / kTile; }
+INLINE size_t rounded(size_t bytes) { return (bytes + 63) / 64 * 64; }
+INLINE size_t run_bytes(uint32_t subvectors) { return rounded(tiles_of(subvectors) * kPlanes * sizeof(Run)); }
+INLINE size_t step_bytes(uint32_t subvectors) { return rounded((size_t)subvectors * kPlanes * sizeof(Step)); }
+INLINE size_t range_bytes(uint32_t subvectors) { return rounded(subvectors * sizeof(Range)); }
+INLINE size_t plan_bytes(uint32_t subvectors) {
+  return rounded(sizeof(BytePlan)) + range_bytes(subvectors) + run_bytes(subvectors) + step_bytes(subvectors) +
+         (size_t)subvectors * kPlanes * 256;
+}
+static size_t prepared_bytes(uint32_t subvectors, uint32_t queries) { return plan_bytes(subvectors) * queries; }
+
+INLINE BytePlan &plan_at(const void *prepared, uint32_t subvectors, uint32_t query) {
+  return *(BytePlan *)((char *)prepared + plan_bytes(subvectors) * query);
+}
+
+static BytePlan &new_plan(void *prepared, uint32_t subvectors, uint32_t query) {
+  BytePlan &plan = plan_at(prepared, subvectors, query);
+  char *p = (char *)&plan + rounded(sizeof(BytePlan));
+  plan.ranges = (Range *)p, p += range_bytes(subvectors);
+  plan.runs = (Run *)p, p += run_bytes(subvectors);
+  plan.steps = (Step *)p, p += step_bytes(subvectors);
+  plan.tables = (uint8_t *)p;
+  return plan;
+}
+
+static Range range_of(const float *table) {
+  __m512 low = _mm512_loadu_ps(table), high = low;
+  for (int c = 16; c < 256; c += 16)
+    low = _mm512_min_ps(low, _mm512_loadu_ps(table + c)), high = _mm512_max_ps(high, _mm512_loadu_ps(table + c));
+  const float lowest = _mm512_reduce_min_ps(low);
+  return {lowest, _mm512_reduce_max_ps(high) - lowest};
+}
+
+// The width that `rank` others exceed; ranks are few.
+static float ranked_width(const Range *ranges, uint32_t subvectors, uint32_t rank) {
+  float bound = __builtin_inff();
+  for (uint32_t seen = 0; seen <= rank;) {
+    float next = -1.f;
+    uint32_t equal = 0;
+    for (uint32_t m = 0; m < subvectors; m++) {
+      const float width = ranges[m].width;
+      if (width < bound && width > next) next = width, equal = 1;
+      else if (width == next) equal++;
+    }
+    if (next < 0) return 0.f;
+    bound = next, seen += equal;
+  }
+  return bound;
+}
+
+static float step_of(const Range *ranges, uint32_t subvectors, Precision precision) {
+  const float finest = ranked_width(ranges, subvectors, 0) / kMaxSteps;
+  // Half a step for each: never off by more than 0.95 error, and by less where more costs next to nothing.
+  float step = 1.9f * precision.error / (float)(subvectors < 32 ? 32 : subvectors);
+  if (precision.wide) {
+    const float largest = precision.error / (6.f * __builtin_sqrtf((float)subvectors / 12.f));
+    step = ranked_width(ranges, subvectors, precision.wide) / 255.f;
+    if (!(step <= largest)) step = largest;
+    if (step < 0.01f * largest) step = 0.01f * largest;
+  }
+  if (step < finest) step = finest;
+  return step > 0 ? step : 1.f;
+}
+
+// Bytes of one plane of one table; returns the largest.
+static uint32_t digits_of(const float *table, float low, float per_step, int shift, uint32_t mask, uint8_t *bytes) {
+  const __m512 l = _mm512_set1_ps(low), p = _mm512_set1_ps(per_step), half = _mm512_set1_ps(0.5f);
+  __m512i largest = _mm512_setzero_si512();
+  for (int c = 0; c < 256; c += 16) {
+    const __m512i steps = _mm512_cvttps_epi32(_mm512_fmadd_ps(_mm512_sub_ps(_mm512_loadu_ps(table + c), l), p, half));
+    const __m512i digits = _mm512_and_si512(_mm512_srli_epi32(steps, shift), _mm512_set1_epi32((int)mask));
+    largest = _mm512_max_epu32(largest, digits);
+    _mm_storeu_si128((__m128i *)(bytes + c), _mm512_cvtepi32_epi8(digits));
+  }
+  return _mm512_reduce_max_epu32(largest);
+}
+
+// How many bytes in a row may be added before they are widened. A power of two for a whole run, so that the
+// processor foresees the flushes; 1 where not even pairs fit.
+static uint32_t packing_of(const uint32_t *largest, uint32_t count) {
+  for (uint32_t pack = kTile; pack > 1; pack /= 2) {
+    bool fits = true;
+    for (uint32_t begin = 0; begin < count; begin += pack) {
+      uint32_t held = 0;
+      for (uint32_t i = begin; i < begin + pack && i < count; i++) held += largest[i];
+      fits = fits && held <= 255;
+    }
+    if (fits) return pack;
+  }
+  return 1;
+}
+
+static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32_t last, int shift, uint32_t mask,
+                     Run &run) {
+  const float per_step = 1.f / plan.step;
+  uint32_t largest[kTile], count = 0;
+  for (uint32_t m = first; m < last; m++) {
+    const uint32_t at = run.begin + count;
+    largest[count] =
+        digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, plan.tables + 256 * (size_t)at);
+    if (largest[count] == 0) continue;
+    plan.steps[at] = {(uint16_t)(m - first), 0};
+    count++;
+  }
+  const uint32_t pack = packing_of(largest, count);
+  run.end = run.begin + count, run.packed = pack > 1;
+  for (uint32_t i = 0; i < count; i++) plan.steps[run.begin + i].flush = (i + 1) % pack == 0 || i + 1 == count;
+}
+
+static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, BytePlan &plan) {
+  double bias = 0;
+  for (uint32_t m = 0; m < subvectors; m++)
+    plan.ranges[m] = range_of(tables + 256 * (size_t)m), bias += plan.ranges[m].low;
+  plan.step = step_of(plan.ranges, subvectors, precision), plan.bias = (float)bias, plan.planes = 1;
+  const int lowest = precision.wide ? 8 : 7;  // bits; pairs of 7 fit a byte
+  const int shifts[kPlanes] = {0, lowest, lowest + 8};
+  const uint32_t masks[kPlanes] = {(1u << lowest) - 1, 255, 255};
+  uint32_t at = 0;
+  for (uint32_t first = 0, i = 0; first < subvectors; first += kTile)
+    for (uint32_t plane = 0; plane < kPlanes; plane++, i++) {
+      plan.runs[i].begin = at;
+      plan_run(plan, tables, first, first + kTile < subvectors ? first + kTile : subvectors, shifts[plane],
+               masks[plane], plan.runs[i]);
+      at = plan.runs[i].end;
+      if (at > plan.runs[i].begin && plan.planes <= plane) plan.planes = plane + 1;
+      plan.weights[plane] = (float)(1 << shifts[plane]);
+    }
+}
+
+static void prepare(const QueryTables &q, uint32_t subvectors, Precision precision, uint32_t begin, uint32_t end,
+                    void *prepared) {
+  for (uint32_t i = begin; i < end; i++)
+    prepare_one(q.tables + (size_t)i * subvectors * 256, subvectors, precision, new_plan(prepared, subvectors, i));
+}
+
+struct Accumulators { __m512i even[8], odd[8]; };  // of two groups
+static size_t scratch_bytes(uint32_t) { return sizeof(Accumulators) * kPlanes * kQueryTile; }
+
+struct CodeTile {  // of two groups, and what is read after it
+  const uint8_t *first, *second, *next_first, *next_second;
+};
+enum Prefetch { kNothing, kFirst, kSecond };  // one group at a time: more requests at once stall the loop
+
+INLINE __m512i look_up(const __m512i *table, const uint8_t *from) {
+  __m512i codes = _mm512_loadu_si512(from);
+  __asm__("" : "+v"(codes));  // else GCC loads once for each use, and loads are what the loop waits for
+  return _mm512_mask_blend_epi8(_mm512_cmplt_epi8_mask(codes, _mm512_setzero_si512()),
+                                _mm512_permutex2var_epi8(table[0], codes, table[1]),
+                                _mm512_permutex2var_epi8(table[2], codes, table[3]));
+}
+
+template <Prefetch Ahead, bool Packed>
+static void accumulate(const BytePlan &plan, Run run, const CodeTile &codes, bool fresh, Accumulators &sums) {
+  __m512i even[8], odd[8], bytes[8];
+#pragma GCC unroll 8
+  for (int b = 0; b < 8; b++) even[b] = odd[b] = bytes[b] = _mm512_setzero_si512();
+  if (!fresh) {
+#pragma GCC unroll 8
+    for (int b = 0; b < 8; b++) even[b] = sums.even[b], odd[b] = sums.odd[b];
+  }
+  const __m512i second = _mm512_set1_epi16(1 << 8);  // as pairs of bytes: takes the odd one of two rows
+  for (uint32_t s = run.begin; s < run.end; s++) {
+    const uint8_t *entries = plan.tables + 256 * (size_t)s;
+    const __m512i table[4] = {_mm512_loadu_si512(entries), _mm512_loadu_si512(entries + 64),
+                              _mm512_loadu_si512(entries + 128), _mm512_loadu_si512(entries + 192)};
+    const size_t at = (size_t)plan.steps[s].in_tile * 256;
+#pragma GCC unroll 8
+    for (int b = 0; b < 8; b++) {
+      const size_t offset = at + (b & 3) * 64;
+      if (Ahead == kFirst && b < 4) _mm_prefetch((const char *)codes.next_first + offset, _MM_HINT_T1);
+      if (Ahead == kSecond && b >= 4) _mm_prefetch((const char *)codes.next_second + offset, _MM_HINT_T1);
+      const __m512i found = look_up(table, (b < 4 ? codes.first : codes.second) + offset);
+      if (Packed) {
+        bytes[b] = _mm512_add_epi8(bytes[b], found);
+      } else {
+        even[b] = _mm512_add_epi16(even[b], found);
+        odd[b] = _mm512_add_epi16(odd[b], _mm512_maddubs_epi16(found, second));
+      }
+    }
+    if (Packed && plan.steps[s].flush) {
+#pragma GCC unroll 8
+      for (int b = 0; b < 8; b++) {
+        even[b] = _mm512_add_epi16(even[b], bytes[b]);
+        odd[b] = _mm512_add_epi16(odd[b], _mm512_srli_epi16(bytes[b], 8));
+        bytes[b] = _mm512_setzero_si512();
+      }
+    }
+  }
+#pragma GCC unroll 8
+  for (int b = 0; b < 8; b++) sums.even[b] = even[b], sums.odd[b] = odd[b];
+}
+
+template <Prefetch Ahead>
+INLINE void accumulate_run(const BytePlan &plan, const Run &run, const CodeTile &codes, bool fresh,
+                           Accumulators &sums) {
+  if (run.packed) accumulate<Ahead, true>(plan, run, codes, fresh, sums);
+  else accumulate<Ahead, false>(plan, run, codes, fresh, sums);
+}
+
+INLINE __m512 widened(__m256i v) { return _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(v)); }
+
+// Sums of 64 rows, in their order.
+INLINE void unpack(__m512i even, __m512i odd, __m512 *rows) {
+  const __m512i low = _mm512_set_epi16(47, 15, 46, 14, 45, 13, 44, 12, 43, 11, 42, 10, 41, 9, 40, 8, 39, 7, 38, 6, 37,
+                                       5, 36, 4, 35, 3, 34, 2, 33, 1, 32, 0);
+  const __m512i high = _mm512_set_epi16(63, 31, 62, 30, 61, 29, 60, 28, 59, 27, 58, 26, 57, 25, 56, 24, 55, 23, 54, 22,
+                                        53, 21, 52, 20, 51, 19, 50, 18, 49, 17, 48, 16);
+  even = _mm512_sub_epi16(even, _mm512_slli_epi16(odd, 8));
+  const __m512i a = _mm512_permutex2var_epi16(even, low, odd), b = _mm512_permutex2var_epi16(even, high, odd);
+  rows[0] = widened(_mm512_castsi512_si256(a)), rows[1] = widened(_mm512_extracti64x4_epi64(a, 1));
+  rows[2] = widened(_mm512_castsi512_si256(b)), rows[3] = widened(_mm512_extracti64x4_epi64(b, 1));
+}
+
+// out = bias + step * sum over planes; after the first chunk, out += step * sum.
+static void emit(const BytePlan &plan, const Accumulators *totals, bool first_chunk, float *out) {
+  const __m512 step = _mm512_set1_ps(plan.step), bias = _mm512_set1_ps(plan.bias);
+  for (int b = 0; b < 8; b++) {
+    __m512 sum[4];
+    unpack(totals[0].even[b], totals[0].odd[b], sum);
+    for (uint32_t plane = 1; plane < plan.planes; plane++) {
+      __m512 rows[4];
+      unpack(totals[plane].even[b], totals[plane].odd[b], rows);
+      for (int i = 0; i < 4; i++) sum[i] = _mm512_fmadd_ps(rows[i], _mm512_set1_ps(plan.weights[plane]), sum[i]);
+    }
+    for (int i = 0; i < 4; i++) {
+      float *at = out + 64 * b + 16 * i;
+      _mm512_storeu_ps(at, _mm512_fmadd_ps(sum[i], step, first_chunk ? bias : _mm512_loadu_ps(at)));
+    }
+  }
+}
+
+static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32_t begin, uint32_t end,
+                 uint64_t first_row, void *scratch, float *out) {
+  const uint32_t subvectors = rows.subvectors, tiles = tiles_of(subvectors);
+  const size_t group_bytes = (size_t)subvectors * kGroupRows;
+  const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, group = first_row / kGroupRows;
+  const uint8_t *first = rows.codes + group * group_bytes, *second = group + 1 < groups ? first + group_bytes : first;
+  const uint8_t *later_first = group + 2 < groups ? first + 2 * group_bytes : first,
+                *later_second = group + 3 < groups ? later_first + group_bytes : later_first;
+  Accumulators(*totals)[kPlanes] = (Accumulators(*)[kPlanes])scratch;
+  for (uint32_t tile = 0; tile < tiles; tile++) {
+    const size_t at = (size_t)tile * kTile * 256, next = at + kTile * 256;
+    const bool ends = tile + 1 == tiles, fresh = tile % (kChunk / kTile) == 0,
+               last = ends || (tile + 1) % (kChunk / kTile) == 0;
+    const CodeTile codes = {first + at, second + at, ends ? later_first : first + next,
+                            ends ? later_second : second + next};
+    for (uint32_t q = begin; q < end; q++) {
+      const BytePlan &plan = plan_at(prepared, subvectors, q);
+      Accumulators *total = totals[q - begin];
+      for (uint32_t plane = 0; plane < plan.planes; plane++) {
+        const Run &run = plan.runs[tile * kPlanes + plane];
+        if (q == begin && plane == 0) accumulate_run<kFirst>(plan, run, codes, fresh, total[plane]);
+        else if (end - begin == 1 ? plane == 1 : q == begin + 1 && plane == 0)
+          accumulate_run<kSecond>(plan, run, codes, fresh, total[plane]);
+        else if (fresh || run.begin < run.end) accumulate_run<kNothing>(plan, run, codes, fresh, total[plane]);
+      }
+      if (last) emit(plan, total, tile < kChunk / kTile, out + (q - begin) * kPairRows);
+    }
+  }
+}
+
+}  // namespace drsplat::DRSPLAT_ISA

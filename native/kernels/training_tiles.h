@@ -1,0 +1,103 @@
+// Tiles of a training pass: their pixels' colours, and from dL/d(image) the sums over pixels that the gradients of
+// every splat are made of. Same decisions as the forward pass: no gradient through the clamp at 0.99, the cut at 1/255
+// and the stop at 1e-4.
+#pragma once
+#include "kernels/compositing.h"
+
+namespace drsplat::DRSPLAT_ISA {
+
+// colors: 3 per splat. image (height, width, 3), alpha (height, width).
+static void tile_forward(const Tile &tile, const float *colors, const float *background, TileScratch &scratch,
+                         float *image, float *alpha) {
+  Walk walk(tile, scratch);
+  for (int b = 0; b < kBlocks; b++) {
+    const auto [left, top, inside] = pixels_of(walk, b);
+    if (!any(inside)) continue;
+    Floats red = splat(0.f), green = red, blue = red;
+    const Floats rest = walk_block(
+        walk, b, inside, 0, [](uint32_t) {},
+        [&](uint32_t i, Floats w) __attribute__((always_inline)) {
+          const float *color = colors + 3 * (size_t)tile.list[i];
+          red = red + w * splat(color[0]), green = green + w * splat(color[1]), blue = blue + w * splat(color[2]);
+        });
+    write_lanes(image, tile, left, top, inside, 3, red + rest * splat(background[0]));
+    write_lanes(image + 1, tile, left, top, inside, 3, green + rest * splat(background[1]));
+    write_lanes(image + 2, tile, left, top, inside, 3, blue + rest * splat(background[2]));
+    write_lanes(alpha, tile, left, top, inside, 1, splat(1.f) - rest);
+  }
+}
+
+struct BlockState {              // 16 pixels during the backward walk
+  Floats transmittance, behind;  // behind: (what is composited from here on) . dL/dpixel
+  Floats red, green, blue;       // dL/dpixel
+};
+
+static inline uint32_t start_blocks(const Walk &walk, const float *image, const float *gradient, BlockState *blocks) {
+  uint32_t alive = 0;
+  const Tile &tile = walk.tile;
+  for (int b = 0; b < kBlocks; b++) {
+    float t[16], behind[16], g[3][16];
+    for (int l = 0; l < 16; l++) {
+      const int x = tile.x * 16 + b % 2 * kBlockWidth + l % kBlockWidth,
+                y = tile.y * 16 + b / 2 * kBlockHeight + l / kBlockWidth;
+      const bool inside = x < tile.width && y < tile.height;
+      const size_t pixel = inside ? ((size_t)y * tile.width + x) * 3 : 0;
+      t[l] = inside, behind[l] = 0;
+      for (int c = 0; c < 3; c++) {
+        g[c][l] = inside ? gradient[pixel + c] : 0.f;
+        behind[l] += inside ? image[pixel + c] * g[c][l] : 0.f;
+      }
+      alive |= (uint32_t)inside << b;
+    }
+    blocks[b] = {load(t), load(behind), load(g[0]), load(g[1]), load(g[2])};
+  }
+  return alive;
+}
+
+// Sums over the tile's pixels for every list entry, kSplatSums each: dL/d(colour), then with
+// G = dL/d(ln alpha): G, G dx, G dy, G dx^2, G dx dy, G dy^2, d = pixel - centre.
+//
+// dL/d(alpha_i) = T_i (c_i . g) - (what is behind i) / (1 - alpha_i), and what is behind i is the pixel's
+// value less what was composited up to i: so one walk front to back, without a record, is enough.
+static void tile_backward(const Tile &tile, const float *colors, const float *image, const float *gradient,
+                          TileScratch &scratch, float *sums) {
+  memset(sums, 0, (size_t)tile.count * kSplatSums * sizeof(float));
+  if (!tile.count) return;
+  const Walk walk(tile, scratch);
+  BlockState blocks[kBlocks];
+  uint32_t alive = start_blocks(walk, image, gradient, blocks);
+  for (uint32_t i = 0; i < tile.count && alive; i++) {
+    if (i + 8 < tile.count) __builtin_prefetch(&tile.splats[tile.list[i + 8]]);
+    const Splat &g = tile.splats[tile.list[i]];
+    uint32_t touched = blocks_touched(walk, g) & alive;
+    if (!touched) continue;
+    const float *color = colors + 3 * (size_t)tile.list[i];
+    Floats total[kSplatSums];
+    for (Floats &t : total) t = splat(0.f);
+    for (; touched; touched &= touched - 1) {
+      const int b = __builtin_ctz(touched);
+      BlockState &s = blocks[b];
+      const Offsets d = offsets(walk, b, g);
+      const Floats alpha = alpha_at(g, d);
+      const Floats weight = s.transmittance * alpha, after = s.transmittance - weight;
+      const Mask live = after >= splat(kMinTransmittance);
+      const Floats w = keep(live, weight);
+      const Floats shade = s.red * splat(color[0]) + s.green * splat(color[1]) + s.blue * splat(color[2]);
+      const Floats behind = s.behind - w * shade;
+      const Floats slope = s.transmittance * shade - behind / (splat(1.f) - alpha);  // dL/d(alpha)
+      const Floats G = keep(live & (alpha < splat(kMaxAlpha)), slope * alpha);
+      s.transmittance = after, s.behind = behind;
+      if (!any(live)) alive &= ~(1u << b);
+      const Floats gx = G * d.x, gy = G * d.y;
+      add_to(total[0], w * s.red), add_to(total[1], w * s.green), add_to(total[2], w * s.blue);
+      add_to(total[3], G), add_to(total[4], gx), add_to(total[5], gy);
+      add_to(total[6], gx * d.x), add_to(total[7], gx * d.y), add_to(total[8], gy * d.y);
+    }
+    float *out = sums + (size_t)i * kSplatSums;
+    store_sums(out, total[0], total[1], total[2], total[3]),
+        store_sums(out + 4, total[4], total[5], total[6], total[7]);
+    out[8] = sum(total[8]);
+  }
+}
+
+}  // namespace drsplat::DRSPLAT_ISA
