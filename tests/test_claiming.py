@@ -87,6 +87,43 @@ def test_what_cannot_be_claimed_is_said(tmp_path):
         pass
 
 
+@kinds
+def test_a_lock_that_is_a_link_is_not_followed(kind, claim, lock, tmp_path):
+    """It came with a capture from elsewhere, and led to a file of the user's, which was written over."""
+    (tmp_path / lock).parent.mkdir(exist_ok=True)
+    for kept in (tmp_path / "kept", tmp_path / "not there"):
+        (tmp_path / lock).symlink_to(kept)
+        if kept.name == "kept":
+            kept.write_text("precious")
+        with (
+            pytest.raises(InputError, match="is a link, a folder or a pipe"),
+            claim(tmp_path / "out"),
+        ):
+            pass
+        (tmp_path / lock).unlink()
+    assert (tmp_path / "kept").read_text() == "precious"
+    assert not (tmp_path / "not there").exists()
+
+
+@kinds
+@pytest.mark.parametrize("make", [os.mkdir, os.mkfifo])
+def test_a_lock_that_is_no_file_is_named(make, kind, claim, lock, tmp_path):
+    (tmp_path / lock).parent.mkdir(exist_ok=True)
+    make(tmp_path / lock)
+    with pytest.raises(InputError, match="is a link, a folder or a pipe"), claim(tmp_path / "out"):
+        pass
+    assert (tmp_path / lock).exists()
+
+
+@pytest.mark.parametrize("said", [b'{"pid": 1e999, "host": "a"}', b"[" * 1000, b"\xff"])
+def test_a_holder_that_says_nonsense_is_another_process(said, tmp_path):
+    with claimed_output(tmp_path / "out"):
+        (tmp_path / ".out.lock").write_bytes(said)
+        expected = pytest.raises(InputError, match="is being written by another process")
+        with expected, claimed_output(tmp_path / "out"):
+            pass
+
+
 def test_two_registrations_do_not_share_an_output(tmp_path: Path, capsys):
     with claimed_output(tmp_path / "x.field"):
         said = error_of(capsys, "register", "scene.ply", "capture", "--features", "f", "-o", tmp_path / "x.field")  # fmt: skip

@@ -435,6 +435,10 @@ def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Captu
     assert "there is no folder" in message  # said before the field is looked for
     write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
     assert "512" in error_of(capsys, "locate", field, "--vector", tmp_path / "short.npy")
+    for number in (1e300, np.inf, np.uint64(0x7FF0000000000001).view(np.float64)):
+        np.save(tmp_path / "odd.npy", np.append(np.ones(511), number))
+        message = error_of(capsys, "locate", field, "--vector", tmp_path / "odd.npy")
+        assert "must be finite and not zero" in message  # without NumPy's own warnings
     other = tmp_path / "other.ply"
     write_gaussians(other, read_gaussians(scene).subset(np.arange(100)))
     answer = answer_of(capsys, "locate", field, "mug", "--scene", other, code=1)

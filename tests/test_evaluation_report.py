@@ -74,6 +74,13 @@ def test_features_of_others_are_scored_without_codes(dtype, tmp_path: Path) -> N
     assert scorer.about["features"] == hashed(features)
 
 
+def test_features_that_no_length_can_be_told_of_have_no_score() -> None:
+    features = unit_rows(np.random.default_rng(0), 5, TOY.dim).astype(np.float32)
+    features[1], features[2, 3], features[3, 3] = 3e38, np.nan, np.inf
+    scores = feature_scorer(features, ToyEncoder()).scores("red mug")
+    assert np.flatnonzero(np.isnan(scores)).tolist() == [1, 2, 3]
+
+
 def test_features_of_another_kind_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros((3, 4), np.float64))
     with pytest.raises(InputError, match="float16 or float32"):

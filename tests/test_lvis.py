@@ -488,8 +488,8 @@ def test_what_the_command_refuses(tmp_path, fake_encoder, capsys):
     assert "divides 16" in run(capsys, rows, *named, "--subvectors", 5, code=1)
     np.save(rows, np.ones((4, 16), np.int32))
     assert "expected floats (N, D)" in run(capsys, rows, *named, code=1)
-    for value in (0.0, np.nan):
-        bad = np.ones((4, 16), np.float32)
+    for value in (0.0, np.nan, 1e300):
+        bad = np.ones((4, 16), np.float64)
         bad[2] = value
         np.save(rows, bad)
         assert "row 2 has no direction" in run(capsys, rows, *named, code=1)

@@ -32,6 +32,7 @@ from written_captures import (
     write_colmap_binary,
     write_colmap_text,
     write_json,
+    write_photo,
     write_photos,
 )
 
@@ -282,6 +283,25 @@ def test_impossible_focal_lengths(tmp_path, focal):
     (tmp_path / "cameras.txt").write_text(f"1 PINHOLE 64 48 {focal} 50 32 24\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
     with pytest.raises(FormatError, match=r"a\.png"):
+        read_views(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"fl_x": 0, "fl_y": 50},
+        {"fl_x": 50, "fl_y": 0},
+        {"camera_angle_x": 5e-324},  # half of it is 0
+        {"camera_angle_x": 1e-310},
+        {"camera_angle_x": 1.0, "camera_angle_y": 0},
+    ],
+)
+def test_impossible_lenses_of_transforms(tmp_path, lens):
+    """None of them is replaced by that of the other axis."""
+    frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist(), "w": 64, "h": 48}
+    write_json(tmp_path / "transforms.json", {"frames": [frame | lens]})
+    write_photo(tmp_path / "a.png")
+    with pytest.raises(FormatError, match=r"frame 0 .*(focal|angle|not finite)"):
         read_views(tmp_path)
 
 

@@ -192,8 +192,9 @@ def _unit(rows: np.ndarray, wanted: np.ndarray, name: str) -> np.ndarray:
 
     from ..errors import FormatError
 
-    taken = rows[wanted].astype(np.float64)
-    norms = np.linalg.norm(taken, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        taken = rows[wanted].astype(np.float64)
+        norms = np.linalg.norm(taken, axis=1)
     bad = wanted[~(np.isfinite(norms) & (norms > 0))]
     if len(bad):
         raise FormatError(f"{name}: row {bad[0]} has no direction (zero or not finite)")

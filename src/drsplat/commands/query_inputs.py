@@ -96,4 +96,5 @@ def read_vectors(path: str) -> np.ndarray:
         raise FormatError(
             f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}"
         )
-    return np.ascontiguousarray(array, np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with zeros
+        return np.ascontiguousarray(array, np.float32)

@@ -199,10 +199,11 @@ def hash_file(path: Path) -> str:
 def _cosines(features: Float[np.ndarray, "N D"], unit: Float32[np.ndarray, " D"]) -> Scores:
     scores = np.empty(len(features), np.float32)
     for start in range(0, len(features), BLOCK):
-        block = features[start : start + BLOCK].astype(np.float32)
-        norms = np.linalg.norm(block, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scores[start : start + BLOCK] = block @ unit / np.where(norms > 0, norms, np.nan)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            block = features[start : start + BLOCK].astype(np.float32)
+            norms = np.linalg.norm(block, axis=1)
+            lengths = np.where((norms > 0) & (norms < np.inf), norms, np.nan)
+            scores[start : start + BLOCK] = block @ unit / lengths
     return scores
 
 

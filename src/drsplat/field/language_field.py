@@ -394,7 +394,8 @@ class LanguageField:
 
 
 def _unit(vectors: Float32[np.ndarray, "*n D"]) -> Float32[np.ndarray, "*n D"]:
-    norms = np.linalg.norm(vectors.astype(np.float64), axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # NaN of any kind: refused below
+        norms = np.linalg.norm(vectors.astype(np.float64), axis=-1, keepdims=True)
     if not (np.isfinite(norms) & (norms > 0)).all():
         raise InputError("embeddings to compare with must be finite and not zero")
     return np.asarray(vectors / norms, np.float32)

@@ -5,6 +5,7 @@ import fcntl
 import json
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ from ..errors import InputError
 
 LOCK = ".lock"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system that has none
+_NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO)  # a link, a folder, a socket
 
 
 @contextmanager
@@ -23,7 +25,7 @@ def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     The kernel holds the lock, on a file that says who has it. When a process is killed the lock is gone with it:
     a file that it leaves behind holds nobody up, and the next run removes it.
 
-    Raises: InputError: another process has it, or it is a file.
+    Raises: InputError: another process has it, it is a file, or what has the lock's name is none.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -37,7 +39,8 @@ def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
 def claimed_output(output: str | os.PathLike[str]) -> Iterator[None]:
     """As `claimed_folder`, of what appears as a whole and may be no more than a name yet; the lock is beside it.
 
-    Raises: InputError: another process has it, or there is no folder for it to be in.
+    Raises: InputError: another process has it, there is no folder for it to be in, or what has the lock's name is
+    no file.
     """
     path = Path(os.path.realpath(output))
     if not path.parent.is_dir():
@@ -62,7 +65,7 @@ def _held(lock: Path, output: Path) -> Iterator[None]:
 def _locked(lock: Path, output: Path) -> BinaryIO:
     """The file that has the lock's name, held."""
     while True:
-        file = open(lock, "a+b")  # noqa: SIM115  # its owner closes it
+        file = _opened(lock)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -77,6 +80,30 @@ def _locked(lock: Path, output: Path) -> BinaryIO:
             _sign(file)
             return file
         file.close()
+
+
+def _opened(lock: Path) -> BinaryIO:
+    """The file of that name, made if there is none: no link from a stranger's folder is followed to be written over.
+
+    Raises: InputError: it is no plain file.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        number = os.open(lock, flags, 0o666)
+    except OSError as error:
+        if error.errno in _NO_FILE:
+            raise _not_ours(lock) from None
+        raise
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise _not_ours(lock)
+    return os.fdopen(number, "r+b")
+
+
+def _not_ours(lock: Path) -> InputError:
+    return InputError(
+        f"{lock} is a link, a folder or a pipe, which drsplat does not make: remove it"
+    )
 
 
 def _is_named(file: BinaryIO, lock: Path) -> bool:
@@ -98,5 +125,5 @@ def _holder(file: BinaryIO) -> str:
     try:
         who = json.loads(file.read(1000))
         return f"process {int(who['pid'])} on {str(who['host'])[:100]!a}"
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return "another process"

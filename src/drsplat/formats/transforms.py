@@ -123,10 +123,11 @@ def _cam_from_world(entry: Entry, where: str) -> Float64[np.ndarray, "4 4"]:
 def _intrinsics(entry: Entry, width: int, height: int, where: str) -> Float64[np.ndarray, "3 3"]:
     fx = _focal(entry, "fl_x", "camera_angle_x", width, where)
     fy = _focal(entry, "fl_y", "camera_angle_y", height, where)
-    if fx is None and fy is None:
+    fx, fy = fy if fx is None else fx, fx if fy is None else fy
+    if fx is None or fy is None:
         raise FormatError(f"{where}: expected fl_x or camera_angle_x")
     cx, cy = _number(entry, "cx", where, width / 2), _number(entry, "cy", where, height / 2)
-    return pinhole(fx or fy or 0.0, fy or fx or 0.0, cx, cy)
+    return pinhole(fx, fy, cx, cy)
 
 
 def _focal(entry: Entry, key: str, angle_key: str, side: int, where: str) -> float | None:
@@ -135,7 +136,7 @@ def _focal(entry: Entry, key: str, angle_key: str, side: int, where: str) -> flo
     if angle_key not in entry:
         return None
     angle = _number(entry, angle_key, where, 0.0)
-    if not 0 < angle < math.pi:
+    if not 0 < angle / 2 < math.pi / 2:
         raise FormatError(f"{where}: expected {angle_key} between 0 and pi radians, got {angle}")
     return side / 2 / math.tan(angle / 2)
 
