@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from scipy.sparse import csr_array
 from study_thresholds import registered
-from world.benchmark.masks import features_of
-from world.benchmark.scenes import read_scene
 
+from benchmarks.suite.masks import features_of
+from benchmarks.suite.scenes import read_scene
 from drsplat import LanguageField, MiniEncoder, load_field, query, register
 from drsplat.asking.word_list import list_vectors
 from drsplat.contrast import contrast, relevancy_threshold

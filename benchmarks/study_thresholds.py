@@ -29,9 +29,8 @@ from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from world.benchmark.masks import MASKS
-from world.benchmark.scenes import BenchScene, read_scene
-
+from benchmarks.suite.masks import MASKS
+from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat import EncoderIdentity, ViewFeatures, load_image, read_faiss_codebook, register
 from drsplat.aggregation import aggregator
 from drsplat.contrast import CLEAR, Contrast, _contrast
