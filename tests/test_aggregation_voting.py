@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.aggregation import Aggregated, aggregator
+from drsplat.aggregation import Aggregated, Aggregator, aggregator
 from drsplat.aggregation.reliability import reliability
 from drsplat.aggregation.voting import ModeVoting
 from drsplat.encoders import EncoderIdentity
@@ -21,6 +21,7 @@ from drsplat.smoothing import field_neighbours, smoothed
 from scenes import random_gaussians
 from test_aggregation import evidence_of
 
+VOTING = Aggregator("voting", voting=ModeVoting())
 few = settings(derandomize=True, deadline=None, max_examples=15)
 
 
@@ -86,7 +87,7 @@ def two_groups(*, flipped: int) -> tuple[Evidence, Gaussians]:
 
 def test_where_neighbours_agree_nobody_changes() -> None:
     evidence, gaussians = two_groups(flipped=0)
-    voted = aggregator("voting")(evidence, gaussians)
+    voted = VOTING(evidence, gaussians)
     assert voted.donors is not None
     assert_array_equal(voted.donors, np.arange(80))
     assert_array_equal(voted.features(0, 80), evidence.features(0, 80))
@@ -94,7 +95,7 @@ def test_where_neighbours_agree_nobody_changes() -> None:
 
 def test_a_few_that_stand_alone_take_over_a_whole_feature() -> None:
     evidence, gaussians = two_groups(flipped=3)
-    voted = aggregator("voting")(evidence, gaussians)
+    voted = VOTING(evidence, gaussians)
     assert voted.donors is not None
     assert (voted.donors[:3] >= 3).all()
     assert (voted.donors[:3] < 40).all()
@@ -117,7 +118,7 @@ def test_what_lost_all_votes_gets_a_neighbours_feature_and_what_had_none_does_no
     donors = ModeVoting().donors(weighed, gaussians, np.array([5]))
     assert 0 <= donors[5] < 40
     assert ModeVoting().donors(weighed, gaussians, np.array([6]))[5] == -1
-    voted = aggregator("voting")(weighed, gaussians)
+    voted = VOTING(weighed, gaussians)
     assert not voted.present[5]
     assert voted.present.sum() == 79
     assert not voted.features(5, 6).any()
@@ -170,9 +171,9 @@ def test_a_field_of_donors_keeps_everyones_own_evidence() -> None:
 def test_voting_needs_the_gaussians_of_the_rows() -> None:
     evidence, gaussians = two_groups(flipped=0)
     with pytest.raises(InputError, match="'voting' looks at neighbouring Gaussians"):
-        aggregator("voting")(evidence)
+        VOTING(evidence)
     with pytest.raises(MismatchError, match="79 Gaussians for evidence of 80"):
-        aggregator("voting")(evidence, gaussians.subset(np.arange(79)))
+        VOTING(evidence, gaussians.subset(np.arange(79)))
     with pytest.raises(InputError, match="79 features for evidence of 80"):
         build_field(
             evidence, "s", EncoderIdentity("e", 8), aggregated=aggregator("mean")(evidence.rows(np.arange(79)))

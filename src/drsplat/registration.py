@@ -134,7 +134,7 @@ class Registration:
         if wanted not in (None, self.sampling):
             raise MismatchError(
                 f"aggregator '{how.name}' is for {how.sampling}, this registration is of "
-                f"{self.sampling or 'unknown sampling'}: pass sampling=aggregator('{how.name}').sampling to register"
+                f"{self.sampling or 'unknown sampling'}: pass sampling={how.sampling} to register"
             )
         if gaussians is not None and gaussians.fingerprint != self.scene:
             raise MismatchError(

@@ -12,18 +12,15 @@ from ..errors import InputError, MismatchError
 from ..evidence import Evidence
 from ..gaussians import Gaussians
 from .entries import canonical
-from .gates import Gated, MassGate, QuantileGate, Spared
-from .medians import CosineMedian
 from .outliers import OutlierRejection
-from .pruning import Pruned
 from .record import AggregatorRecord
-from .sampling import CENTRES, Sampling
-from .tempering import Tempered
+from .sampling import Sampling
 from .trust import MaskTrust
 from .voting import ModeVoting
 
 Step = Callable[[Evidence, int], Evidence]
-"""Other weights for the same votes: (evidence, threads) -> evidence. Adds no entry."""
+"""Other weights for the same votes: (evidence, threads) -> evidence. Adds no entry. A dataclass of numbers, which are
+its parameters; a step of several such has them as `parts`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +99,12 @@ class Aggregator:
     @property
     def parameters(self) -> dict[str, float]:
         """All numbers of its steps, as "MassGate.share"."""
-        parts = [part for step in self.steps for part in _parts(step)]
+        parts = [part for step in self.steps for part in getattr(step, "parts", (step,))]
         parts += [self.voting] if self.voting else []
         return {
             f"{type(part).__name__}.{name}": value
             for part in parts
-            for name, value in asdict(part).items()  # type: ignore[call-overload]
+            for name, value in asdict(part).items()  # type: ignore[arg-type]
         }
 
     def record(self, sampling: Sampling | None = None) -> AggregatorRecord:
@@ -115,27 +112,12 @@ class Aggregator:
         return AggregatorRecord(self.name, self.parameters, sampling or self.sampling)
 
 
-def _parts(step: Step) -> tuple[object, ...]:
-    if isinstance(step, Spared):
-        return step.gated.gates
-    return step.gates if isinstance(step, Gated) else (step,)
-
-
 MEAN = Aggregator("mean")
 _ALL = (
     MEAN,
     Aggregator("official", Sampling(45, 100)),
-    Aggregator("centre-pixel", CENTRES),
-    Aggregator("vala", CENTRES, (Gated(), CosineMedian(), Pruned())),
-    Aggregator("mass-gate", steps=(Gated((MassGate(),)),)),
-    Aggregator("quantile-gate", steps=(Gated((QuantileGate(),)),)),
-    Aggregator("gates", steps=(Gated(),)),
-    Aggregator("spared-gates", steps=(Spared(),)),
-    Aggregator("median", steps=(CosineMedian(),)),
     Aggregator("inliers", steps=(OutlierRejection(),)),
-    Aggregator("tempered", steps=(Tempered(),)),
     Aggregator("trusted", steps=(MaskTrust(),)),
-    Aggregator("voting", voting=ModeVoting()),
     Aggregator("robust", steps=(MaskTrust(),), voting=ModeVoting()),
 )
 AGGREGATORS: Mapping[str, Aggregator] = MappingProxyType({a.name: a for a in _ALL})

@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--aggregator", type=words, default="mean", metavar="NAME",
         help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
-        "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
+        "code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
     )  # fmt: skip
     add_near(method)
     _add_code(method)
