@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import drsplat as ds
-from drsplat.formats.activation import SH_C0
+from drsplat.gaussians import SH_C0
 from drsplat.pictures import as_pixels, write_picture
 from scenes import look_at_view, random_gaussians
 

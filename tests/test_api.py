@@ -24,9 +24,9 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "placing", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
+    "errors", "placing", "rotations", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
     "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
-    "thresholds", "contrast", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "pictures", "progress", "palette", "asking", "access", "viewing", "triangulation", "training",
+    "thresholds", "contrast", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "palette", "pictures", "progress", "asking", "access", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",
 )  # fmt: skip
 SOURCE = Path(drsplat.__file__).parent
@@ -93,3 +93,14 @@ def test_imports_go_one_way(path: Path) -> None:
     assert own in ORDER, f"give the new module '{own}' its place in ORDER"
     upwards = {name for name in imports_of(path) if ORDER.index(name) > ORDER.index(own)}
     assert not upwards, f"{own} comes before {upwards}"
+
+
+@pytest.mark.parametrize(
+    "written",
+    ["0.2820947917", "0.299, 0.587", "1 - 2 * (y * y + z * z)", "searchsorted(field.gaussian_ids"],
+)
+def test_a_rule_is_written_once(written: str) -> None:
+    """Beside the twins, whose point is to be written again."""
+    production = [path for path in SOURCE.rglob("*.py") if "reference" not in path.name]
+    found = [path.name for path in production if written in path.read_text(encoding="utf-8")]
+    assert len(found) <= 1, found

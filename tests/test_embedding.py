@@ -24,10 +24,10 @@ from drsplat.crops import crop
 from drsplat.embedding import embed as embed_compactly
 from drsplat.embedding import recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
-from drsplat.formats.activation import SH_C0
 from drsplat.formats.checksums import sealed
 from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, read_features
+from drsplat.gaussians import SH_C0
 from drsplat.pictures import as_pixels, write_picture
 from drsplat.views import View
 from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder

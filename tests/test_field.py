@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -557,3 +557,18 @@ def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
     assert metadata == {"field": "x"}
     for name, array in back.items():
         assert_array_equal(array, theirs[name])
+
+
+def test_rows_of_gaussians() -> None:
+    field = toy_field()
+    ids = field.gaussian_ids.astype(np.int64)
+    assert_array_equal(field.rows_of(ids[::-1]), np.arange(len(field))[::-1])
+    absent = np.setdiff1d(np.arange(-2, field.num_gaussians + 2), ids)
+    assert len(absent) > 4
+    assert (field.rows_of(absent) == -1).all()
+    assert field.rows_of(np.array([2**40, -(2**40)])).tolist() == [-1, -1]
+    nothing = np.empty(0, np.int64)
+    none = replace(
+        field, gaussian_ids=field.gaussian_ids[:0], code=field.code.rows(nothing), evidence=None
+    )
+    assert none.rows_of(ids[:2]).tolist() == [-1, -1]

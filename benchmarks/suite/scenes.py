@@ -15,7 +15,7 @@ from drsplat import Gaussians, View, read_gaussians, read_views
 from drsplat.evaluation.label_sets import label_set
 from drsplat.evaluation.lerf_ovs import LerfScene, read_lerf_scene, without_labelled
 from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene
-from drsplat.evaluation.scorers import hash_file
+from drsplat.formats.checksums import hash_file
 
 LABEL_SET = "household"
 OPACITY = 0.9  # of Gaussians that stand for labelled points

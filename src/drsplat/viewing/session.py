@@ -10,14 +10,14 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from ..asking import AskableScene, Classes, Question
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..gaussians import SH_C0, Gaussians
 from ..palette import class_colors
 from ..terminal import counted
 from . import painting, results
 from .naming import This, this_is
 from .picking import hit_by_ray
 from .results import Result
-from .shown import SH_C0, Shown, base_colors, shown_of
+from .shown import Shown, base_colors, shown_of
 
 MOST_QUERIES = 8  # at once: as many as there are colours
 
