@@ -227,7 +227,7 @@ def main() -> None:
     with timed("registering"):
         views = ds.read_views(folder)
         features = ds.read_features(folder / "features", encoder=encoder.identity)
-        registration = ds.register(gaussians, views, features, topk=40)
+        registration = ds.register(gaussians, views, features)
     with timed("building and saving the field"):
         registration.to_field().save(folder / "scene.field", overwrite=True)
     print(

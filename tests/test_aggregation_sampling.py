@@ -28,7 +28,7 @@ def test_the_published_code_is_one_word_away(gaussians) -> None:
     views, features = capture()
     how = aggregator("official")
     ours = register(gaussians, views, features, sampling=how.sampling)
-    assert same(ours, register(gaussians, views, features, 45, first_hits=100))
+    assert same(ours, register(gaussians, views, features, Sampling(45, 100)))
     field = ours.to_field(aggregator="official")
     assert field.fingerprint == ours.to_field().fingerprint
     assert field.aggregator.sampling == Sampling(45, 100, near=0.2)
@@ -45,7 +45,7 @@ def test_an_aggregator_for_another_sampling_is_refused(gaussians) -> None:
     with pytest.raises(MismatchError, match="pass those registered"):
         plain.to_field(aggregator="robust", gaussians=random_gaussians(400, seed=4))
     with pytest.raises(MismatchError, match="in the same way"):
-        plain.merged(register(gaussians, views, features, topk=3))
+        plain.merged(register(gaussians, views, features, sampling=Sampling(3)))
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_samplings_that_make_no_sense_are_refused(given: dict, said: str) -> Non
 
 def test_a_field_remembers_what_made_it(gaussians, tmp_path: Path) -> None:
     views, features = capture()
-    registration = register(gaussians, views, features, topk=10)
+    registration = register(gaussians, views, features, sampling=Sampling(10))
     field = registration.to_field(aggregator="robust", gaussians=gaussians)
     field.save(tmp_path / "a.field")
     again = load_field(tmp_path / "a.field")

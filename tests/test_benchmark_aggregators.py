@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.aggregation import AggregatorRecord, aggregator
+from drsplat.aggregation import AggregatorRecord, Sampling, aggregator
 from drsplat.aggregation.by_view import effective_views
 from drsplat.aggregation.outliers import OutlierRejection
 from drsplat.errors import InputError, MismatchError
@@ -250,7 +250,7 @@ def test_registering_centres(gaussians) -> None:
 
 def test_parts_of_centres_are_not_those_of_masks(gaussians, tmp_path: Path) -> None:
     views, features = capture(1)
-    register(gaussians, views, features, topk=None, parts=tmp_path)
+    register(gaussians, views, features, sampling=Sampling(None), parts=tmp_path)
     ours = register(gaussians, views, features, sampling=CentrePixels(), parts=tmp_path)
     assert same(ours, register(gaussians, views, features, sampling=CentrePixels()))
 

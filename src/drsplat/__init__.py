@@ -10,9 +10,19 @@ if TYPE_CHECKING:
     __version__: str
     from .adapters.loading import load_encoder
     from .adapters.sam import load_segmenter
+    from .aggregation import Sampling
     from .asking.query import query
-    from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
-    from .codes.mixture import choose_code, recoded
+    from .codes import (
+        PQ,
+        Codebook,
+        Mixture,
+        Smaller,
+        load_codebook,
+        read_faiss_codebook,
+        save_codebook,
+        train_codebook,
+    )
+    from .codes.mixture import recoded
     from .embedding import embed
     from .encoders import Encoder, EncoderIdentity, ImageEncoder
     from .errors import (
@@ -50,14 +60,18 @@ _HOMES = {
     "adapters.loading": ("load_encoder",),
     "adapters.sam": ("load_segmenter",),
     "asking.query": ("query",),
+    "aggregation": ("Sampling",),
     "codes": (
+        "PQ",
         "Codebook",
+        "Mixture",
+        "Smaller",
         "load_codebook",
         "read_faiss_codebook",
         "save_codebook",
         "train_codebook",
     ),
-    "codes.mixture": ("choose_code", "recoded"),
+    "codes.mixture": ("recoded",),
     "embedding": ("embed",),
     "encoders": ("Encoder", "EncoderIdentity", "ImageEncoder"),
     "errors": (
@@ -94,6 +108,7 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "PQ",
     "Codebook",
     "DrSplatError",
     "DrSplatWarning",
@@ -110,8 +125,11 @@ __all__ = [
     "MiniEncoder",
     "MismatchError",
     "MissingExtraError",
+    "Mixture",
     "Registration",
+    "Sampling",
     "Segmenter",
+    "Smaller",
     "SparsePoints",
     "Training",
     "TrainingSettings",
@@ -120,7 +138,6 @@ __all__ = [
     "WordEncoder",
     "__version__",
     "automatic_threshold",
-    "choose_code",
     "embed",
     "embed_query",
     "feature_at",

@@ -1,7 +1,7 @@
 """From a row of W to one feature per Gaussian: rules for the weights, put together and named."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -13,7 +13,7 @@ from ..evidence import Evidence
 from ..gaussians import Gaussians
 from .entries import canonical
 from .outliers import OutlierRejection
-from .record import AggregatorRecord
+from .record import MEAN_RECORD, AggregatorRecord
 from .sampling import Sampling
 from .trust import MaskTrust
 from .voting import ModeVoting
@@ -28,11 +28,12 @@ class Aggregated:
     """Features of all rows, made when they are asked for.
 
     evidence: the votes that count, with the weights that they count with. donors: for each row the row of
-    `evidence` whose feature it has, or -1; None: its own.
+    `evidence` whose feature it has, or -1; None: its own. record: what made them.
     """
 
     evidence: Evidence
     donors: Int32[np.ndarray, " r"] | None = None
+    record: AggregatorRecord = MEAN_RECORD
 
     def __len__(self) -> int:
         return len(self.evidence) if self.donors is None else len(self.donors)
@@ -58,8 +59,8 @@ class Aggregated:
     def rows(self, index: Integer[np.ndarray, " r"]) -> "Aggregated":
         """Of some rows, in that order."""
         if self.donors is None:
-            return Aggregated(self.evidence.rows(index))
-        return Aggregated(self.evidence, self.donors[index])
+            return replace(self, evidence=self.evidence.rows(index))
+        return replace(self, donors=self.donors[index])
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Aggregator:
         for step in self.steps:
             weighed = step(weighed, threads)
         if self.voting is None:
-            return Aggregated(weighed)
+            return Aggregated(weighed, record=self.record())
         if gaussians is None:
             raise InputError(
                 f"aggregator '{self.name}' looks at neighbouring Gaussians: pass gaussians"
@@ -94,10 +95,11 @@ class Aggregator:
                 f"{len(gaussians)} Gaussians for evidence of {len(evidence)}: pass those registered"
             )
         seen = np.flatnonzero(np.diff(evidence.weights.indptr) > 0)
-        return Aggregated(weighed, self.voting.donors(weighed, gaussians, seen, threads))
+        donors = self.voting.donors(weighed, gaussians, seen, threads)
+        return Aggregated(weighed, donors, self.record())
 
     @property
-    def parameters(self) -> dict[str, float]:
+    def parameters(self) -> dict[str, int | float]:
         """All numbers of its steps, as "MassGate.share"."""
         parts = [part for step in self.steps for part in getattr(step, "parts", (step,))]
         parts += [self.voting] if self.voting else []
