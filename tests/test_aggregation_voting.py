@@ -1,4 +1,4 @@
-"""Neighbours' votes against a slow twin, and smoothing of scores."""
+"""Neighbours' votes against a slow twin."""
 
 from dataclasses import replace
 
@@ -17,7 +17,6 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.gaussians import Gaussians
-from drsplat.smoothing import field_neighbours, smoothed
 from scenes import random_gaussians
 from test_aggregation import evidence_of
 
@@ -178,58 +177,3 @@ def test_voting_needs_the_gaussians_of_the_rows() -> None:
         build_field(
             evidence, "s", EncoderIdentity("e", 8), aggregated=aggregator("mean")(evidence.rows(np.arange(79)))
         )  # fmt: skip
-
-
-def field_and_scene() -> tuple:
-    evidence, gaussians = (
-        evidence_of(np.random.default_rng(3), rows=200),
-        random_gaussians(200, seed=4),
-    )
-    return build_field(evidence, gaussians.fingerprint, EncoderIdentity("e", 16)), gaussians
-
-
-def test_smoothing_is_half_of_oneself_and_half_of_the_neighbours() -> None:
-    field, gaussians = field_and_scene()
-    near = field_neighbours(field, gaussians, 4)
-    points = gaussians.means[field.gaussian_ids].astype(float)
-    scores = np.random.default_rng(5).random(len(field)).astype(np.float32)
-    ours = smoothed(scores, near)
-    for i in range(len(field)):
-        order = np.argsort(np.linalg.norm(points - points[i], axis=1))[1:5]
-        assert set(near[i]) == set(order)
-        assert ours[i] == pytest.approx(0.5 * scores[i] + 0.5 * scores[order].mean(), abs=1e-6)
-    assert_array_equal(smoothed(scores, near, 0.0), scores)
-    assert_allclose(smoothed(np.full(len(field), 0.3, np.float32), near), 0.3, atol=1e-7)
-
-
-def test_neighbours_are_never_oneself_even_at_one_place() -> None:
-    field, gaussians = field_and_scene()
-    heap = replace(gaussians, means=np.zeros_like(gaussians.means))
-    field = replace(field, scene=heap.fingerprint)
-    near = field_neighbours(field, heap, 5)
-    assert near.shape == (len(field), 5)
-    assert not (near == np.arange(len(field))[:, None]).any()
-
-
-def test_few_rows_have_few_neighbours() -> None:
-    evidence, gaussians = evidence_of(np.random.default_rng(6), rows=3), random_gaussians(3, seed=0)
-    dense = evidence.weights.toarray()
-    for seen in (1, 3):
-        kept = replace(
-            evidence, weights=csr_array(np.where(np.arange(3)[:, None] < seen, dense, 0))
-        )
-        field = build_field(kept, gaussians.fingerprint, EncoderIdentity("e", 16))
-        near = field_neighbours(field, gaussians)
-        assert near.shape == (seen, seen - 1)
-        scores = np.arange(seen, dtype=np.float32)
-        assert smoothed(scores, near).mean() == pytest.approx(scores.mean())
-
-
-def test_smoothing_refuses_what_does_not_belong() -> None:
-    field, gaussians = field_and_scene()
-    with pytest.raises(MismatchError):
-        field_neighbours(field, random_gaussians(200, seed=9))
-    with pytest.raises(InputError, match="count"):
-        field_neighbours(field, gaussians, 0)
-    with pytest.raises(InputError, match="share"):
-        smoothed(np.zeros(3, np.float32), np.zeros((3, 1), np.int64), 1.5)

@@ -25,7 +25,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 # A module imports only from those before it, or from its own package.
 ORDER = (
     "errors", "placing", "rotations", "defaults", "nouns", "terminal", "kinds", "contents", "gaussians", "views", "boxes", "units", "features", "segments", "mask_selection", "crops", "encoders", "lens", "picture_costs", "photos",
-    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering", "smoothing",
+    "formats", "kernels", "codes", "evidence", "aggregation", "field", "columns", "registration", "rendering",
     "thresholds", "contrast", "search", "tasks", "words", "mini", "graph", "adapters", "embedding", "patches", "support", "palette", "pictures", "progress", "asking", "access", "viewing", "triangulation", "training",
     "evaluation", "demo", "serving", "commands", "cli", "__main__",
 )  # fmt: skip
