@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from world.furnished.story import Story
 
 from drsplat import MiniEncoder, WordEncoder, select, write_gaussians
 from drsplat.asking import AskableScene, Question, find_scene, open_scene
@@ -20,6 +19,7 @@ from drsplat.boxes import upward
 from drsplat.demo import story as household
 from drsplat.errors import InputError, MismatchError
 from drsplat.search import feature_at
+from furnished.story import Story
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished.story import Story
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import (
@@ -32,6 +31,7 @@ from drsplat.demo import story as household
 from drsplat.demo.questions import QUESTIONS
 from drsplat.formats.npy import write_npy
 from drsplat.progress import peak_memory_bytes, track
+from furnished.story import Story
 
 
 @pytest.fixture(scope="module")

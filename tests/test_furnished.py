@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from world.cameras import look_at
-from world.furnished import surfaces
-from world.furnished.cameras import walk
-from world.furnished.capture import write_model
-from world.furnished.masks import MISSED_SHARE, MaskMaker, exact_labels, perturbed
-from world.furnished.questions import QUESTIONS
-from world.furnished.room import INVENTORY, _facing, build_room
-from world.furnished.story import Setup, Story, intersection_over_union, tell
 
 from drsplat import InputError, WordEncoder, read_views, splat_arrays, topk_contributions
+from furnished import surfaces
+from furnished.cameras import walk
+from furnished.capture import write_model
+from furnished.masks import MISSED_SHARE, MaskMaker, exact_labels, perturbed
+from furnished.questions import QUESTIONS
+from furnished.room import INVENTORY, _facing, build_room
+from furnished.story import Setup, Story, intersection_over_union, tell
 
 BOX_AREA = 2 * (0.4 * 0.3 + 0.4 * 0.2 + 0.3 * 0.2)
 CONVEX = {

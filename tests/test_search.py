@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from world.furnished.story import Story
 
 from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
 from drsplat.asking.query import query
@@ -25,6 +24,7 @@ from drsplat.search import (
     without,
 )
 from fields import ToyEncoder, toy_field, unit_rows
+from furnished.story import Story
 
 
 def test_an_answer_is_the_fields_own_scores_and_relevancy() -> None:

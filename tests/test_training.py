@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished.capture import write_model
 
 import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
@@ -23,6 +22,7 @@ from drsplat.formats.ply import write_vertices
 from drsplat.formats.replacing import replacing
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.training.devices import chosen_device
+from furnished.capture import write_model
 
 BUSY = ds.TrainingSettings(
     iterations=120, refine_from=20, refine_every=20, reset_every=60, reset_recovery=20,

@@ -1,10 +1,9 @@
 """Where the photographer of the demo stands."""
 
 import numpy as np
+from world.cameras import look_at
 
 from drsplat.views import View
-
-from ..cameras import look_at
 
 Number = int | float
 Point = tuple[Number, Number, Number] | np.ndarray
