@@ -32,7 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.suite.aggregators import MEASURED
 from benchmarks.suite.masks import MASKS
 from benchmarks.suite.scenes import BenchScene, read_scene
-from drsplat import EncoderIdentity, ViewFeatures, load_image, read_faiss_codebook, register
+from drsplat import EncoderIdentity, ViewFeatures, load_image, register
+from drsplat.codes import read_faiss_codebook
 from drsplat.contrast import CLEAR, Contrast, _contrast
 from drsplat.evidence import Evidence
 from drsplat.mask_selection import segment_maps

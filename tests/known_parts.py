@@ -13,7 +13,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
 import drsplat as ds
-from drsplat.kernels import render_channels
+from drsplat.kernels import render_channels, splat_arrays
 
 DIM = 512
 NOISE = 0.5  # length of the noise on a unit vector: masks of one part are at cosine 0.8
@@ -55,7 +55,7 @@ def part_masks(
     directions: Float32[np.ndarray, "p d"],
 ) -> dict[str, ds.ViewFeatures]:
     """Features of every view: the part seen at each pixel, noisy vectors."""
-    splats, rng, features = ds.splat_arrays(gaussians), np.random.default_rng(1), {}
+    splats, rng, features = splat_arrays(gaussians), np.random.default_rng(1), {}
     one_hot = np.eye(len(directions), dtype=np.float32)[parts.labels]
     for view in views:
         seen = render_channels(splats, view, one_hot)

@@ -15,6 +15,9 @@ from skimage.color import rgb2lab
 from skimage.measure import label
 
 import drsplat as ds
+from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.langsplat import write_features
+from drsplat.kernels import splat_arrays
 from drsplat.pictures import as_pixels, write_picture
 
 BACKDROP = 0.93  # grey level of the studio behind the object
@@ -141,14 +144,14 @@ def colour_patches(
 def write_capture(folder: Path, gaussians: ds.Gaussians, views: Sequence[ds.View]) -> None:
     """folder/images, folder/cameras.json and folder/features, as a user would have them."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    ds.write_cameras_json(folder / "cameras.json", views, overwrite=True)
-    encoder, splats = ColourEncoder(), ds.splat_arrays(gaussians)
+    write_cameras_json(folder / "cameras.json", views, overwrite=True)
+    encoder, splats = ColourEncoder(), splat_arrays(gaussians)
     for view in views:
         seen = ds.render(gaussians, view, splats=splats)
         photo = seen.rgb + (1 - seen.alpha[..., None]) * np.float32(BACKDROP)
         write_picture(folder / "images" / view.name, as_pixels(photo), overwrite=True)
         segment_ids, lab = colour_patches(seen.rgb, seen.alpha)
         stem = Path(view.name).stem
-        ds.write_features(
+        write_features(
             folder / "features", stem, segment_ids, encoder.encode_lab(lab), overwrite=True
         )

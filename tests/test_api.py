@@ -11,14 +11,14 @@ import pytest
 import drsplat
 
 PUBLIC = {
-    "Codebook", "PQ", "Mixture", "Sampling", "Smaller", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "FormatError",
-    "Gaussians", "ImageEncoder", "InputError", "Instance", "LanguageField", "Masks", "MiniEncoder", "MismatchError", "MissingExtraError",
-    "Registration", "Segmenter", "SparsePoints", "Training", "TrainingSettings", "View", "ViewFeatures",
+    "Codebook", "PQ", "Mixture", "Sampling", "Smaller", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", 
+    "Gaussians", "Instance", "LanguageField", "MiniEncoder", 
+    "Registration", "TrainingSettings", "View", "ViewFeatures",
     "GraphSegmenter", "WordEncoder", "__version__", "automatic_threshold", "embed", "embed_query", "feature_at", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter",
-    "locate", "query", "read_faiss_codebook", "recoded", "read_features", "read_gaussians",
-    "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "save_codebook",
-    "segment", "select", "splat_arrays", "supporting_masks", "topk_contributions", "train", "train_codebook",
-    "view_weights", "write_cameras_json", "write_features", "write_gaussians",
+    "locate", "query", "read_features", "read_gaussians",
+    "read_sparse_points", "read_views", "read_vocabulary", "register", "render", 
+    "segment", "select", "supporting_masks", "train", "train_codebook",
+    "write_gaussians",
 }  # fmt: skip
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 

@@ -11,10 +11,11 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from drsplat import Gaussians, InputError, MismatchError, load_field, locate, register
+from drsplat import Gaussians, load_field, locate, register
 from drsplat.aggregation import Sampling
 from drsplat.boxes import Box, box_of, mixture_quantile, up_of, upward
 from drsplat.codes import PQ
+from drsplat.errors import InputError, MismatchError
 from drsplat.formats.field_folder import MANIFEST
 from scenes import look_at_view, random_gaussians
 from test_registration import capture

@@ -22,13 +22,13 @@ from drsplat import (
     load_field,
     read_gaussians,
     read_views,
-    save_codebook,
-    write_cameras_json,
     write_gaussians,
 )
 from drsplat.cli import VERBS, main
+from drsplat.codes import save_codebook
 from drsplat.demo import story as household
 from drsplat.demo.questions import QUESTIONS
+from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
 from drsplat.progress import peak_memory_bytes, track
 from furnished.story import Story

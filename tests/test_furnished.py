@@ -7,7 +7,9 @@ import pytest
 from PIL import Image
 from world.cameras import look_at
 
-from drsplat import InputError, WordEncoder, read_views, splat_arrays, topk_contributions
+from drsplat import WordEncoder, read_views
+from drsplat.errors import InputError
+from drsplat.kernels import splat_arrays, topk_contributions
 from furnished import surfaces
 from furnished.cameras import walk
 from furnished.capture import write_model

@@ -12,12 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
-from drsplat import DrSplatWarning, Gaussians, InputError, View
+from drsplat import DrSplatWarning, Gaussians, View
 from drsplat.aggregation import Sampling
 from drsplat.asking.places import nearest_gaussian
+from drsplat.errors import InputError
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
-from drsplat.kernels import reference
+from drsplat.kernels import reference, splat_arrays
 from drsplat.placing import PUBLISHED_NEAR, local_origin, near_plane
 from drsplat.training import TrainingSettings, train
 from drsplat.viewing.picking import hit_by_ray
@@ -108,9 +109,9 @@ def test_a_far_scene_in_float32_is_registered_as_exactly_as_it_is_kept(gaussians
 
 def test_the_twin_sees_a_far_scene_as_a_near_one(gaussians, views) -> None:
     by = np.array([1e6, -2e6, 3e5])
-    far = ds.splat_arrays(replace(gaussians, origin=by))
+    far = splat_arrays(replace(gaussians, origin=by))
     mine = reference.contributors(far, moved(views, by)[0])
-    own = reference.contributors(ds.splat_arrays(gaussians), views[0])
+    own = reference.contributors(splat_arrays(gaussians), views[0])
     assert_array_equal(mine.ids, own.ids)
     assert_allclose(mine.weights, own.weights, rtol=1e-6)
 
@@ -128,7 +129,7 @@ def test_ordinary_scenes_have_the_published_near_plane_and_no_origin() -> None:
     assert room.near == PUBLISHED_NEAR == 0.2
     assert room.localized() is room
     assert not local_origin(room.means + np.float32(200)).any()
-    assert ds.splat_arrays(room).near == 0.2
+    assert splat_arrays(room).near == 0.2
 
 
 def test_the_near_plane_is_a_share_of_small_scenes_and_never_more_than_published() -> None:
@@ -154,7 +155,7 @@ def test_a_near_plane_can_be_given_and_is_recorded(gaussians, views, tmp_path: P
     field.save(tmp_path / "a.field")
     assert ds.load_field(tmp_path / "a.field").aggregator.sampling == far.sampling
     with pytest.raises(InputError, match="in front of the camera"):
-        ds.splat_arrays(gaussians, near=-1.0)
+        splat_arrays(gaussians, near=-1.0)
 
 
 def double_ply(path: Path, gaussians: Gaussians, by: np.ndarray) -> None:

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
+from drsplat import Gaussians, LanguageField, View, WordEncoder
 from drsplat.asking.query import query
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
+from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.search import (
     LOWEST,
     NEGATIVES,

@@ -17,6 +17,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
+from drsplat.errors import InputError, MissingExtraError
+from drsplat.formats.captures import SparsePoints
 from drsplat.kernels import training as kernels
 from drsplat.training import cuda, devices
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
@@ -87,11 +89,11 @@ def test_what_is_absent_is_said_with_the_pip_line(machine, tmp_path, absent, sai
     for part in absent:
         setattr(machine, part, False)
     assert devices.chosen_device("auto") == "cpu"
-    with pytest.raises(ds.MissingExtraError, match=said) as caught:
+    with pytest.raises(MissingExtraError, match=said) as caught:
         ds.train([], None, tmp_path / "model", device="cuda")
     assert 'pip install "drsplat[cuda]"' in str(caught.value)
     assert "'cpu'" in str(caught.value)
-    with pytest.raises(ds.MissingExtraError, match=said):
+    with pytest.raises(MissingExtraError, match=said):
         cuda.train(Job([], output_dir=tmp_path / "model"))
     assert not (tmp_path / "model").exists()
 
@@ -103,7 +105,7 @@ def test_kernels_that_cannot_be_built_are_an_error(machine, monkeypatch):
         return SimpleNamespace(__version__="9.9", cuda=SimpleNamespace(is_available=lambda: True))
 
     monkeypatch.setattr(cuda, "import_module", broken)
-    with pytest.raises(ds.MissingExtraError, match="Ninja is required"):
+    with pytest.raises(MissingExtraError, match="Ninja is required"):
         cuda.installed_engine()
 
 
@@ -311,7 +313,7 @@ def views(scene, tmp_path_factory) -> list[ds.View]:
 
 
 @pytest.fixture(scope="module")
-def points(scene) -> ds.SparsePoints:
+def points(scene) -> SparsePoints:
     return perturbed_points(scene)
 
 
@@ -398,7 +400,7 @@ def test_the_whole_of_train(views, points, tmp_path):
 def test_what_gsplat_has_fixed_is_refused(views, points, changed, said):
     from drsplat.training.gsplat_loop import train
 
-    with pytest.raises(ds.InputError, match=said):
+    with pytest.raises(InputError, match=said):
         train(Job(views, replace(BUSY, **changed), points=points), engine_of())
 
 

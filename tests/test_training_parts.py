@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy import integrate
 
-from drsplat import InputError, SparsePoints, TrainingSettings, View, progress
+from drsplat import TrainingSettings, View, progress
+from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
+from drsplat.formats.captures import SparsePoints
 from drsplat.kernels.training import Gradients, SceneParameters
 from drsplat.rotations import rotation_matrices
 from drsplat.training.density import AdaptiveDensity, reset_opacity, split

@@ -12,47 +12,27 @@ if TYPE_CHECKING:
     from .adapters.sam import load_segmenter
     from .aggregation import Sampling
     from .asking.query import query
-    from .codes import (
-        PQ,
-        Codebook,
-        Mixture,
-        Smaller,
-        load_codebook,
-        read_faiss_codebook,
-        save_codebook,
-        train_codebook,
-    )
-    from .codes.mixture import recoded
+    from .codes import PQ, Codebook, Mixture, Smaller, load_codebook, train_codebook
     from .embedding import embed
-    from .encoders import Encoder, EncoderIdentity, ImageEncoder
-    from .errors import (
-        DrSplatError,
-        DrSplatWarning,
-        FormatError,
-        InputError,
-        MismatchError,
-        MissingExtraError,
-    )
+    from .encoders import Encoder, EncoderIdentity
+    from .errors import DrSplatError, DrSplatWarning
     from .features import ViewFeatures
     from .field import LanguageField, load_field
-    from .formats.cameras_json import write_cameras_json
-    from .formats.captures import SparsePoints, read_sparse_points, read_views
-    from .formats.langsplat import read_features, write_features
+    from .formats.captures import read_sparse_points, read_views
+    from .formats.langsplat import read_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
     from .gaussians import Gaussians
     from .graph import GraphSegmenter
-    from .kernels import splat_arrays, topk_contributions, view_weights
     from .mini import MiniEncoder
     from .photos import load_image
     from .registration import Registration, register
     from .rendering import render
     from .search import embed_query, feature_at
-    from .segments import Masks, Segmenter
     from .support import supporting_masks
     from .tasks import Instance, locate, segment, select
     from .thresholds import automatic_threshold
-    from .training import Training, TrainingSettings, train
+    from .training import TrainingSettings, train
     from .views import View
     from .words import WordEncoder
 
@@ -61,47 +41,27 @@ _HOMES = {
     "adapters.sam": ("load_segmenter",),
     "asking.query": ("query",),
     "aggregation": ("Sampling",),
-    "codes": (
-        "PQ",
-        "Codebook",
-        "Mixture",
-        "Smaller",
-        "load_codebook",
-        "read_faiss_codebook",
-        "save_codebook",
-        "train_codebook",
-    ),
-    "codes.mixture": ("recoded",),
+    "codes": ("PQ", "Codebook", "Mixture", "Smaller", "load_codebook", "train_codebook"),
     "embedding": ("embed",),
-    "encoders": ("Encoder", "EncoderIdentity", "ImageEncoder"),
-    "errors": (
-        "DrSplatError",
-        "DrSplatWarning",
-        "FormatError",
-        "InputError",
-        "MismatchError",
-        "MissingExtraError",
-    ),
+    "encoders": ("Encoder", "EncoderIdentity"),
+    "errors": ("DrSplatError", "DrSplatWarning"),
     "features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"),
-    "formats.cameras_json": ("write_cameras_json",),
-    "formats.captures": ("SparsePoints", "read_sparse_points", "read_views"),
-    "formats.langsplat": ("read_features", "write_features"),
+    "formats.captures": ("read_sparse_points", "read_views"),
+    "formats.langsplat": ("read_features",),
     "formats.scenes": ("read_gaussians", "write_gaussians"),
     "formats.vocabulary": ("read_vocabulary",),
     "gaussians": ("Gaussians",),
     "graph": ("GraphSegmenter",),
-    "kernels": ("splat_arrays", "topk_contributions", "view_weights"),
     "mini": ("MiniEncoder",),
     "photos": ("load_image",),
     "registration": ("Registration", "register"),
     "rendering": ("render",),
     "search": ("embed_query", "feature_at"),
-    "segments": ("Masks", "Segmenter"),
     "support": ("supporting_masks",),
     "tasks": ("Instance", "locate", "segment", "select"),
     "thresholds": ("automatic_threshold",),
-    "training": ("Training", "TrainingSettings", "train"),
+    "training": ("TrainingSettings", "train"),
     "views": ("View",),
     "words": ("WordEncoder",),
 }
@@ -114,24 +74,15 @@ __all__ = [
     "DrSplatWarning",
     "Encoder",
     "EncoderIdentity",
-    "FormatError",
     "Gaussians",
     "GraphSegmenter",
-    "ImageEncoder",
-    "InputError",
     "Instance",
     "LanguageField",
-    "Masks",
     "MiniEncoder",
-    "MismatchError",
-    "MissingExtraError",
     "Mixture",
     "Registration",
     "Sampling",
-    "Segmenter",
     "Smaller",
-    "SparsePoints",
-    "Training",
     "TrainingSettings",
     "View",
     "ViewFeatures",
@@ -148,26 +99,18 @@ __all__ = [
     "load_segmenter",
     "locate",
     "query",
-    "read_faiss_codebook",
     "read_features",
     "read_gaussians",
     "read_sparse_points",
     "read_views",
     "read_vocabulary",
-    "recoded",
     "register",
     "render",
-    "save_codebook",
     "segment",
     "select",
-    "splat_arrays",
     "supporting_masks",
-    "topk_contributions",
     "train",
     "train_codebook",
-    "view_weights",
-    "write_cameras_json",
-    "write_features",
     "write_gaussians",
 ]
 

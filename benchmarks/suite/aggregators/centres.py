@@ -6,10 +6,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Int32, Int64
 
-from drsplat import View, view_weights
+from drsplat import View
 from drsplat.aggregation import Sampling
 from drsplat.errors import InputError
-from drsplat.kernels import SplatArrays, Triples
+from drsplat.kernels import SplatArrays, Triples, view_weights
 
 PIXELS_AT_ONCE = 1 << 16  # times about a hundred contributors of 12 bytes: 80 MB
 

@@ -268,7 +268,8 @@ def _level(text: str) -> str | int:
 
 
 def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
-    from .. import EncoderIdentity, load_codebook, read_faiss_codebook
+    from .. import EncoderIdentity, load_codebook
+    from ..codes import read_faiss_codebook
     from ..errors import InputError
     from ..formats.faiss_index import read_faiss_quantizer
 

@@ -80,8 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import read_gaussians, splat_arrays
+    from .. import read_gaussians
     from ..asking import view_named
+    from ..kernels import splat_arrays
     from ..progress import Stopwatch
 
     watch = Stopwatch()
