@@ -9,14 +9,18 @@ resident memory that an aggregator adds to that of the registration, which is th
 import argparse
 import gc
 import re
+import sys
 import time
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from machine import describe
 from rooms import SyntheticFeatures, room, room_views
 
+from benchmarks.suite.aggregators import MEASURED
 from drsplat import Gaussians, register
-from drsplat.aggregation import AGGREGATORS, Aggregator, Sampling
+from drsplat.aggregation import Aggregator, Sampling
 from drsplat.evidence import Evidence
 
 BLOCK = 8192
@@ -62,7 +66,7 @@ def main() -> None:
     gaussians, views = room(args.gaussians), room_views(args.views)
     features = SyntheticFeatures(views, args.segments, args.dim)
     by_sampling: dict[Sampling, Evidence] = {}
-    for how in AGGREGATORS.values():
+    for how in MEASURED.values():
         sampling = how.sampling or Sampling()
         if sampling not in by_sampling:
             start, masks = time.perf_counter(), features.seconds
@@ -77,7 +81,7 @@ def main() -> None:
     print(
         f"{'aggregator':<24}{'weigh s':>10}{'features s':>10}{'peak MiB':>10}{'votes':>14}{'present':>10}"
     )
-    for how in AGGREGATORS.values():
+    for how in MEASURED.values():
         print(measure(how, by_sampling[how.sampling or Sampling()], gaussians, args.threads))
 
 

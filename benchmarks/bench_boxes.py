@@ -18,6 +18,7 @@ from scipy.optimize import linear_sum_assignment
 
 import drsplat as ds
 from drsplat.boxes import Box, box_of, upward
+from drsplat.kernels import splat_arrays, view_weights
 from drsplat.query.tasks import _components
 
 SCENES = Path(__file__).parent.parent / "world" / "scenes"
@@ -63,11 +64,11 @@ def largest_part(gaussians: ds.Gaussians, ids: np.ndarray) -> np.ndarray:
 
 def owners(folder: Path, gaussians: ds.Gaussians, views: list[ds.View], count: int) -> np.ndarray:
     """The id of each Gaussian's thing or structure, -1 where no photo shows it."""
-    splats, votes = ds.splat_arrays(gaussians), np.zeros((len(gaussians), count))
+    splats, votes = splat_arrays(gaussians), np.zeros((len(gaussians), count))
     for view in views:
         path = folder / "ids" / f"{Path(view.name).stem}.png"
         stored = Image.open(path).resize((view.width, view.height), Image.Resampling.NEAREST)
-        found = ds.view_weights(splats, view, np.asarray(stored).astype(np.int32) - 1, None)
+        found = view_weights(splats, view, np.asarray(stored).astype(np.int32) - 1, None)
         np.add.at(votes, (found.gaussian_ids, found.segment_ids), found.weights)
     return np.where(votes.any(axis=1), votes.argmax(axis=1), -1)
 

@@ -14,6 +14,8 @@ from pathlib import Path
 from machine import describe
 from rooms import SyntheticFeatures, room, room_views
 
+from drsplat import Sampling
+
 
 def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -40,7 +42,9 @@ def main() -> None:
     print(f"made the scene: {time.perf_counter() - clock:.1f} s, peak {peak_mib():,.0f} MiB")
 
     start = clock = time.perf_counter()
-    registration = register(gaussians, views, features, topk=args.topk, threads=args.threads)
+    registration = register(
+        gaussians, views, features, sampling=Sampling(args.topk), threads=args.threads
+    )
     took = time.perf_counter() - clock
     print(
         f"registered {args.views} views, {registration.weights.shape[1]:,} segments: {took:.1f} s, of which "

@@ -19,6 +19,7 @@ import numpy as np
 from machine import describe
 
 import drsplat as ds
+from drsplat.formats.captures import SparsePoints
 from drsplat.training.start import scene_extent, split_views
 from drsplat.triangulation import triangulate
 from drsplat.triangulation.filling import fill
@@ -53,7 +54,7 @@ def main() -> None:
         )
 
 
-def start(name: str, capture: str, views: Sequence[ds.View]) -> ds.SparsePoints:
+def start(name: str, capture: str, views: Sequence[ds.View]) -> SparsePoints:
     if name == "given":
         return ds.read_sparse_points(capture)
     rng = np.random.default_rng(0)
@@ -69,11 +70,11 @@ def start(name: str, capture: str, views: Sequence[ds.View]) -> ds.SparsePoints:
         more = grey(fill(views, positions, FILLED, rng, extent))
         positions = np.concatenate([positions, more.positions])
         colors = np.concatenate([colors, more.colors])
-    return ds.SparsePoints(positions, colors)
+    return SparsePoints(positions, colors)
 
 
-def grey(positions: np.ndarray) -> ds.SparsePoints:
-    return ds.SparsePoints(positions, np.full(positions.shape, GREY, np.uint8))
+def grey(positions: np.ndarray) -> SparsePoints:
+    return SparsePoints(positions, np.full(positions.shape, GREY, np.uint8))
 
 
 if __name__ == "__main__":

@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from drawn_embeddings import CLIP, Drawn, unit
 from machine import describe
-from world.benchmark.masks import features_of
-from world.benchmark.scenes import BenchScene, read_scene
 
+from benchmarks.suite.masks import features_of
+from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat import EncoderIdentity, MiniEncoder, ViewFeatures, load_field, register, train_codebook
 from drsplat.codes.mixture import encode_mixture, train_scene_atoms
 from drsplat.codes.mixture.scene_atoms import spherical_kmeans

@@ -21,13 +21,15 @@ from pathlib import Path
 
 import numpy as np
 
+from drsplat import Mixture
+
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from scipy.sparse import csr_array
 from study_thresholds import registered
-from world.benchmark.masks import features_of
-from world.benchmark.scenes import read_scene
 
+from benchmarks.suite.masks import features_of
+from benchmarks.suite.scenes import read_scene
 from drsplat import LanguageField, MiniEncoder, load_field, query, register
 from drsplat.mini.lexicon import COLORS, NAMES
 from drsplat.query.contrast import contrast, relevancy_threshold
@@ -48,7 +50,7 @@ def kept_room(folder: Path, kept: Path) -> tuple[LanguageField, np.ndarray, np.n
         scene = read_scene(folder)
         made = register(scene.gaussians, scene.views, features_of(scene, "graph", MINI))
         made = replace(made, encoder=MINI.identity)
-        made.to_field(atoms_per_row=4).save(path.with_suffix(".field"), overwrite=True)
+        made.to_field(Mixture()).save(path.with_suffix(".field"), overwrite=True)
         exact, owners = registered(scene, "true")
         known = np.flatnonzero(owners >= 0)
         shape = (len(owners), owners.max() + 1)

@@ -29,18 +29,11 @@ from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from world.benchmark.masks import MASKS
-from world.benchmark.scenes import BenchScene, read_scene
-
-from drsplat import (
-    EncoderIdentity,
-    Gaussians,
-    ViewFeatures,
-    load_image,
-    read_faiss_codebook,
-    register,
-)
-from drsplat.aggregation import aggregator
+from benchmarks.suite.aggregators import MEASURED
+from benchmarks.suite.masks import MASKS
+from benchmarks.suite.scenes import BenchScene, read_scene
+from drsplat import EncoderIdentity, Gaussians, ViewFeatures, load_image, register
+from drsplat.codes import read_faiss_codebook
 from drsplat.evidence import Evidence
 from drsplat.mask_selection import segment_maps
 from drsplat.query.contrast import CLEAR, Contrast, _contrast
@@ -179,7 +172,7 @@ def trial(
     )
     moved = clip.centroids[chosen] + noise * clip.noise(rng, len(chosen))
     evidence = replace(room.evidence, embeddings=unit(moved))
-    made = aggregator(how)(evidence, room.gaussians)
+    made = MEASURED[how](evidence, room.gaussians)
     rows = made.features(0, len(evidence))
     known = np.flatnonzero(rows.any(1))
     truth = np.array([meaning.get(label, -1) for label in room.labels])[known]
@@ -246,7 +239,7 @@ def main() -> None:
     )
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--clip", type=Path, required=True)
-    parser.add_argument("--aggregators", nargs="+", default=["mean"])
+    parser.add_argument("--aggregators", nargs="+", choices=MEASURED, default=["mean"])
     parser.add_argument("--words", choices=("first", "second", "all"), default="second")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--json", type=Path)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 import drsplat as ds
-from drsplat.formats.activation import SH_C0
+from drsplat.formats.captures import SparsePoints
+from drsplat.gaussians import SH_C0
 from drsplat.pictures import as_pixels, write_picture
 from scenes import look_at_view, random_gaussians
 
@@ -35,8 +36,8 @@ def photographed(folder: Path, scene: ds.Gaussians, views: list[ds.View]) -> lis
     return [replace(view, image_path=folder / view.name) for view in views]
 
 
-def perturbed_points(scene: ds.Gaussians, seed: int = 0, sigma: float = 0.03) -> ds.SparsePoints:
+def perturbed_points(scene: ds.Gaussians, seed: int = 0, sigma: float = 0.03) -> SparsePoints:
     rng = np.random.default_rng(seed)
     positions = scene.means + rng.normal(0, sigma, scene.means.shape)
     colors = np.clip(0.5 + SH_C0 * scene.sh[:, 0], 0, 1) * 255
-    return ds.SparsePoints(positions, colors.astype(np.uint8))
+    return SparsePoints(positions, colors.astype(np.uint8))

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from world.furnished.story import Setup, Story, tell
 
 from drsplat.demo import story as household
+from furnished.story import Setup, Story, tell
 
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
 

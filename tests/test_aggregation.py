@@ -1,10 +1,11 @@
-"""Aggregators over the rows of W: each rule against a slow twin, and the laws that all of them keep."""
+"""Aggregators over the rows of W: each rule against a slow twin, and the laws that all keep, those of the benchmark too."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.suite.aggregators import MEASURED
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,12 +14,8 @@ from scipy.sparse import csr_array
 from drsplat.aggregation import AGGREGATORS, Aggregator, aggregator
 from drsplat.aggregation.by_view import effective_views, view_sums
 from drsplat.aggregation.entries import BLOCK, canonical
-from drsplat.aggregation.gates import Gated, MassGate, QuantileGate, Spared
-from drsplat.aggregation.medians import CosineMedian
 from drsplat.aggregation.outliers import OutlierRejection
-from drsplat.aggregation.pruning import Pruned
 from drsplat.aggregation.reliability import reliability, resultant_lengths
-from drsplat.aggregation.tempering import Tempered
 from drsplat.aggregation.trust import MaskTrust, surpluses
 from drsplat.errors import InputError
 from drsplat.evidence import Evidence, Segments
@@ -26,9 +23,8 @@ from fields import random_weights, unit_rows
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
 seeds = st.integers(0, 2**32)
-WEIGHERS = [a for a in AGGREGATORS.values() if a.voting is None]
+WEIGHERS = [a for a in MEASURED.values() if a.voting is None]
 every_weigher = pytest.mark.parametrize("how", WEIGHERS, ids=lambda a: a.name)
-SMOOTH = [CosineMedian(), Tempered(), OutlierRejection()]
 
 
 def evidence_of(
@@ -86,15 +82,6 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / max(np.linalg.norm(vector), 1e-300)
 
 
-def slow_median(evidence: Evidence, row: int) -> np.ndarray:
-    z, total = np.zeros(evidence.dim), 0.0
-    for weight, f in votes(evidence, row):
-        eta = weight / (total + weight)
-        z = unit(f) if total == 0 else unit(z + eta * (f - (f @ z) * z))
-        total += weight
-    return z
-
-
 def slow_inliers(evidence: Evidence, row: int, deviations: float, least: float) -> set[int]:
     """Which votes stay."""
     cast = votes(evidence, row)
@@ -119,20 +106,6 @@ def slow_inliers(evidence: Evidence, row: int, deviations: float, least: float) 
 
 
 @few
-@given(seeds)
-def test_the_median_is_that_of_the_twin(seed: int) -> None:
-    evidence = evidence_of(np.random.default_rng(seed))
-    expected = [slow_median(evidence, row) for row in range(len(evidence))]
-    assert_allclose(features(CosineMedian(), evidence), expected, atol=2e-5)
-
-
-def test_the_median_keeps_each_rows_sum() -> None:
-    evidence = evidence_of(np.random.default_rng(0))
-    before, after = (e.weights.sum(axis=1) for e in (evidence, CosineMedian()(evidence)))
-    assert_allclose(after, before, rtol=1e-5)
-
-
-@few
 @given(seeds, st.sampled_from([(3.0, 0.05), (1.0, 0.0), (2.0, 0.3)]))
 def test_the_inliers_are_those_of_the_twin(seed: int, limits: tuple[float, float]) -> None:
     evidence = evidence_of(np.random.default_rng(seed))
@@ -144,63 +117,6 @@ def test_the_inliers_are_those_of_the_twin(seed: int, limits: tuple[float, float
         assert set(kept[[row]].indices) == {before[i] for i in stay}
         dropped += len(before) - len(stay)
     assert dropped > 10  # or the test shows nothing
-
-
-def test_the_mass_gate_by_hand() -> None:
-    weights = np.array([5.0, 1, 3, 1, 0.1])  # 75 % of 10.1 are 5 and 3
-    assert MassGate(0.75, 0.0).passes(weights).tolist() == [True, False, True, False, False]
-    assert MassGate(0.8, 0.0).passes(weights).tolist() == [True, True, True, False, False]
-    assert MassGate(1.0, 0.0).passes(weights).all()
-    assert MassGate(1.0, 1.0).passes(weights).tolist() == [True] * 4 + [False]
-
-
-def test_the_quantile_gate_by_hand() -> None:
-    weights = np.arange(1.0, 12)  # the median is 6
-    assert QuantileGate(0.5, 0.0).passes(weights).tolist() == [False] * 6 + [True] * 5
-    assert QuantileGate(0.5, 9.0).passes(weights).tolist() == [False] * 9 + [True] * 2
-
-
-@few
-@given(seeds)
-def test_gates_look_at_each_view_alone(seed: int) -> None:
-    evidence = evidence_of(np.random.default_rng(seed))
-    gates = MassGate(), QuantileGate(0.4)
-    kept = Gated(gates)(evidence).weights.toarray()
-    dense, views = evidence.weights.toarray().astype(float), evidence.segments.views
-    for view in range(len(evidence.segments.view_names)):
-        mine = dense[:, views == view]
-        seen = np.flatnonzero(mine.sum(axis=1))
-        totals = mine[seen].sum(axis=1)
-        passed = seen[gates[0].passes(totals) & gates[1].passes(totals)]
-        expected = np.zeros_like(mine)
-        expected[passed] = mine[passed]
-        assert_allclose(kept[:, views == view], expected)
-
-
-def test_spared_gates_prune_nobody() -> None:
-    evidence = evidence_of(np.random.default_rng(1))
-    gated, spared = Gated()(evidence).weights, Spared()(evidence).weights
-    seen, passed = (np.diff(w.indptr) > 0 for w in (evidence.weights, gated))
-    assert (seen & ~passed).any()
-    assert_array_equal(np.diff(spared.indptr) > 0, seen)
-    assert_array_equal(spared[passed].toarray(), gated[passed].toarray())
-    assert_array_equal(spared[~passed].toarray(), evidence.weights[~passed].toarray())
-
-
-def test_rows_of_hardly_any_weight_are_pruned() -> None:
-    matrix = csr_array(np.array([[2, 2], [0.03, 0], [0.05, 0], [4, 1], [0, 0]], np.float32))
-    segments = Segments(("a",), np.zeros(2, np.int32), np.arange(2, dtype=np.int32))
-    evidence = Evidence(matrix, segments, np.eye(2, dtype=np.float32))
-    pruned = Pruned(share=0.02)(evidence).weights  # the median of 0.03, 0.05, 4 and 5 is 2.025
-    assert (np.diff(pruned.indptr) > 0).tolist() == [True, False, True, True, False]
-    assert (np.diff(Pruned(1.0, 0.0)(evidence).weights.indptr) > 0).sum() == 2
-
-
-def test_tempering_by_hand() -> None:
-    evidence = one_row([9, 1], [[1, 0], [0, 1]])
-    assert_allclose(features(Tempered(0.5), evidence), [[3 / 10**0.5, 1 / 10**0.5]], atol=1e-6)
-    assert_allclose(features(Tempered(0.0), evidence), [[0.5**0.5, 0.5**0.5]], atol=1e-6)
-    assert_allclose(features(Tempered(1.0), evidence), features(aggregator("mean"), evidence))
 
 
 def slow_trust(evidence: Evidence, sharpness: float) -> np.ndarray:
@@ -301,7 +217,7 @@ def test_view_sums_are_those_of_the_dense_matrix(seed: int) -> None:
 def test_the_mean_is_the_papers_to_the_bit() -> None:
     evidence = evidence_of(np.random.default_rng(2))
     for name in ("mean", "official", "centre-pixel"):
-        ours = aggregator(name)(evidence)
+        ours = MEASURED[name](evidence)
         assert ours.evidence is evidence
         assert_array_equal(ours.features(3, 50), evidence.features(3, 50))
 
@@ -347,16 +263,6 @@ def test_canonical_evidence_is_left_alone() -> None:
 
 
 @few
-@given(seeds, st.floats(0.01, 100))
-def test_the_unit_of_weights_does_not_matter(seed: int, factor: float) -> None:
-    """But where a gate has a floor, which is in pixels."""
-    evidence = evidence_of(np.random.default_rng(seed))
-    scaled = replace(evidence, weights=csr_array(evidence.weights * np.float32(factor)))
-    for how in [*SMOOTH, Gated((MassGate(0.75, 0.0), QuantileGate(0.4, 0.0))), Pruned(0.0)]:
-        assert_allclose(features(how, scaled), features(how, evidence), atol=1e-3)
-
-
-@few
 @given(seeds)
 def test_no_rule_adds_a_vote(seed: int) -> None:
     evidence = evidence_of(np.random.default_rng(seed))
@@ -365,39 +271,6 @@ def test_no_rule_adds_a_vote(seed: int) -> None:
         weighed = how(evidence).evidence.weights
         assert not (weighed.toarray() > 0)[~there].any()
         assert (weighed.data > 0).all()
-
-
-def test_gates_and_rejection_leave_the_weights_of_what_stays() -> None:
-    evidence = evidence_of(np.random.default_rng(6))
-    dense = evidence.weights.toarray()
-    for how in (Gated(), Spared(), OutlierRejection(1.0), Pruned(share=0.5)):
-        kept = how(evidence).weights.toarray()
-        assert 0 < np.count_nonzero(kept) < np.count_nonzero(dense)
-        assert_array_equal(kept[kept > 0], dense[kept > 0])
-
-
-def test_a_view_taken_twice_counts_twice_or_by_its_root() -> None:
-    """Twice the same photo: the mean gives it twice its weight; tempering does so too, after the root."""
-    twice = one_row([4, 4, 1], [[1, 0], [1, 0], [0, 1]])
-    heavier = one_row([8, 1], [[1, 0], [0, 1]])
-    assert_allclose(features(aggregator("mean"), twice), features(aggregator("mean"), heavier))
-    ours = features(Tempered(0.5), twice)
-    assert_allclose(ours, [[4 / 17**0.5, 1 / 17**0.5]], atol=1e-6)
-    assert effective_views(twice)[0] == pytest.approx(81 / 33)
-
-
-@few
-@given(seeds, st.floats(0.5, 3.0))
-def test_an_outlier_moves_the_median_less_than_the_mean(seed: int, angle: float) -> None:
-    """A fifth of the weight in one wrong view, at any angle, that does not come first."""
-    rng = np.random.default_rng(seed)
-    place = int(rng.integers(1, 5))
-    embeddings = [[1.0, 0.0]] * 5
-    embeddings[place] = [np.cos(angle), np.sin(angle)]
-    evidence = one_row([1.0] * 5, embeddings)
-    mean, median = (features(how, evidence)[0, 0] for how in (aggregator("mean"), CosineMedian()))
-    assert median > mean - 1e-6
-    assert features(OutlierRejection(), evidence)[0, 0] == pytest.approx(1, abs=1e-6)
 
 
 def test_two_votes_have_no_majority() -> None:
@@ -437,10 +310,12 @@ def test_evidence_without_any_weight_stays_so(how: Aggregator) -> None:
 
 def test_names() -> None:
     assert all(name == how.name for name, how in AGGREGATORS.items())
-    with pytest.raises(InputError, match="no aggregator 'best': there are mean, official"):
+    with pytest.raises(
+        InputError,
+        match=r"'best': there are mean, official, inliers, trusted, robust$",
+    ):
         aggregator("best")
     assert aggregator("inliers").parameters == {
         "OutlierRejection.deviations": 3.0,
         "OutlierRejection.least": 0.05,
     }
-    assert aggregator("gates").parameters["MassGate.share"] == 0.75

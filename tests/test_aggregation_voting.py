@@ -1,4 +1,4 @@
-"""Neighbours' votes against a slow twin, and smoothing of scores."""
+"""Neighbours' votes against a slow twin."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.aggregation import Aggregated, aggregator
+from drsplat.aggregation import Aggregated, Aggregator, aggregator
 from drsplat.aggregation.reliability import reliability
 from drsplat.aggregation.voting import ModeVoting
 from drsplat.encoders import EncoderIdentity
@@ -17,10 +17,10 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.gaussians import Gaussians
-from drsplat.query.smoothing import field_neighbours, smoothed
 from scenes import random_gaussians
 from test_aggregation import evidence_of
 
+VOTING = Aggregator("voting", voting=ModeVoting())
 few = settings(derandomize=True, deadline=None, max_examples=15)
 
 
@@ -86,7 +86,7 @@ def two_groups(*, flipped: int) -> tuple[Evidence, Gaussians]:
 
 def test_where_neighbours_agree_nobody_changes() -> None:
     evidence, gaussians = two_groups(flipped=0)
-    voted = aggregator("voting")(evidence, gaussians)
+    voted = VOTING(evidence, gaussians)
     assert voted.donors is not None
     assert_array_equal(voted.donors, np.arange(80))
     assert_array_equal(voted.features(0, 80), evidence.features(0, 80))
@@ -94,7 +94,7 @@ def test_where_neighbours_agree_nobody_changes() -> None:
 
 def test_a_few_that_stand_alone_take_over_a_whole_feature() -> None:
     evidence, gaussians = two_groups(flipped=3)
-    voted = aggregator("voting")(evidence, gaussians)
+    voted = VOTING(evidence, gaussians)
     assert voted.donors is not None
     assert (voted.donors[:3] >= 3).all()
     assert (voted.donors[:3] < 40).all()
@@ -117,7 +117,7 @@ def test_what_lost_all_votes_gets_a_neighbours_feature_and_what_had_none_does_no
     donors = ModeVoting().donors(weighed, gaussians, np.array([5]))
     assert 0 <= donors[5] < 40
     assert ModeVoting().donors(weighed, gaussians, np.array([6]))[5] == -1
-    voted = aggregator("voting")(weighed, gaussians)
+    voted = VOTING(weighed, gaussians)
     assert not voted.present[5]
     assert voted.present.sum() == 79
     assert not voted.features(5, 6).any()
@@ -170,65 +170,10 @@ def test_a_field_of_donors_keeps_everyones_own_evidence() -> None:
 def test_voting_needs_the_gaussians_of_the_rows() -> None:
     evidence, gaussians = two_groups(flipped=0)
     with pytest.raises(InputError, match="'voting' looks at neighbouring Gaussians"):
-        aggregator("voting")(evidence)
+        VOTING(evidence)
     with pytest.raises(MismatchError, match="79 Gaussians for evidence of 80"):
-        aggregator("voting")(evidence, gaussians.subset(np.arange(79)))
+        VOTING(evidence, gaussians.subset(np.arange(79)))
     with pytest.raises(InputError, match="79 features for evidence of 80"):
         build_field(
             evidence, "s", EncoderIdentity("e", 8), aggregated=aggregator("mean")(evidence.rows(np.arange(79)))
         )  # fmt: skip
-
-
-def field_and_scene() -> tuple:
-    evidence, gaussians = (
-        evidence_of(np.random.default_rng(3), rows=200),
-        random_gaussians(200, seed=4),
-    )
-    return build_field(evidence, gaussians.fingerprint, EncoderIdentity("e", 16)), gaussians
-
-
-def test_smoothing_is_half_of_oneself_and_half_of_the_neighbours() -> None:
-    field, gaussians = field_and_scene()
-    near = field_neighbours(field, gaussians, 4)
-    points = gaussians.means[field.gaussian_ids].astype(float)
-    scores = np.random.default_rng(5).random(len(field)).astype(np.float32)
-    ours = smoothed(scores, near)
-    for i in range(len(field)):
-        order = np.argsort(np.linalg.norm(points - points[i], axis=1))[1:5]
-        assert set(near[i]) == set(order)
-        assert ours[i] == pytest.approx(0.5 * scores[i] + 0.5 * scores[order].mean(), abs=1e-6)
-    assert_array_equal(smoothed(scores, near, 0.0), scores)
-    assert_allclose(smoothed(np.full(len(field), 0.3, np.float32), near), 0.3, atol=1e-7)
-
-
-def test_neighbours_are_never_oneself_even_at_one_place() -> None:
-    field, gaussians = field_and_scene()
-    heap = replace(gaussians, means=np.zeros_like(gaussians.means))
-    field = replace(field, scene=heap.fingerprint)
-    near = field_neighbours(field, heap, 5)
-    assert near.shape == (len(field), 5)
-    assert not (near == np.arange(len(field))[:, None]).any()
-
-
-def test_few_rows_have_few_neighbours() -> None:
-    evidence, gaussians = evidence_of(np.random.default_rng(6), rows=3), random_gaussians(3, seed=0)
-    dense = evidence.weights.toarray()
-    for seen in (1, 3):
-        kept = replace(
-            evidence, weights=csr_array(np.where(np.arange(3)[:, None] < seen, dense, 0))
-        )
-        field = build_field(kept, gaussians.fingerprint, EncoderIdentity("e", 16))
-        near = field_neighbours(field, gaussians)
-        assert near.shape == (seen, seen - 1)
-        scores = np.arange(seen, dtype=np.float32)
-        assert smoothed(scores, near).mean() == pytest.approx(scores.mean())
-
-
-def test_smoothing_refuses_what_does_not_belong() -> None:
-    field, gaussians = field_and_scene()
-    with pytest.raises(MismatchError):
-        field_neighbours(field, random_gaussians(200, seed=9))
-    with pytest.raises(InputError, match="count"):
-        field_neighbours(field, gaussians, 0)
-    with pytest.raises(InputError, match="share"):
-        smoothed(np.zeros(3, np.float32), np.zeros((3, 1), np.int64), 1.5)

@@ -1,4 +1,4 @@
-"""The benchmark that ships (world/benchmark): its page, its rival, and a run on shipped scenes."""
+"""The benchmark that ships (benchmarks/suite): its page, its rival, and a run on shipped scenes."""
 
 import json
 from pathlib import Path
@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.suite import masks, numbers, page, reading, rendered, running, scenes
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from world import packing
-from world.benchmark import masks, numbers, page, reading, rendered, running, scenes
 
 from drsplat.evaluation.lerf_ovs import read_lerf_scene
 from drsplat.evaluation.metrics import mean_interval, pearson

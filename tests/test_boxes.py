@@ -11,8 +11,11 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from drsplat import Answer, Gaussians, InputError, MismatchError, Scene, load_field, register
+from drsplat import Answer, Gaussians, Scene, load_field, register
+from drsplat.aggregation import Sampling
 from drsplat.boxes import Box, box_of, mixture_quantile, up_of, upward
+from drsplat.codes import PQ
+from drsplat.errors import InputError, MismatchError
 from drsplat.formats.field_folder import MANIFEST
 from drsplat.query.tasks import locate
 from scenes import look_at_view, random_gaussians
@@ -139,10 +142,10 @@ def test_photos_that_do_not_tell_which_way_is_up() -> None:
 
 def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None:
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()
-    registration = register(gaussians, views, features, 10)
+    registration = register(gaussians, views, features, Sampling(10))
     assert registration.up is not None
     assert_allclose(registration.up, upward(views))
-    field = registration.to_field(num_subvectors=4)
+    field = registration.to_field(PQ(4))
     field.save(tmp_path / "a.field")
     again = load_field(tmp_path / "a.field")
     assert again.up is not None

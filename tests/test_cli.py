@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished.story import Story
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import (
@@ -23,15 +22,16 @@ from drsplat import (
     load_field,
     read_gaussians,
     read_views,
-    save_codebook,
-    write_cameras_json,
     write_gaussians,
 )
 from drsplat.cli import VERBS, main
+from drsplat.codes import save_codebook
 from drsplat.demo import story as household
 from drsplat.demo.probes import PROBES
+from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
 from drsplat.progress import peak_memory_bytes, track
+from furnished.story import Story
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array, eye_array
 
 from drsplat import EncoderIdentity, LanguageField, Scene, load_field
+from drsplat.codes import Mixture
 from drsplat.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
@@ -44,7 +45,7 @@ class World:
 def field_and_truth(world: World, shares: dict[int, float], rows: int = 2000) -> tuple:
     """A field in which word w is what `shares[w]` of the Gaussians show."""
     truth = np.repeat(list(shares), (np.array(list(shares.values())) * rows).astype(int))
-    return build_field(evidence_of(world.pictures(truth)), SCENE, CLIP, atoms_per_row=1), truth
+    return build_field(evidence_of(world.pictures(truth)), SCENE, CLIP, Mixture(1)), truth
 
 
 def evidence_of(pictures: np.ndarray) -> Evidence:
@@ -201,9 +202,7 @@ def faint_room(level: float, mug: float) -> LanguageField:
     shown = np.repeat([0, 1, 2], [400, 400, 2 * PEAK])
     share = (np.array([1.0, 1.0, mug]) * level)[shown, None]
     pictures = share * words[shown] + np.sqrt(1 - share**2) * nothing
-    return build_field(
-        evidence_of(pictures.astype(np.float32)), SCENE, MINI.identity, atoms_per_row=1
-    )
+    return build_field(evidence_of(pictures.astype(np.float32)), SCENE, MINI.identity, Mixture(1))
 
 
 @pytest.mark.parametrize("level", [0.12, 0.8])

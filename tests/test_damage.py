@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drsplat.cli import main
-from drsplat.codes import load_codebook, save_codebook
+from drsplat.codes import PQ, Mixture, load_codebook, save_codebook
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField, build_field, load_field
 from drsplat.formats.checksums import sealed
@@ -30,7 +30,7 @@ FLIPS = quota(400)
 def saved_field(folder: Path, mixture: bool = False) -> Path:
     rng = np.random.default_rng(2)
     evidence = random_evidence(rng)
-    field = build_field(evidence, SCENE, TOY, **({"atoms_per_row": 2} if mixture else {}))
+    field = build_field(evidence, SCENE, TOY, Mixture(2) if mixture else PQ())
     field.with_negatives(unit_rows(rng, 2, 32), ("one", "two")).save(folder / "a.field")
     return folder / "a.field"
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drsplat import InputError, read_features, read_views
+from drsplat import read_features, read_views
 from drsplat.demo.album import note, write_album
 from drsplat.demo.household import read_household, unpack_household
 from drsplat.demo.page import write_page
 from drsplat.demo.probes import PROBES
 from drsplat.demo.story import Story, Verdict, tell
+from drsplat.errors import InputError
 from drsplat.pictures import visible_share
 
 SHIPPED = Path(__file__).parent.parent / "src/drsplat/demo/scene"

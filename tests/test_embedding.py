@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished.capture import write_model
 
 import drsplat as ds
 from captures_to_train import ring
@@ -24,13 +23,14 @@ from drsplat.crops import crop
 from drsplat.embedding import embed as embed_compactly
 from drsplat.embedding import recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
-from drsplat.formats.activation import SH_C0
 from drsplat.formats.checksums import sealed
 from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, read_features
+from drsplat.gaussians import SH_C0
 from drsplat.pictures import as_pixels, write_picture
 from drsplat.views import View
 from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder
+from furnished.capture import write_model
 from scenes import random_gaussians
 
 TESTS = Path(__file__).parent

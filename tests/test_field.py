@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 
 from drsplat import contents
 from drsplat.aggregation import Aggregated
-from drsplat.codes import Codebook, train_codebook
+from drsplat.codes import Codebook, Mixture, train_codebook
 from drsplat.codes.mixture import MixtureCode
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
@@ -53,7 +53,7 @@ def residual_field() -> LanguageField:
 
 def mixed_field() -> LanguageField:
     evidence = random_evidence(np.random.default_rng(0))
-    return build_field(evidence, SCENE, TOY, atoms_per_row=3)
+    return build_field(evidence, SCENE, TOY, Mixture(3))
 
 
 def test_features_are_the_normalised_means_of_their_evidence() -> None:
@@ -182,7 +182,7 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     mixed_up = Evidence(
         csr_array(evidence.weights[:, shuffled]), segments, evidence.embeddings[shuffled]
     )
-    field = build_field(mixed_up, SCENE, TOY, atoms_per_row=16)
+    field = build_field(mixed_up, SCENE, TOY, Mixture(16))
     code = field.code
     assert isinstance(code, MixtureCode)
     assert field.evidence is not None
@@ -191,13 +191,9 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     theirs = field.evidence.embeddings[code.atoms.segments[named]]
     assert_allclose(vectors, theirs, atol=0.02)
     donors = rng.permutation(600).astype(np.int32)
-    lent = build_field(
-        mixed_up, SCENE, TOY, atoms_per_row=16, aggregated=Aggregated(mixed_up, donors)
-    )
+    lent = build_field(mixed_up, SCENE, TOY, Mixture(16), aggregated=Aggregated(mixed_up, donors))
     own = mixed_up.features(0, 600)[donors[lent.gaussian_ids]]
     assert ((lent.feature(slice(None)) * own).sum(axis=1)).min() > 0.999
-    with pytest.raises(InputError, match="no codebook"):
-        build_field(evidence, SCENE, TOY, num_subvectors=8, atoms_per_row=4)
 
 
 def test_any_dimension_finds_a_number_of_parts() -> None:
@@ -557,3 +553,18 @@ def test_our_files_are_plain_safetensors(saved: Path, tmp_path: Path) -> None:
     assert metadata == {"field": "x"}
     for name, array in back.items():
         assert_array_equal(array, theirs[name])
+
+
+def test_rows_of_gaussians() -> None:
+    field = toy_field()
+    ids = field.gaussian_ids.astype(np.int64)
+    assert_array_equal(field.rows_of(ids[::-1]), np.arange(len(field))[::-1])
+    absent = np.setdiff1d(np.arange(-2, field.num_gaussians + 2), ids)
+    assert len(absent) > 4
+    assert (field.rows_of(absent) == -1).all()
+    assert field.rows_of(np.array([2**40, -(2**40)])).tolist() == [-1, -1]
+    nothing = np.empty(0, np.int64)
+    none = replace(
+        field, gaussian_ids=field.gaussian_ids[:0], code=field.code.rows(nothing), evidence=None
+    )
+    assert none.rows_of(ids[:2]).tolist() == [-1, -1]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.codes import Codebook, load_codebook, read_faiss_codebook, save_codebook
+from drsplat.codes import Codebook, Mixture, load_codebook, read_faiss_codebook, save_codebook
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import build_field, load_field
@@ -44,8 +44,8 @@ def field_files(mixture: bool = False) -> dict[str, bytes]:
 
     rng = np.random.default_rng(1)
     evidence = random_evidence(rng, rows=30, columns=8, dim=4)
-    coding = {"atoms_per_row": 2} if mixture else {"codebook": tiny_codebook()}
-    field = build_field(evidence, SCENE, TINY, **coding)
+    coding = Mixture(2) if mixture else tiny_codebook()
+    field = build_field(evidence, SCENE, TINY, coding)
     field = field.with_negatives(unit_rows(rng, 2, 4), ("one", "two"))
     with tempfile.TemporaryDirectory() as folder:
         field.save(Path(folder) / "a")

@@ -5,15 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished import surfaces
-from world.furnished.cameras import look_at, walk
-from world.furnished.capture import write_model
-from world.furnished.masks import MISSED_SHARE, MaskMaker, exact_labels, perturbed
-from world.furnished.probes import PROBES
-from world.furnished.room import INVENTORY, _facing, build_room
-from world.furnished.story import Setup, Story, intersection_over_union, tell
+from world.cameras import look_at
 
-from drsplat import InputError, WordEncoder, read_views, splat_arrays, topk_contributions
+from drsplat import WordEncoder, read_views
+from drsplat.errors import InputError
+from drsplat.kernels import splat_arrays, topk_contributions
+from furnished import surfaces
+from furnished.cameras import walk
+from furnished.capture import write_model
+from furnished.masks import MISSED_SHARE, MaskMaker, exact_labels, perturbed
+from furnished.probes import PROBES
+from furnished.room import INVENTORY, _facing, build_room
+from furnished.story import Setup, Story, intersection_over_union, tell
 
 BOX_AREA = 2 * (0.4 * 0.3 + 0.4 * 0.2 + 0.3 * 0.2)
 CONVEX = {
@@ -93,7 +96,7 @@ def test_lit_room_has_shadow_under_the_table() -> None:
 def test_labels_are_those_of_the_largest_share() -> None:
     """Against the sum over each pixel's contributors, one by one."""
     room = build_room(4.0)
-    view = look_at("v", (4.5, -1, 2), (2, 2, 0.8), 48, 36, 60)
+    view = look_at((4.5, -1, 2), (2, 2, 0.8), (48, 36), 60, "v")
     ids, weights = topk_contributions(splat_arrays(room.gaussians), view, 400)
     shares = np.zeros((36, 48, len(room.names)))
     for k in range(ids.shape[2]):
@@ -151,7 +154,7 @@ def test_colmap_text_is_read_back_exactly(tmp_path: Path) -> None:
 
 
 def test_cameras_look_where_they_say() -> None:
-    view = look_at("v", (3, -2, 1.5), (1, 1, 0.5), 100, 80, 60)
+    view = look_at((3, -2, 1.5), (1, 1, 0.5), (100, 80), 60, "v")
     center = view.cam_from_world @ [1, 1, 0.5, 1]
     np.testing.assert_allclose(center[:2], 0, atol=1e-12)
     np.testing.assert_allclose(view.center, (3, -2, 1.5))

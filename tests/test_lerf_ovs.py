@@ -18,6 +18,7 @@ from drsplat.evaluation.predictions import mask_path, write_mask
 from drsplat.evaluation.report import shown
 from drsplat.evaluation.scorers import Scorer
 from drsplat.evaluation.tables import tables_of
+from drsplat.formats.cameras_json import write_cameras_json
 from mutations import mutants, quota
 from scenes import look_at_view
 
@@ -83,7 +84,7 @@ def write_room(root: Path, eyes: tuple[tuple[float, float, float], ...]) -> Path
         at = look_at_view(eye, width=WIDTH, height=HEIGHT)
         views.append(ds.View(f"frame_{k:05d}.png", at.K, at.cam_from_world, WIDTH, HEIGHT))
         Image.new("RGB", (WIDTH, HEIGHT)).save(images / views[-1].name)
-    ds.write_cameras_json(root / "room" / "cameras.json", views)
+    write_cameras_json(root / "room" / "cameras.json", views)
     for view in views[::2]:
         text = json.dumps(record(view, gaussians))
         (labels / view.name).with_suffix(".json").write_text(text)

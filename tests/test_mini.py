@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from world.mini.augment import cut_out
 from world.mini.texts import bank, said_of, truth
 
-from drsplat import Ask, asked
+from drsplat import Query, Scene
 from drsplat.adapters.loading import load_encoder
 from drsplat.crops import crop
 from drsplat.encoders import Encoder, ImageEncoder
@@ -163,7 +163,7 @@ def test_every_word_has_its_row(mini: MiniEncoder) -> None:
 def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> None:
     evidence = random_evidence(np.random.default_rng(0), dim=DIM)
     field = build_field(evidence, SCENE, mini.identity)
-    answer = asked(field, Ask(text="red mugs"))
+    answer = Scene(field).ask("red mugs")
     assert (answer.measure, answer.rule) == ("relevancy", "list")
     assert_allclose(answer.scores, field.scores(mini.encode_texts(["red mug"])[0]), atol=1e-6)
     assert isinstance(load_encoder("drsplat-mini"), MiniEncoder)

@@ -7,10 +7,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.codes import Code, Codebook, official_bytes, train_codebook
+from drsplat.codes import (
+    PQ,
+    Code,
+    Codebook,
+    Mixture,
+    Smaller,
+    choose_code,
+    official_bytes,
+    train_codebook,
+)
 from drsplat.codes.mixture import (
     MixtureCode,
-    choose_code,
     encode_mixture,
     encoding,
     mixture_from_tensors,
@@ -22,7 +30,7 @@ from drsplat.codes.mixture import (
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError
 from drsplat.evidence import Evidence
-from drsplat.field import LanguageField
+from drsplat.field import LanguageField, build_field
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.kernels import reference_mixture
 from fields import SCENE, TOY, random_evidence, unit_rows
@@ -269,6 +277,18 @@ def test_the_smaller_code_is_chosen() -> None:
     assert many.mixture_bytes == 180_000 * 14 + 34_096 * 520
     with pytest.raises(InputError, match="rows"):
         choose_code(-1, 3, 512)
+    assert Smaller(8).chosen(1_000_000, 30_000, 512) == Mixture(8)
+    assert Smaller().chosen(100_000, 30_000, 512) == PQ()
+
+
+def test_a_field_takes_the_code_it_is_told() -> None:
+    assert build_field(evidence(), SCENE, TOY, PQ(4)).codebook.num_subvectors == 4
+    assert build_field(evidence(), SCENE, TOY, Mixture(2)).code.atoms_per_row == 2
+    assert choose_code(evidence().num_seen, 40, 32).name == "mixture"
+    assert build_field(evidence(), SCENE, TOY, Smaller(3)).code.atoms_per_row == 3
+    many_masks = random_evidence(np.random.default_rng(0), rows=200, columns=4000)
+    assert choose_code(many_masks.num_seen, 4000, 32).name == "pq"
+    assert build_field(many_masks, SCENE, TOY, Smaller()).code.kind == "pq"
 
 
 def test_a_field_can_hold_it(tmp_path: Path) -> None:

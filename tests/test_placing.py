@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
-from drsplat import DrSplatWarning, Gaussians, InputError, View
+from drsplat import DrSplatWarning, Gaussians, View
 from drsplat.aggregation import Sampling
+from drsplat.errors import InputError
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
-from drsplat.kernels import reference
+from drsplat.kernels import reference, splat_arrays
 from drsplat.placing import PUBLISHED_NEAR, local_origin, near_plane
 from drsplat.query.places import nearest_gaussian
 from drsplat.training import TrainingSettings, train
@@ -52,7 +53,7 @@ def weights(gaussians: Gaussians, views: list[View]) -> np.ndarray:
     features = capture()[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DrSplatWarning)
-        dense: np.ndarray = ds.register(gaussians, views, features, 10).weights.toarray()
+        dense: np.ndarray = ds.register(gaussians, views, features, Sampling(10)).weights.toarray()
     return dense
 
 
@@ -103,14 +104,14 @@ def test_a_far_scene_in_float32_is_registered_as_exactly_as_it_is_kept(gaussians
     found = weights(far, moved(cameras, by))
     assert np.abs(found - expected).sum() < 1e-5 * expected.sum()
     with pytest.warns(DrSplatWarning, match="positions are float32"):
-        ds.register(far, moved(cameras, by), capture()[1], 10)
+        ds.register(far, moved(cameras, by), capture()[1], Sampling(10))
 
 
 def test_the_twin_sees_a_far_scene_as_a_near_one(gaussians, views) -> None:
     by = np.array([1e6, -2e6, 3e5])
-    far = ds.splat_arrays(replace(gaussians, origin=by))
+    far = splat_arrays(replace(gaussians, origin=by))
     mine = reference.contributors(far, moved(views, by)[0])
-    own = reference.contributors(ds.splat_arrays(gaussians), views[0])
+    own = reference.contributors(splat_arrays(gaussians), views[0])
     assert_array_equal(mine.ids, own.ids)
     assert_allclose(mine.weights, own.weights, rtol=1e-6)
 
@@ -128,7 +129,7 @@ def test_ordinary_scenes_have_the_published_near_plane_and_no_origin() -> None:
     assert room.near == PUBLISHED_NEAR == 0.2
     assert room.localized() is room
     assert not local_origin(room.means + np.float32(200)).any()
-    assert ds.splat_arrays(room).near == 0.2
+    assert splat_arrays(room).near == 0.2
 
 
 def test_the_near_plane_is_a_share_of_small_scenes_and_never_more_than_published() -> None:
@@ -143,18 +144,18 @@ def test_the_near_plane_is_a_share_of_small_scenes_and_never_more_than_published
 
 def test_a_near_plane_can_be_given_and_is_recorded(gaussians, views, tmp_path: Path) -> None:
     features = capture()[1]
-    own = ds.register(gaussians, views, features, 10, parts=tmp_path)
+    own = ds.register(gaussians, views, features, Sampling(10), parts=tmp_path)
     assert own.sampling == Sampling(10, near=gaussians.near)
-    far = ds.register(gaussians, views, features, 10, near=6.0, parts=tmp_path)
+    far = ds.register(gaussians, views, features, Sampling(10, near=6.0), parts=tmp_path)
     assert far.sampling == Sampling(10, near=6.0)
     assert 0 < far.weights.sum() < 0.9 * own.weights.sum()
-    fresh = ds.register(gaussians, views, features, 10, near=6.0)
+    fresh = ds.register(gaussians, views, features, Sampling(10, near=6.0))
     assert_array_equal(far.weights.toarray(), fresh.weights.toarray())
-    field = far.to_field(num_subvectors=4)
+    field = far.to_field(ds.PQ(4))
     field.save(tmp_path / "a.field")
     assert ds.load_field(tmp_path / "a.field").aggregator.sampling == far.sampling
     with pytest.raises(InputError, match="in front of the camera"):
-        ds.splat_arrays(gaussians, near=-1.0)
+        splat_arrays(gaussians, near=-1.0)
 
 
 def double_ply(path: Path, gaussians: Gaussians, by: np.ndarray) -> None:
@@ -230,11 +231,11 @@ def test_units_that_make_no_sense_are_warned_of(gaussians, views) -> None:
     features = capture()[1]
     for unit in (1e-5, 1e6):
         with pytest.warns(DrSplatWarning, match="units large"):
-            ds.register(*scaled(gaussians, views, unit), features, 10)
+            ds.register(*scaled(gaussians, views, unit), features, Sampling(10))
     away = look_at_view((900.0, 1, 1), width=64, height=48, fov_degrees=0.4)
     named = [replace(away, name=views[0].name)]
     with pytest.warns(DrSplatWarning, match="hardly of one frame and scale"):
-        ds.register(gaussians, named, features, 10)
+        ds.register(gaussians, named, features, Sampling(10))
 
 
 def test_a_small_capture_on_a_map_trains_as_one_about_zero(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from world.furnished.story import Story
 
 from drsplat import MiniEncoder, WordEncoder, write_gaussians
 from drsplat.boxes import upward
@@ -20,6 +19,7 @@ from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region
 from drsplat.query.search import feature_at
 from drsplat.query.spatial import gap, stands_on
+from furnished.story import Story
 
 
 @pytest.fixture(scope="module")

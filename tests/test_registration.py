@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drsplat.aggregation import Sampling
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.features import ViewFeatures
@@ -51,7 +52,7 @@ def gaussians():
 @pytest.fixture(scope="module")
 def registration(gaussians):
     views, features = capture()
-    return register(gaussians, views, features, topk=10)
+    return register(gaussians, views, features, sampling=Sampling(10))
 
 
 def same(a: Registration, b: Registration) -> bool:
@@ -95,8 +96,10 @@ def test_the_feature_is_the_normalised_weighted_mean(registration):
 @given(st.permutations(range(4)), st.sampled_from([1, 2, 3]))
 def test_neither_the_order_of_views_nor_the_number_of_threads_matters(order, threads):
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()
-    shuffled = register(gaussians, [views[i] for i in order], features, topk=10, threads=threads)
-    assert same(shuffled, register(gaussians, views, features, topk=10))
+    shuffled = register(
+        gaussians, [views[i] for i in order], features, sampling=Sampling(10), threads=threads
+    )
+    assert same(shuffled, register(gaussians, views, features, sampling=Sampling(10)))
 
 
 @settings(max_examples=8, deadline=None, derandomize=True)
@@ -104,23 +107,25 @@ def test_neither_the_order_of_views_nor_the_number_of_threads_matters(order, thr
 def test_merged_shards_are_one_pass(first):
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()
     shards = [
-        register(gaussians, [views[i] for i in part], features, topk=10)
+        register(gaussians, [views[i] for i in part], features, sampling=Sampling(10))
         for part in (sorted(first), sorted(set(range(4)) - first))
     ]
-    assert same(shards[0].merged(shards[1]), register(gaussians, views, features, topk=10))
+    assert same(
+        shards[0].merged(shards[1]), register(gaussians, views, features, sampling=Sampling(10))
+    )
 
 
 def test_a_second_run_computes_nothing_and_a_damaged_part_again(
     tmp_path: Path, gaussians, registration
 ):
     views, features = capture()
-    first = register(gaussians, views, features, topk=10, parts=tmp_path)
+    first = register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path)
     parts = sorted(tmp_path.iterdir())
     stamps = [part.stat().st_mtime_ns for part in parts]
     assert len(parts) == len(views)
     assert same(first, registration)
     parts[0].write_bytes(parts[0].read_bytes()[:50])
-    again = register(gaussians, views, features, topk=10, parts=tmp_path)
+    again = register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path)
     assert same(again, registration)
     assert [part.stat().st_mtime_ns for part in parts][1:] == stamps[1:]
     assert parts[0].stat().st_size > 50
@@ -129,27 +134,30 @@ def test_a_second_run_computes_nothing_and_a_damaged_part_again(
         bad = bytearray(good)
         bad[at] ^= 1
         parts[1].write_bytes(bad)
-        assert same(register(gaussians, views, features, topk=10, parts=tmp_path), registration)
+        assert same(
+            register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path),
+            registration,
+        )
         assert parts[1].read_bytes() == good
 
 
 @pytest.mark.parametrize("change", ["topk", "first_hits", "scene", "camera", "mask"])
 def test_parts_of_other_settings_are_not_used(change: str, tmp_path: Path, gaussians):
     views, features = capture(1)
-    register(gaussians, views, features, topk=10, parts=tmp_path)
-    settings_ = {"topk": 10, "first_hits": None}
+    register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path)
+    settings_ = Sampling(10)
     if change == "topk":
-        settings_["topk"] = 2
+        settings_ = Sampling(2)
     if change == "first_hits":
-        settings_["first_hits"] = 3
+        settings_ = Sampling(10, 3)
     if change == "scene":
         gaussians = random_gaussians(400, seed=4)
     if change == "camera":
         views = [View("000.png", views[0].K, named_view(2).cam_from_world, 64, 48)]
     if change == "mask":
         features = {"000": ViewFeatures(random_segment_map(48, 64, 5, seed=9), unit_rows(5, 0))}
-    resumed = register(gaussians, views, features, parts=tmp_path, **settings_)
-    assert same(resumed, register(gaussians, views, features, **settings_))
+    resumed = register(gaussians, views, features, parts=tmp_path, sampling=settings_)
+    assert same(resumed, register(gaussians, views, features, sampling=settings_))
 
 
 def test_another_encoder_needs_no_photo(gaussians, registration):
@@ -164,7 +172,7 @@ def test_another_encoder_needs_no_photo(gaussians, registration):
             k: ViewFeatures(f.segment_ids, unit_rows(5, 100 + i, 16))
             for i, (k, f) in enumerate(features.items())
         },
-        topk=10,
+        sampling=Sampling(10),
     )
     assert same(swapped, fresh)
     assert swapped.encoder == other
@@ -217,8 +225,6 @@ def test_what_does_not_belong_together_is_refused(gaussians, registration):
     mixed = features | {"001": ViewFeatures(features["001"].segment_ids, unit_rows(5, 0, 8))}
     with pytest.raises(InputError, match=r"different sizes: 32 .*8 "):
         register(gaussians, views, mixed)
-    with pytest.raises(InputError, match="topk"):
-        register(gaussians, views, features, topk=0)
     with pytest.raises(InputError, match="4 views are in both"):
         registration.merged(registration)
     other = register(random_gaussians(400, seed=5), views, features)
@@ -235,11 +241,14 @@ def test_each_stage_that_takes_long_can_be_followed(gaussians):
             told[description] = told.get(description, 0) + 1
             yield item
 
-    followed = register(gaussians, views, features, topk=20, track=follow)
+    followed = register(gaussians, views, features, sampling=Sampling(20), track=follow)
     field = followed.to_field(track=follow)
     assert told.keys() == {"registering views", "training the codebook", "coding Gaussians"}
     assert told["registering views"] == 4
-    assert field.fingerprint == register(gaussians, views, features, topk=20).to_field().fingerprint
+    assert (
+        field.fingerprint
+        == register(gaussians, views, features, sampling=Sampling(20)).to_field().fingerprint
+    )
 
 
 def test_two_views_may_not_share_features(gaussians):

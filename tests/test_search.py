@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from world.furnished.story import Story
 
-from drsplat import Gaussians, LanguageField, View, WordEncoder, splat_arrays, topk_contributions
+from drsplat import Gaussians, LanguageField, View, WordEncoder
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
+from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.query import Answer, Query, Scene
 from drsplat.query.search import (
     LOWEST,
@@ -25,6 +25,7 @@ from drsplat.query.search import (
     without,
 )
 from fields import ToyEncoder, toy_field, unit_rows
+from furnished.story import Story
 
 
 def relevancy_of(scene: Scene, text: str) -> Answer:

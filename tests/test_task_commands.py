@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished.story import Story, intersection_over_union
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, WordEncoder, load_field, read_gaussians
@@ -17,6 +16,7 @@ from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.query.nouns import NOUNS
 from drsplat.query.thresholds import share_threshold
+from furnished.story import Story, intersection_over_union
 
 
 @pytest.fixture(scope="module")

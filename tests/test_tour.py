@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 import drsplat as ds
 from drsplat.adapters import sam
 from drsplat.cli import VERBS, main
+from drsplat.errors import MismatchError
 from fake_models import ColorSegmenter
 from lvis_files import write_set
 from toy_capture import NEGATIVES, THINGS, write_toy_capture
@@ -157,7 +158,7 @@ def test_every_line_runs(
     assert f"was embedded by '{Path(CLIP).name}" in error
     assert "name no encoder" in error
     assert not (place / "other.field").exists()
-    with pytest.raises(ds.MismatchError, match="was embedded by"):
+    with pytest.raises(MismatchError, match="was embedded by"):
         ds.read_features("capture/language_features", encoder=ds.EncoderIdentity("ViT", DIM))
 
 

@@ -13,16 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from world.furnished.capture import write_model
 
 import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
 from drsplat.cli import main
-from drsplat.formats.captures import read_sparse_points
+from drsplat.errors import FormatError, InputError, MismatchError, MissingExtraError
+from drsplat.formats.captures import SparsePoints, read_sparse_points
 from drsplat.formats.ply import write_vertices
 from drsplat.formats.replacing import replacing
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.training.devices import chosen_device
+from furnished.capture import write_model
 
 BUSY = ds.TrainingSettings(
     iterations=120, refine_from=20, refine_every=20, reset_every=60, reset_recovery=20,
@@ -44,7 +45,7 @@ def views(scene, tmp_path_factory) -> list[ds.View]:
 
 
 @pytest.fixture(scope="module")
-def points(scene) -> ds.SparsePoints:
+def points(scene) -> SparsePoints:
     return perturbed_points(scene)
 
 
@@ -106,7 +107,7 @@ def test_pixels_past_the_photo_teach_nothing(views, points):
     """With a lens undone the photos have black corners; the scene must not."""
     bent = [replace(view, distortion=(0.25, 0.0, 0.0, 0.0)) for view in views[:12]]
     colors = np.full(points.colors.shape, 255, np.uint8)
-    bright = ds.SparsePoints(points.positions * 3, colors)
+    bright = SparsePoints(points.positions * 3, colors)
     settings = ds.TrainingSettings(iterations=1, test_every=0, sh_degree=0)
     from drsplat.photos import photo_coverage
 
@@ -201,7 +202,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
 # --- the folder ---
 
 
-def unfinished(folder: Path, views: list[ds.View], points: ds.SparsePoints) -> Path:
+def unfinished(folder: Path, views: list[ds.View], points: SparsePoints) -> Path:
     """A folder whose run was stopped after iteration 30; the path of its checkpoint."""
 
     def stop(status: ds.training.Status) -> None:  # type: ignore[name-defined]
@@ -216,12 +217,12 @@ def unfinished(folder: Path, views: list[ds.View], points: ds.SparsePoints) -> P
 def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, tmp_path):
     checkpoint = unfinished(tmp_path / "model", views, points)
     before = checkpoint.read_bytes()
-    with pytest.raises(ds.MismatchError, match=r"other settings.*overwrite=True"):
+    with pytest.raises(MismatchError, match=r"other settings.*overwrite=True"):
         ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
-    with pytest.raises(ds.MismatchError, match="other poses and photos:"):
+    with pytest.raises(MismatchError, match="other poses and photos:"):
         ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")
-    fewer = ds.SparsePoints(points.positions[1:], points.colors[1:])
-    with pytest.raises(ds.MismatchError, match="other points:"):
+    fewer = SparsePoints(points.positions[1:], points.colors[1:])
+    with pytest.raises(MismatchError, match="other points:"):
         ds.train(views, BUSY, tmp_path / "model", points=fewer, device="cpu")
     assert checkpoint.read_bytes() == before
     fresh = replace(BUSY, seed=1, iterations=5)
@@ -263,7 +264,7 @@ def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
         arrays = {name: np.array(array) for name, array in mapped.items()}
         damaged(texts, arrays, how)
         write_tensors(checkpoint, arrays, texts, overwrite=True)
-    with pytest.raises(ds.FormatError, match=r"checkpoint\.safetensors"):
+    with pytest.raises(FormatError, match=r"checkpoint\.safetensors"):
         ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
 
 
@@ -274,15 +275,13 @@ def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, points, tmp_path):
         bad = bytearray(good)
         bad[at] ^= 1 << int(at % 8)
         checkpoint.write_bytes(bad)
-        with pytest.raises(
-            ds.FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"
-        ):
+        with pytest.raises(FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"):
             ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
 
 
 def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
     (tmp_path / "holiday.txt").write_text("mine")
-    with pytest.raises(ds.InputError, match="not empty"):
+    with pytest.raises(InputError, match="not empty"):
         ds.train(views, BUSY, tmp_path, points=points, device="cpu")
     quick = replace(BUSY, iterations=1)
     old = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
@@ -292,7 +291,7 @@ def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
     assert (tmp_path / "holiday.txt").read_text() == "mine"
     assert not old.exists()  # it would be taken for the latest
     (tmp_path / "file").write_text("")
-    with pytest.raises(ds.InputError, match="is a file"):
+    with pytest.raises(InputError, match="is a file"):
         ds.train(views, quick, tmp_path / "file", points=points, device="cpu")
 
 
@@ -481,7 +480,7 @@ def test_a_finished_run_goes_on_as_if_it_had_been_longer(settings, views, points
     ds.train(views[::4], long, tmp_path / "m", points=points, device="cpu")
     assert ply_of(tmp_path / "m", 60) == ply_of(tmp_path / "whole", 60)
     assert json.loads((tmp_path / "m/settings.json").read_text())["iterations"] == 60
-    with pytest.raises(ds.MismatchError, match="has done 59 iterations already, 40 are asked for"):
+    with pytest.raises(MismatchError, match="has done 59 iterations already, 40 are asked for"):
         ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
 
 
@@ -496,7 +495,7 @@ def test_photos_that_changed_are_not_mixed_in(views, points, tmp_path):
     own = photographed(tmp_path, known_scene(), ring(32)[::4])
     unfinished(tmp_path / "model", own, points)
     Image.new("RGB", (WIDTH, HEIGHT), (255, 0, 255)).save(own[3].image_path)
-    with pytest.raises(ds.MismatchError, match="other photos: go on with the same ones"):
+    with pytest.raises(MismatchError, match="other photos: go on with the same ones"):
         ds.train(own, BUSY, tmp_path / "model", points=points, device="cpu")
 
 
@@ -544,7 +543,7 @@ def test_two_runs_do_not_share_a_folder(views, points, tmp_path):
     said: list[str] = []
 
     def second(status: ds.training.Status) -> None:  # type: ignore[name-defined]
-        with pytest.raises(ds.InputError) as error:
+        with pytest.raises(InputError) as error:
             ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
         said.append(str(error.value))
 
@@ -595,9 +594,9 @@ def test_devices(monkeypatch):
     monkeypatch.setattr(devices, "_cuda", lambda: Cuda)
     Cuda.unavailable = staticmethod(lambda: "pip install 'drsplat[cuda]'")
     assert chosen_device("cpu") == chosen_device("auto") == "cpu"
-    with pytest.raises(ds.MissingExtraError, match="pip install"):
+    with pytest.raises(MissingExtraError, match="pip install"):
         chosen_device("cuda")
-    with pytest.raises(ds.InputError, match="device"):
+    with pytest.raises(InputError, match="device"):
         chosen_device("tpu")
     Cuda.unavailable = staticmethod(lambda: None)
     assert chosen_device("cuda") == chosen_device("auto") == "cuda"

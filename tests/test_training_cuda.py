@@ -17,12 +17,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
+from drsplat.errors import InputError, MissingExtraError
+from drsplat.formats.captures import SparsePoints
 from drsplat.kernels import training as kernels
 from drsplat.training import cuda, devices
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
+from drsplat.training.job import Beginning, Job
 from drsplat.training.optimizer import Optimizer, Rates
 from drsplat.training.run import Run
-from drsplat.training.start import first_gaussians, scene_extent
+from drsplat.training.start import first_gaussians
 from drsplat.training.training_photos import TrainingPhotos
 from test_training_parts import gradients, parameters
 
@@ -86,12 +89,12 @@ def test_what_is_absent_is_said_with_the_pip_line(machine, tmp_path, absent, sai
     for part in absent:
         setattr(machine, part, False)
     assert devices.chosen_device("auto") == "cpu"
-    with pytest.raises(ds.MissingExtraError, match=said) as caught:
+    with pytest.raises(MissingExtraError, match=said) as caught:
         ds.train([], None, tmp_path / "model", device="cuda")
     assert 'pip install "drsplat[cuda]"' in str(caught.value)
     assert "'cpu'" in str(caught.value)
-    with pytest.raises(ds.MissingExtraError, match=said):
-        cuda.train([], None, tmp_path / "model")
+    with pytest.raises(MissingExtraError, match=said):
+        cuda.train(Job([], output_dir=tmp_path / "model"))
     assert not (tmp_path / "model").exists()
 
 
@@ -102,7 +105,7 @@ def test_kernels_that_cannot_be_built_are_an_error(machine, monkeypatch):
         return SimpleNamespace(__version__="9.9", cuda=SimpleNamespace(is_available=lambda: True))
 
     monkeypatch.setattr(cuda, "import_module", broken)
-    with pytest.raises(ds.MissingExtraError, match="Ninja is required"):
+    with pytest.raises(MissingExtraError, match="Ninja is required"):
         cuda.installed_engine()
 
 
@@ -310,14 +313,14 @@ def views(scene, tmp_path_factory) -> list[ds.View]:
 
 
 @pytest.fixture(scope="module")
-def points(scene) -> ds.SparsePoints:
+def points(scene) -> SparsePoints:
     return perturbed_points(scene)
 
 
 def fresh_run(kind, views, points, s: ds.TrainingSettings, **more):
     optimizer = Optimizer(first_gaussians(points, s))
     rng = np.random.default_rng(s.seed)
-    return kind(views, s, scene_extent(views), optimizer, rng, **more)
+    return kind(Beginning(views, s, optimizer, rng), **more)
 
 
 def device_run(views, points, s: ds.TrainingSettings, engine):
@@ -339,7 +342,7 @@ def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion
     if distortion is not None:
         assert len(here.photos[0].outside) > 10
     for _ in range(15):
-        assert there.step().loss.value == pytest.approx(here.step().loss.value, rel=2e-4)
+        assert there.step().loss == pytest.approx(here.step().loss, rel=2e-4)
     theirs = there.optimizer.parameters._asdict()
     for name, ours in here.optimizer.parameters._asdict().items():
         if (
@@ -362,9 +365,7 @@ def test_the_whole_of_train(views, points, tmp_path):
     )
     told: list[ds.Status] = []
     folder = tmp_path / "model"
-    training = train(
-        views, s, folder, engine=engine_of(), points=points, save_at=(20,), report=told.append
-    )
+    training = train(Job(views, s, folder, points, save_at=(20,), report=told.append), engine_of())
     assert [status.iteration for status in told] == list(range(1, 41))
     assert np.mean([t.loss for t in told[-9:]]) < 0.6 * np.mean([t.loss for t in told[:9]])
     assert told[-1].psnr > told[9].psnr
@@ -399,8 +400,8 @@ def test_the_whole_of_train(views, points, tmp_path):
 def test_what_gsplat_has_fixed_is_refused(views, points, changed, said):
     from drsplat.training.gsplat_loop import train
 
-    with pytest.raises(ds.InputError, match=said):
-        train(views, replace(BUSY, **changed), engine=engine_of(), points=points)
+    with pytest.raises(InputError, match=said):
+        train(Job(views, replace(BUSY, **changed), points=points), engine_of())
 
 
 @needs_torch
@@ -413,7 +414,7 @@ def test_a_full_gpu_is_explained(views, points):
         raise torch.OutOfMemoryError("tried to allocate 3 GiB")
 
     with pytest.raises(ds.DrSplatError, match=r"full at 90 Gaussians.*max_gaussians.*3 GiB"):
-        train(views, BUSY, engine=engine_of(rasterization=full), points=points)
+        train(Job(views, BUSY, points=points), engine_of(rasterization=full))
 
 
 @needs_torch
@@ -421,7 +422,7 @@ def test_a_loss_that_is_no_number_stops_the_run(views, points):
     run = device_run(views, points, BUSY, engine_of())
     run.scene.tensors["sh0"].data[:] = float("nan")
     with pytest.raises(ds.DrSplatError, match="the loss is nan in iteration 1"):
-        run.advance()
+        run.step()
 
 
 @needs_torch
@@ -437,9 +438,7 @@ def test_tf32_is_off_in_a_run_and_back_after_it(views, points):
         return dense_rasterization(**arguments)
 
     before = torch.backends.cudnn.allow_tf32
-    train(
-        views, replace(BUSY, iterations=2), engine=engine_of(rasterization=watched), points=points
-    )
+    train(Job(views, replace(BUSY, iterations=2), points=points), engine_of(rasterization=watched))
     assert seen == {False}
     assert torch.backends.cudnn.allow_tf32 == before
 
@@ -478,7 +477,7 @@ def test_density_control_grows_prunes_and_resets(gsplat_engine, views, points):
     run = device_run(views, points, BUSY, gsplat_engine)
     counts, most_opaque = [], []
     for _ in range(BUSY.iterations):
-        run.advance()
+        run.step()
         counts.append(len(run.scene))
         most_opaque.append(float(run.scene.tensors["opacities"].detach().max()))
     changed = [i + 1 for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
@@ -497,7 +496,7 @@ def test_the_first_refinement_is_that_of_the_cpu(gsplat_engine, views, points):
     s = replace(BUSY, gradient_threshold=6e-4, dense_scale=0.03, reset_every=1000)
     there, here = device_run(views, points, s, gsplat_engine), fresh_run(Run, views, points, s)
     for _ in range(5):
-        there.advance()
+        there.step()
         here.step()
     assert 95 < len(here.optimizer) < 175
     assert len(there.scene) == len(here.optimizer)
@@ -514,21 +513,21 @@ def test_each_view_is_observed_once(gsplat, views, points):
 
     run = device_run(views, points, BUSY, engine_of(Watched))
     for _ in range(10):
-        run.advance()
+        run.step()
     assert most_seen == [5, 5]
 
 
 @needs_gsplat
 def test_the_budget_is_never_exceeded(gsplat_engine, views, points):
     run = device_run(views, points, replace(BUSY, max_gaussians=101), gsplat_engine)
-    counts = [run.advance() and len(run.scene) for _ in range(BUSY.iterations)]
+    counts = [run.step() and len(run.scene) for _ in range(BUSY.iterations)]
     assert max(counts) == 101
 
 
 @needs_gsplat
 def test_the_chain_fills_its_budget(gsplat_engine, views, points):
     run = device_run(views, points, CHAIN, gsplat_engine)
-    losses = [run.advance().loss for _ in range(CHAIN.iterations)]
+    losses = [run.step().loss for _ in range(CHAIN.iterations)]
     counts = len(run.scene)
     assert 100 < counts <= 130
     assert np.mean(losses[-6:]) < np.mean(losses[:6])
@@ -543,13 +542,13 @@ def test_a_run_goes_on_from_its_checkpoint(gsplat_engine, views, points, tmp_pat
     with _one_thread(torch):
         whole = device_run(views, points, settings, gsplat_engine)
         for _ in range(12):
-            whole.advance()
+            whole.step()
         save_checkpoint(tmp_path / "checkpoint.safetensors", whole, "capture")
         later = device_run(views, points, settings, gsplat_engine)
         load_checkpoint(tmp_path / "checkpoint.safetensors", later, "capture")
         for _ in range(10):
-            whole.advance()
-            later.advance()
+            whole.step()
+            later.step()
     for name, array in whole.optimizer.state().items():
         assert_array_equal(later.optimizer.state()[name], array, err_msg=name)
 
@@ -568,9 +567,9 @@ def _one_thread(torch: ModuleType) -> Iterator[None]:
 def test_a_run_may_move_between_devices(gsplat_engine, views, points, tmp_path: Path):
     there = device_run(views, points, BUSY, gsplat_engine)
     for _ in range(7):
-        there.advance()
+        there.step()
     save_checkpoint(tmp_path / "checkpoint.safetensors", there, "capture")
     here = fresh_run(Run, views, points, BUSY)
     load_checkpoint(tmp_path / "checkpoint.safetensors", here, "capture")
     assert here.iteration == 7
-    assert here.step().loss.value == pytest.approx(there.step().loss.value, rel=1e-4)
+    assert here.step().loss == pytest.approx(there.step().loss, rel=1e-4)

@@ -12,14 +12,17 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy import integrate
 
-from drsplat import InputError, SparsePoints, TrainingSettings, View, progress
+from drsplat import TrainingSettings, View, progress
+from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
+from drsplat.formats.captures import SparsePoints
 from drsplat.kernels.training import Gradients, SceneParameters
+from drsplat.rotations import rotation_matrices
 from drsplat.training.density import AdaptiveDensity, reset_opacity, split
 from drsplat.training.mcmc import MonteCarlo, drawn, grow, relocate, shared_place
 from drsplat.training.metrics import psnr, ssim
 from drsplat.training.optimizer import Optimizer, Rates
-from drsplat.training.rotations import rotated, rotation_matrices, spread
+from drsplat.training.rotations import rotated, spread, unit
 from drsplat.training.schedules import active_sh_degree, means_rate, refines, resets_opacity
 from drsplat.training.start import first_gaussians, scene_extent, split_views
 from drsplat.training.start_points import start_points
@@ -354,7 +357,7 @@ def test_children_are_drawn_from_their_parent():
     many = SceneParameters(*(np.repeat(array, 20_000, axis=0) for array in one))
     children = split(many, np.random.default_rng(0))
     offsets = (children.means - one.means).astype(np.float64)
-    axes = rotation_matrices(one.quats)[0] * np.exp(one.log_scales[0])
+    axes = rotation_matrices(unit(one.quats))[0] * np.exp(one.log_scales[0])
     expected = axes @ axes.T
     assert np.abs(np.cov(offsets.T) - expected).max() < 0.03 * np.abs(expected).max()
     assert np.exp(children.log_scales[0]) == pytest.approx(np.exp(one.log_scales[0]) / 1.6)

@@ -11,6 +11,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 import drsplat as ds
+from drsplat.errors import InputError
 from drsplat.lens import undistort_points
 from drsplat.photos import load_image
 from drsplat.training.settings import TrainingSettings
@@ -241,7 +242,7 @@ def test_keypoints_are_in_pixels_of_the_view(views):
     small = views[0].resized(120, 90)
     assert_allclose(keypoints(small).pixels * 4, keypoints(views[0]).pixels, atol=1e-9)
     tiny = replace(views[0], image_path=None)
-    with pytest.raises(ds.InputError, match="no photo"):
+    with pytest.raises(InputError, match="no photo"):
         keypoints(tiny)
 
 

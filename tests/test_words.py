@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from drsplat import InputError, WordEncoder
+from drsplat import WordEncoder
+from drsplat.errors import InputError
 from drsplat.words import DIM, SYNONYM_COSINE, words_of
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from PIL import Image
 
 import drsplat as ds
+from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.langsplat import write_features
 from scenes import look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
@@ -57,10 +59,10 @@ def write_toy_capture(folder: Path) -> Path:
         Image.fromarray(pixels).save(folder / "capture/images" / view.name)
         ids = np.repeat(masks(gaussians, view)[None], 4, axis=0)
         rows = encoder.encode_texts(list(THINGS))
-        ds.write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
+        write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
     ds.write_gaussians(folder / "scene.ply", gaussians)
     ds.write_gaussians(folder / "points.ply", gaussians)  # of which the positions are read
-    ds.write_cameras_json(folder / "capture/cameras.json", views)
+    write_cameras_json(folder / "capture/cameras.json", views)
     texts = [*THINGS, *NEGATIVES]
     vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
     (folder / "clip_texts.json").write_text(json.dumps(vectors))

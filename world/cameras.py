@@ -11,15 +11,19 @@ from .meshes import turn
 from .rooms import Placed, Room
 
 Vec = Float64[np.ndarray, " 3"]
+Point = tuple[float, float, float] | Vec
 PATHS = ("both", "orbit", "walk")
 
 
-def look_at(eye: Vec, target: Vec, size: tuple[int, int], across: float, name: str = "") -> View:
+def look_at(
+    eye: Point, target: Point, size: tuple[int, int], across: float, name: str = ""
+) -> View:
     """An upright camera at `eye`, the target in the middle of its picture; `across` is the
     horizontal angle of view in degrees."""
     width, height = size
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
+    ahead = np.subtract(target, eye)
+    forward = ahead / np.linalg.norm(ahead)
+    right = np.cross(forward, (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0))
     right /= np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, :3] = right, np.cross(forward, right), forward

@@ -10,82 +10,57 @@ if TYPE_CHECKING:
     __version__: str
     from .adapters.loading import load_encoder
     from .adapters.sam import load_segmenter
-    from .codes import Codebook, load_codebook, read_faiss_codebook, save_codebook, train_codebook
-    from .codes.mixture import choose_code, recoded
+    from .aggregation import Sampling
+    from .codes import PQ, Codebook, Mixture, Smaller, load_codebook, train_codebook
     from .embedding import embed
-    from .encoders import Encoder, EncoderIdentity, ImageEncoder
-    from .errors import (
-        DrSplatError,
-        DrSplatWarning,
-        FormatError,
-        InputError,
-        MismatchError,
-        MissingExtraError,
-    )
+    from .encoders import Encoder, EncoderIdentity
+    from .errors import DrSplatError, DrSplatWarning
     from .features import ViewFeatures
     from .field import LanguageField, load_field
-    from .formats.cameras_json import write_cameras_json
-    from .formats.captures import SparsePoints, read_sparse_points, read_views
-    from .formats.langsplat import read_features, write_features
+    from .formats.captures import read_sparse_points, read_views
+    from .formats.langsplat import read_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
     from .gaussians import Gaussians
     from .graph import GraphSegmenter
-    from .kernels import splat_arrays, topk_contributions, view_weights
     from .mini import MiniEncoder
     from .photos import load_image
     from .query import Answer, Cut, Match, Query, Scene, open_scene
     from .registration import Registration, register
     from .rendering import render
-    from .segments import Masks, Segmenter
-    from .training import Training, TrainingSettings, train
+    from .training import TrainingSettings, train
     from .views import View
     from .words import WordEncoder
 
 _HOMES = {
     "adapters.loading": ("load_encoder",),
     "adapters.sam": ("load_segmenter",),
-    "codes": (
-        "Codebook",
-        "load_codebook",
-        "read_faiss_codebook",
-        "save_codebook",
-        "train_codebook",
-    ),
-    "codes.mixture": ("choose_code", "recoded"),
+    "aggregation": ("Sampling",),
+    "codes": ("PQ", "Codebook", "Mixture", "Smaller", "load_codebook", "train_codebook"),
     "embedding": ("embed",),
-    "encoders": ("Encoder", "EncoderIdentity", "ImageEncoder"),
-    "errors": (
-        "DrSplatError",
-        "DrSplatWarning",
-        "FormatError",
-        "InputError",
-        "MismatchError",
-        "MissingExtraError",
-    ),
+    "encoders": ("Encoder", "EncoderIdentity"),
+    "errors": ("DrSplatError", "DrSplatWarning"),
     "features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"),
-    "formats.cameras_json": ("write_cameras_json",),
-    "formats.captures": ("SparsePoints", "read_sparse_points", "read_views"),
-    "formats.langsplat": ("read_features", "write_features"),
+    "formats.captures": ("read_sparse_points", "read_views"),
+    "formats.langsplat": ("read_features",),
     "formats.scenes": ("read_gaussians", "write_gaussians"),
     "formats.vocabulary": ("read_vocabulary",),
     "gaussians": ("Gaussians",),
     "graph": ("GraphSegmenter",),
-    "kernels": ("splat_arrays", "topk_contributions", "view_weights"),
     "mini": ("MiniEncoder",),
     "photos": ("load_image",),
     "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"),
     "rendering": ("render",),
-    "segments": ("Masks", "Segmenter"),
-    "training": ("Training", "TrainingSettings", "train"),
+    "training": ("TrainingSettings", "train"),
     "views": ("View",),
     "words": ("WordEncoder",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "PQ",
     "Answer",
     "Codebook",
     "Cut",
@@ -93,29 +68,22 @@ __all__ = [
     "DrSplatWarning",
     "Encoder",
     "EncoderIdentity",
-    "FormatError",
     "Gaussians",
     "GraphSegmenter",
-    "ImageEncoder",
-    "InputError",
     "LanguageField",
-    "Masks",
     "Match",
     "MiniEncoder",
-    "MismatchError",
-    "MissingExtraError",
+    "Mixture",
     "Query",
     "Registration",
+    "Sampling",
     "Scene",
-    "Segmenter",
-    "SparsePoints",
-    "Training",
+    "Smaller",
     "TrainingSettings",
     "View",
     "ViewFeatures",
     "WordEncoder",
     "__version__",
-    "choose_code",
     "embed",
     "load_codebook",
     "load_encoder",
@@ -123,23 +91,15 @@ __all__ = [
     "load_image",
     "load_segmenter",
     "open_scene",
-    "read_faiss_codebook",
     "read_features",
     "read_gaussians",
     "read_sparse_points",
     "read_views",
     "read_vocabulary",
-    "recoded",
     "register",
     "render",
-    "save_codebook",
-    "splat_arrays",
-    "topk_contributions",
     "train",
     "train_codebook",
-    "view_weights",
-    "write_cameras_json",
-    "write_features",
     "write_gaussians",
 ]
 

@@ -4,7 +4,6 @@ What a folder was made with, and which of its files are finished, is kept in an 
 beside them. Features count as finished only with an entry there that fits them and their photo.
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -14,10 +13,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from .codes import Track, encoder_from_json, untracked
-from .contents import open_file
 from .crops import crops
 from .encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from .errors import DrSplatWarning, InputError
+from .formats.checksums import hash_file
 from .formats.claiming import claimed_folder
 from .formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
 from .formats.feature_files import Form
@@ -171,9 +170,7 @@ def _photo_identity(view: View) -> str:
     """Of a photo's bytes and the raster it is read to."""
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo")
-    with open_file(view.image_path) as file:
-        digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16))
-    return f"{digest.hexdigest()} {view.width}x{view.height}"
+    return f"{hash_file(view.image_path)} {view.width}x{view.height}"
 
 
 def _embed_photo(

@@ -96,6 +96,11 @@ class Evidence:
     def dim(self) -> int:
         return int(self.embeddings.shape[1])
 
+    @property
+    def num_seen(self) -> int:
+        """Rows that any mask sees."""
+        return int((np.diff(self.weights.indptr) > 0).sum())
+
     def check_weights(self) -> None:
         """Raises: InputError: weights that are no numbers, infinite or negative."""
         data = self.weights.data

@@ -10,8 +10,12 @@ from jaxtyping import Bool, Float32, Float64, Integer
 
 from .errors import InputError
 from .placing import FEWEST, local_origin, near_plane
+from .rotations import rotation_matrices
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
+SH_C0 = (
+    0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,20 +103,17 @@ class Gaussians:
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
-        w, x, y, z = self.quats.astype(np.float64).T
-        rotation = np.empty((len(self), 3, 3))
-        rotation[:, 0] = np.stack(
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1
+        axes = (
+            rotation_matrices(self.quats.astype(np.float64))
+            * self.scales.astype(np.float64)[:, None, :]
         )
-        rotation[:, 1] = np.stack(
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1
-        )
-        rotation[:, 2] = np.stack(
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1
-        )
-        axes = rotation * self.scales.astype(np.float64)[:, None, :]
         rows, columns = np.triu_indices(3)
         return np.asarray(np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns]))
+
+    def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
+        """inv(S) R^T: takes an offset from the mean to where the Gaussian is round and of size one."""
+        inverse = self.quats.astype(np.float64) * [1, -1, -1, -1]
+        return np.asarray(rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None])
 
     def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "Gaussians":
         """The Gaussians at `index` (integers or a boolean mask), in that order."""

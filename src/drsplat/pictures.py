@@ -13,6 +13,7 @@ from .errors import InputError
 from .formats.replacing import replacing
 from .gaussians import Gaussians
 from .kernels import SplatArrays, render_channels, splat_arrays
+from .palette import LUMA
 from .photos import load_image
 from .rendering import render
 from .views import View
@@ -62,7 +63,7 @@ def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: in
         raise InputError(
             f"the photo is {photo.shape[:2]}, the share {share.shape}: render the share at the photo's size"
         )
-    grey = photo @ np.array([0.299, 0.587, 0.114])
+    grey = photo @ LUMA
     faded = (150 + 0.38 * (grey - 110))[..., None]
     kept = np.clip(share, 0, 1)[..., None]
     picture: Pixels = np.clip(photo * kept + faded * (1 - kept), 0, 255).astype(np.uint8)

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 from warnings import warn
 
 import numpy as np
@@ -20,7 +19,7 @@ from scipy.sparse import csr_array, hstack
 from .aggregation import Aggregator, Sampling
 from .aggregation import aggregator as named
 from .boxes import up_of
-from .codes import Track, untracked
+from .codes import PQ, CodeSpecification, Track, untracked
 from .columns import ColumnMaker, Columns, stack_columns
 from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError
@@ -32,9 +31,6 @@ from .kernels import splat_arrays
 from .terminal import counted
 from .units import doubts
 from .views import View
-
-if TYPE_CHECKING:
-    from .codes import Codebook
 
 UNKNOWN_ENCODER = "unknown"
 
@@ -95,14 +91,12 @@ class Registration:
     @property
     def num_registered(self) -> int:
         """Gaussians that at least one mask pixel sees among its top k."""
-        return int((np.diff(self.weights.indptr) > 0).sum())
+        return self.evidence.num_seen
 
     def to_field(
         self,
-        codebook: "Codebook | None" = None,
+        code: CodeSpecification = PQ(),
         *,
-        num_subvectors: int | None = None,
-        atoms_per_row: int | None = None,
         aggregator: str | Aggregator = "mean",
         gaussians: Gaussians | None = None,
         threads: int = 0,
@@ -110,8 +104,8 @@ class Registration:
     ) -> LanguageField:
         """One feature per Gaussian, coded; unseen Gaussians are pruned.
 
-        codebook None trains one of `num_subvectors` on this scene's features. atoms_per_row: instead, a mixture
-        of so many of the scene's segments each, 3 K + 2 bytes; `choose_code` says when. aggregator: how a Gaussian's
+        code: `PQ()` trains a codebook on this scene, `Mixture()` makes rows of its masks, `Smaller()` takes what is
+        smaller of the two; or a `Codebook` that is ready. aggregator: how a Gaussian's
         votes become its feature, the paper's weighted mean or another of docs/aggregators.md; those that
         look at neighbours need the `gaussians` that were registered. track: shows progress.
 
@@ -120,10 +114,11 @@ class Registration:
         """
         how = named(aggregator) if isinstance(aggregator, str) else aggregator
         self._check(how, gaussians)
+        aggregated = how(self.evidence, gaussians, threads=threads)
+        aggregated = replace(aggregated, record=how.record(self.sampling))
         field = build_field(
-            self.evidence, self.scene, self.encoder, codebook, num_subvectors, threads,
-            atoms_per_row=atoms_per_row, aggregated=how(self.evidence, gaussians, threads=threads), record=how.record(self.sampling),
-            track=track,
+            self.evidence, self.scene, self.encoder, code,
+            aggregated=aggregated, threads=threads, track=track,
         )  # fmt: skip
         return replace(field, up=self.up)
 
@@ -134,7 +129,7 @@ class Registration:
         if wanted not in (None, self.sampling):
             raise MismatchError(
                 f"aggregator '{how.name}' is for {how.sampling}, this registration is of "
-                f"{self.sampling or 'unknown sampling'}: pass sampling=aggregator('{how.name}').sampling to register"
+                f"{self.sampling or 'unknown sampling'}: pass sampling={how.sampling} to register"
             )
         if gaussians is not None and gaussians.fingerprint != self.scene:
             raise MismatchError(
@@ -183,11 +178,8 @@ def register(
     gaussians: Gaussians,
     views: Sequence[View],
     features: Mapping[str, ViewFeatures],
-    topk: int | None = 40,
+    sampling: Sampling = Sampling(),
     *,
-    first_hits: int | None = None,
-    near: float | None = None,
-    sampling: Sampling | None = None,
     parts: Path | None = None,
     threads: int = 0,
     track: Track = untracked,
@@ -197,14 +189,13 @@ def register(
     features: by view name, with or without suffix; views without features are left out with a warning.
     Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
     on them too. For maps made on what `load_image` returned, pass views with distortion None.
-    near: camera z up to which Gaussians are not seen, scene units; None: `gaussians.near`.
-    sampling: topk, first_hits and near in one, as an aggregator may want them; they are not looked at then.
+    sampling: which contributors of a pixel count; some aggregators want their own (`Aggregator.sampling`).
     parts: folder for each view's finished columns; a run that finds them there does not redo them, so
     a killed run loses at most one view. None uses a temporary folder.
     track: shows progress.
 
     Warns: DrSplatWarning: views without features; units that make no sense (`units.doubts`).
-    Raises: InputError: no view has features, two embedding sizes, topk < 1.
+    Raises: InputError: no view has features, two embedding sizes.
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = _views_with_features(views, features)
@@ -212,7 +203,6 @@ def register(
         warn(doubt, DrSplatWarning, stacklevel=2)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        sampling = sampling or Sampling(topk, first_hits, near=near)
         splats = splat_arrays(gaussians, sampling.near)
         maker = ColumnMaker(splats, folder, sampling, threads)
         followed = track(chosen, "registering views")

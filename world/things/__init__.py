@@ -17,8 +17,6 @@ CATALOGUE: dict[str, Maker] = {
 }
 """By the maker's name; a thing's own name is a phrase ("toy duck")."""
 
-FURNITURE = tuple(maker.__name__ for maker in furniture.THINGS)
-
 
 def make(kind: str, split: Split, seed: int) -> Thing:
     """One thing of the catalogue; the same one for the same seed."""

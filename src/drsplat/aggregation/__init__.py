@@ -2,11 +2,10 @@
 
 from .aggregator import AGGREGATORS, MEAN, Aggregated, Aggregator, Step, aggregator
 from .record import MEAN_RECORD, AggregatorRecord, record_from_json, record_json
-from .sampling import CENTRES, Sampling
+from .sampling import Sampling
 
 __all__ = [
     "AGGREGATORS",
-    "CENTRES",
     "MEAN",
     "MEAN_RECORD",
     "Aggregated",

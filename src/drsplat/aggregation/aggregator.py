@@ -1,7 +1,7 @@
 """From a row of W to one feature per Gaussian: rules for the weights, put together and named."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -12,18 +12,15 @@ from ..errors import InputError, MismatchError
 from ..evidence import Evidence
 from ..gaussians import Gaussians
 from .entries import canonical
-from .gates import Gated, MassGate, QuantileGate, Spared
-from .medians import CosineMedian
 from .outliers import OutlierRejection
-from .pruning import Pruned
-from .record import AggregatorRecord
-from .sampling import CENTRES, Sampling
-from .tempering import Tempered
+from .record import MEAN_RECORD, AggregatorRecord
+from .sampling import Sampling
 from .trust import MaskTrust
 from .voting import ModeVoting
 
 Step = Callable[[Evidence, int], Evidence]
-"""Other weights for the same votes: (evidence, threads) -> evidence. Adds no entry."""
+"""Other weights for the same votes: (evidence, threads) -> evidence. Adds no entry. A dataclass of numbers, which are
+its parameters; a step of several such has them as `parts`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +28,12 @@ class Aggregated:
     """Features of all rows, made when they are asked for.
 
     evidence: the votes that count, with the weights that they count with. donors: for each row the row of
-    `evidence` whose feature it has, or -1; None: its own.
+    `evidence` whose feature it has, or -1; None: its own. record: what made them.
     """
 
     evidence: Evidence
     donors: Int32[np.ndarray, " r"] | None = None
+    record: AggregatorRecord = MEAN_RECORD
 
     def __len__(self) -> int:
         return len(self.evidence) if self.donors is None else len(self.donors)
@@ -61,8 +59,8 @@ class Aggregated:
     def rows(self, index: Integer[np.ndarray, " r"]) -> "Aggregated":
         """Of some rows, in that order."""
         if self.donors is None:
-            return Aggregated(self.evidence.rows(index))
-        return Aggregated(self.evidence, self.donors[index])
+            return replace(self, evidence=self.evidence.rows(index))
+        return replace(self, donors=self.donors[index])
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Aggregator:
         for step in self.steps:
             weighed = step(weighed, threads)
         if self.voting is None:
-            return Aggregated(weighed)
+            return Aggregated(weighed, record=self.record())
         if gaussians is None:
             raise InputError(
                 f"aggregator '{self.name}' looks at neighbouring Gaussians: pass gaussians"
@@ -97,17 +95,18 @@ class Aggregator:
                 f"{len(gaussians)} Gaussians for evidence of {len(evidence)}: pass those registered"
             )
         seen = np.flatnonzero(np.diff(evidence.weights.indptr) > 0)
-        return Aggregated(weighed, self.voting.donors(weighed, gaussians, seen, threads))
+        donors = self.voting.donors(weighed, gaussians, seen, threads)
+        return Aggregated(weighed, donors, self.record())
 
     @property
-    def parameters(self) -> dict[str, float]:
+    def parameters(self) -> dict[str, int | float]:
         """All numbers of its steps, as "MassGate.share"."""
-        parts = [part for step in self.steps for part in _parts(step)]
+        parts = [part for step in self.steps for part in getattr(step, "parts", (step,))]
         parts += [self.voting] if self.voting else []
         return {
             f"{type(part).__name__}.{name}": value
             for part in parts
-            for name, value in asdict(part).items()  # type: ignore[call-overload]
+            for name, value in asdict(part).items()  # type: ignore[arg-type]
         }
 
     def record(self, sampling: Sampling | None = None) -> AggregatorRecord:
@@ -115,27 +114,12 @@ class Aggregator:
         return AggregatorRecord(self.name, self.parameters, sampling or self.sampling)
 
 
-def _parts(step: Step) -> tuple[object, ...]:
-    if isinstance(step, Spared):
-        return step.gated.gates
-    return step.gates if isinstance(step, Gated) else (step,)
-
-
 MEAN = Aggregator("mean")
 _ALL = (
     MEAN,
     Aggregator("official", Sampling(45, 100)),
-    Aggregator("centre-pixel", CENTRES),
-    Aggregator("vala", CENTRES, (Gated(), CosineMedian(), Pruned())),
-    Aggregator("mass-gate", steps=(Gated((MassGate(),)),)),
-    Aggregator("quantile-gate", steps=(Gated((QuantileGate(),)),)),
-    Aggregator("gates", steps=(Gated(),)),
-    Aggregator("spared-gates", steps=(Spared(),)),
-    Aggregator("median", steps=(CosineMedian(),)),
     Aggregator("inliers", steps=(OutlierRejection(),)),
-    Aggregator("tempered", steps=(Tempered(),)),
     Aggregator("trusted", steps=(MaskTrust(),)),
-    Aggregator("voting", voting=ModeVoting()),
     Aggregator("robust", steps=(MaskTrust(),), voting=ModeVoting()),
 )
 AGGREGATORS: Mapping[str, Aggregator] = MappingProxyType({a.name: a for a in _ALL})

@@ -13,7 +13,7 @@ class AggregatorRecord:
     """name: of the aggregator. parameters: of its steps. sampling: of W, where it is known."""
 
     name: str = "mean"
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, int | float] = field(default_factory=dict)
     sampling: Sampling | None = None
 
 

@@ -12,16 +12,22 @@ from .files import codebook_from_tensors, load_codebook, save_codebook
 from .kmeans import Track, untracked
 from .official import OfficialRows, from_official_bytes, official_bytes, read_faiss_codebook
 from .pq_code import PQCode, pq_code
+from .specification import PQ, CodeSpecification, Mixture, Smaller, choose_code
 
 __all__ = [
+    "PQ",
     "Best",
     "Code",
+    "CodeSpecification",
     "Codebook",
     "Codes",
     "Hits",
+    "Mixture",
     "OfficialRows",
     "PQCode",
+    "Smaller",
     "Track",
+    "choose_code",
     "codebook_from_tensors",
     "encoder_from_json",
     "from_official_bytes",

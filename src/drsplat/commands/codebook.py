@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import save_codebook
+    from ..codes import save_codebook
     from ..errors import InputError
     from ..progress import Stopwatch, peak_memory_bytes
 

@@ -296,7 +296,7 @@ def _choosers(arguments: argparse.Namespace, scorer: Scorer) -> dict[str, Any]:
 
 
 def _hashes(arguments: argparse.Namespace, files: Sequence[Path]) -> dict[str, str]:
-    from ..evaluation.scorers import hash_file
+    from ..formats.checksums import hash_file
 
     given = [Path(path) for path in arguments.scene if Path(path).is_file()]
     return {f"{path.parent.name}/{path.name}": hash_file(path) for path in [*given, *files]}

@@ -193,7 +193,8 @@ def _verified(field: Path) -> list[str]:
 
 
 def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import EncoderIdentity, load_codebook, read_faiss_codebook
+    from .. import EncoderIdentity, load_codebook
+    from ..codes import read_faiss_codebook
     from ..formats.faiss_index import read_faiss_quantizer
 
     if Path(arguments.path).suffix == ".faiss":

@@ -1,16 +1,17 @@
 """Colours of classes, on Gaussians and in pictures with a legend."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float32, Int32
 from PIL import Image, ImageDraw, ImageFont
 
-from ..gaussians import Gaussians
+from ..gaussians import SH_C0, Gaussians
 from ..kernels import render_channels, splat_arrays
-from ..palette import class_colors
+from ..palette import LUMA, class_colors
 from ..pictures import INK, PAPER, OtherPixels, Pixels
 from ..views import View
 
-SH_C0 = 0.28209479177387814  # of 3DGS: colour = 0.5 + SH_C0 * coefficient
 GREY = 0.35  # how much of its own light a Gaussian without class keeps, around a middle grey
 
 
@@ -21,15 +22,7 @@ def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -
     found = labels >= 0
     rgb[found] = class_colors(count)[labels[found]] / 255
     sh = ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None]
-    return Gaussians(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales,
-        gaussians.opacities,
-        sh,
-        gaussians.extra,
-        gaussians.origin,
-    )
+    return replace(gaussians, sh=sh)
 
 
 def class_picture(
@@ -57,7 +50,7 @@ def tinted(
     photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np.ndarray, "h w"]
 ) -> Pixels:
     """Colour over the photo's grey; `color` is already weighted by `share`."""
-    grey = (photo @ np.array([0.299, 0.587, 0.114]))[..., None]
+    grey = (photo @ LUMA)[..., None]
     covered = np.clip(share, 0, 1)[..., None]
     shade = 0.4 + 0.6 * grey / 255
     picture: Pixels = np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(

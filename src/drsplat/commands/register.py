@@ -25,10 +25,9 @@ from .options import (
 
 if TYPE_CHECKING:
     from ..aggregation import Aggregator, Sampling
-    from ..codes import Codebook
+    from ..codes import Codebook, CodeSpecification
     from ..encoders import EncoderIdentity
     from ..field import LanguageField
-    from ..registration import Registration
 
 DEFAULT_TOPK = 40
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
@@ -82,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--aggregator", type=words, default="mean", metavar="NAME",
         help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
-        "code does), robust, centre-pixel or another of docs/aggregators.md (default: mean)",
+        "code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
     )  # fmt: skip
     add_near(method)
     _add_code(method)
@@ -144,6 +143,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     without = left_out([view.name for view in views], arguments.without)
     views = [view for view in views if view.name not in without]
     codebook = _codebook(arguments)
+    code = _code(arguments, codebook)
     encoder = _encoder(arguments, codebook)
     features = read_features(arguments.features, level=arguments.level, encoder=encoder)
     watch.lap("read")
@@ -155,8 +155,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     )  # fmt: skip
     watch.lap("register")
     field = registration.to_field(
-        codebook, num_subvectors=arguments.subvectors, atoms_per_row=_atoms_per_row(arguments, registration),
-        aggregator=how, gaussians=gaussians, threads=arguments.threads, track=tracker(arguments),
+        code, aggregator=how, gaussians=gaussians, threads=arguments.threads, track=tracker(arguments),
     )  # fmt: skip
     field = _with_words(field, arguments.features)
     watch.lap("code")
@@ -197,23 +196,20 @@ def _with_words(field: "LanguageField", features: str) -> "LanguageField":
     return field.with_contrast(words.embeddings, words.texts)
 
 
-def _atoms_per_row(arguments: argparse.Namespace, registration: "Registration") -> int | None:
-    """Of a mixture; None for product quantisation."""
-    from ..codes.mixture import DEFAULT_ATOMS, choose_code
+def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSpecification":
+    from ..codes import PQ, Mixture, Smaller
+    from ..codes.mixture import DEFAULT_ATOMS
     from ..errors import InputError
 
-    quantised = arguments.codebook is not None or arguments.subvectors is not None
+    quantised = arguments.code == "pq" or codebook is not None or arguments.subvectors is not None
     mixed = arguments.code == "mixture" or arguments.atoms is not None
-    if mixed and (quantised or arguments.code == "pq"):
+    if mixed and quantised:
         raise InputError(
             "--code mixture and --atoms go with neither --codebook, --subvectors nor --code pq: drop one of them"
         )
-    if quantised or arguments.code == "pq":
-        return None
-    atoms = arguments.atoms or DEFAULT_ATOMS
-    rows, segments = registration.num_registered, len(registration.segments)
-    chosen = choose_code(rows, segments, registration.encoder.dim, atoms).name
-    return atoms if mixed or chosen == "mixture" else None
+    if quantised:
+        return codebook or PQ(arguments.subvectors)
+    return (Mixture if mixed else Smaller)(arguments.atoms or DEFAULT_ATOMS)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -272,7 +268,8 @@ def _level(text: str) -> str | int:
 
 
 def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
-    from .. import EncoderIdentity, load_codebook, read_faiss_codebook
+    from .. import EncoderIdentity, load_codebook
+    from ..codes import read_faiss_codebook
     from ..errors import InputError
     from ..formats.faiss_index import read_faiss_quantizer
 

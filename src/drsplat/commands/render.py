@@ -80,7 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import read_gaussians, splat_arrays
+    from .. import read_gaussians
+    from ..kernels import splat_arrays
     from ..progress import Stopwatch
     from ..query import view_named
 

@@ -133,7 +133,7 @@ def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.nda
     """
     _check(gaussians, points)
     points = points.relative_to(gaussians.origin)
-    whiten = whitening(gaussians).astype(np.float64)
+    whiten = gaussians.whitening().astype(np.float32).astype(np.float64)
     means = gaussians.means.astype(np.float64)
     present = np.unique(points.labels)
     best, found = np.full(len(gaussians), -np.inf), np.full(len(gaussians), -1, np.int32)
@@ -161,18 +161,6 @@ def _check(gaussians: Gaussians, points: LabelledPoints) -> None:
             raise InputError(f"{name}: expected finite positions")
 
 
-def whitening(gaussians: Gaussians) -> Float32[np.ndarray, "n 3 3"]:
-    """inv(S) R^T of each Gaussian."""
-    w, x, y, z = gaussians.quats.astype(np.float64).T
-    columns = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    turned = np.stack([np.stack(row, 1) for row in columns], 1)
-    return (turned / gaussians.scales.astype(np.float64)[:, :, None]).astype(np.float32)
-
-
 def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
     """In order of size, then of place, so that a block of them shares cells."""
     covariances = gaussians.covariances()
@@ -182,7 +170,7 @@ def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
     size = np.exp2(np.ceil(np.log2(longest)))
     x, y, z = np.floor(gaussians.means.astype(np.float64) / size[:, None]).T
     order = np.lexsort((x, y, z, size))
-    whiten = whitening(gaussians).reshape(-1, 9)
+    whiten = gaussians.whitening().astype(np.float32).reshape(-1, 9)
     return _Sources(order, gaussians.means[order], whiten[order], reach[order], size[order])
 
 

@@ -190,12 +190,6 @@ def hashed(array: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def hash_file(path: Path) -> str:
-    """Of the content of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-
-
 def _cosines(features: Float[np.ndarray, "N D"], unit: Float32[np.ndarray, " D"]) -> Scores:
     scores = np.empty(len(features), np.float32)
     for start in range(0, len(features), BLOCK):

@@ -23,7 +23,6 @@ from ..errors import InputError
 from ..gaussians import Gaussians
 from . import metrics, scannet_volume
 from .predictions import read_manifest
-from .pseudo_labels import whitening
 from .scannet import (
     ScannetScene,
     over_scenes,
@@ -195,7 +194,7 @@ class _Sources:
 
     def __init__(self, gaussians: Gaussians, grid: VoxelGrid) -> None:
         self.grid, self.means = grid, gaussians.positions
-        self.whiten = whitening(gaussians).astype(np.float64)
+        self.whiten = gaussians.whitening().astype(np.float32).astype(np.float64)
         scales = gaussians.scales.astype(np.float64)
         self.peaks = gaussians.opacities / ((2 * np.pi) ** 1.5 * scales.prod(1))
         reach = CUT_OFF * np.sqrt(gaussians.covariances()[:, [0, 3, 5]])

@@ -1,13 +1,23 @@
 """Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
 
-import math
-
 import numpy as np
 from jaxtyping import Bool
 
-from ..aggregation import MEAN, MEAN_RECORD, Aggregated, AggregatorRecord
+from ..aggregation import MEAN, Aggregated
 from ..aggregation.entries import canonical
-from ..codes import Code, Codebook, Codes, Track, pq_code, train_codebook, untracked
+from ..codes import (
+    PQ,
+    Code,
+    Codebook,
+    Codes,
+    CodeSpecification,
+    Mixture,
+    Smaller,
+    Track,
+    pq_code,
+    train_codebook,
+    untracked,
+)
 from ..codes.codebook import BLOCK, TRAINING_POINTS
 from ..codes.mixture import encode_mixture
 from ..encoders import EncoderIdentity
@@ -15,34 +25,25 @@ from ..errors import InputError, MismatchError
 from ..evidence import Evidence
 from .language_field import LanguageField
 
-SUBVECTORS = 128
-
 
 def build_field(
     evidence: Evidence,
     scene: str,
     encoder: EncoderIdentity,
-    codebook: Codebook | None = None,
-    num_subvectors: int | None = None,
-    threads: int = 0,
+    code: CodeSpecification = PQ(),
     *,
-    atoms_per_row: int | None = None,
     aggregated: Aggregated | None = None,
-    record: AggregatorRecord = MEAN_RECORD,
+    threads: int = 0,
     track: Track = untracked,
 ) -> LanguageField:
     """The feature of each Gaussian, coded. Gaussians without any are left out.
 
     evidence: one row per Gaussian of the scene; the field keeps all of it, whatever the features are made
-    of. scene: fingerprint of those Gaussians. codebook None trains one on features spread over the scene,
-    with num_subvectors parts (None: 128, or the largest power of two below it that divides D). atoms_per_row:
-    not product-quantised, but a mixture of so many segments and typical features each: see docs/mixture.md.
-    aggregated: the features of the rows, as an aggregator makes them of the evidence, None for their mean;
-    record: what the field says of it. track: shows progress. The same to the bit for any number of
-    threads.
+    of. scene: fingerprint of those Gaussians. code: what features are kept as. aggregated: the features of
+    the rows, as an aggregator makes them of the evidence, None for their mean. track: shows progress. The
+    same to the bit for any number of threads.
 
-    Raises: InputError: no Gaussian has evidence, not one feature per row, or both a mixture and a codebook
-    are asked for. MismatchError: the
+    Raises: InputError: no Gaussian has evidence, or not one feature per row. MismatchError: the
     embeddings, the encoder and the codebook are not of one dimension.
     Source: Dr. Splat Sec. A "Training stage".
     """
@@ -50,8 +51,6 @@ def build_field(
         raise MismatchError(
             f"embeddings of {evidence.dim} numbers, but {encoder.name} makes {encoder.dim}"
         )
-    if atoms_per_row is not None and (codebook is not None or num_subvectors is not None):
-        raise InputError("a mixture has no codebook: drop atoms_per_row, or what is of a codebook")
     features = MEAN(evidence) if aggregated is None else aggregated
     if len(features) != len(evidence):
         raise InputError(f"{len(features)} features for evidence of {len(evidence)} rows")
@@ -60,23 +59,35 @@ def build_field(
         raise InputError(
             "no Gaussian is under any mask: check that poses, photos and scene belong together"
         )
-    features = features.rows(seen)
-    if atoms_per_row is not None:
+    if isinstance(code, Smaller):
+        code = code.chosen(evidence.num_seen, len(evidence.segments), evidence.dim)
+    if isinstance(code, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
-        code, directed = _mixed(features, atoms_per_row, threads, track)
-    else:
-        if codebook is None:
-            parts = num_subvectors or math.gcd(SUBVECTORS, encoder.dim)
-            codebook = _scene_codebook(features, encoder, parts, threads, track)
-        code, directed = _quantised(features, codebook, threads, track)
+    coded, directed = _coded(features.rows(seen), code, encoder, threads, track)
     ids, kept = seen[directed].astype(np.uint32), evidence.rows(seen[directed])
-    return LanguageField(ids, code, encoder, scene, len(evidence), kept, aggregator=record)
+    return LanguageField(
+        ids, coded, encoder, scene, len(evidence), kept, aggregator=features.record
+    )
+
+
+def _coded(
+    features: Aggregated,
+    code: PQ | Mixture | Codebook,
+    encoder: EncoderIdentity,
+    threads: int,
+    track: Track,
+) -> tuple[Code, Bool[np.ndarray, " r"]]:
+    """The code of the rows that have a direction, and which of all do."""
+    if isinstance(code, Mixture):
+        return _mixed(features, code.atoms, threads, track)
+    if isinstance(code, PQ):
+        code = _scene_codebook(features, encoder, code.parts(encoder.dim), threads, track)
+    return _quantised(features, code, threads, track)
 
 
 def _mixed(
     features: Aggregated, atoms_per_row: int, threads: int, track: Track
 ) -> tuple[Code, Bool[np.ndarray, " r"]]:
-    """The code of the rows that have a direction, and which of all do."""
     source = features.evidence
     if features.donors is not None:
         source = source.rows(features.donors)
@@ -88,7 +99,7 @@ def _mixed(
 def _quantised(
     features: Aggregated, codebook: Codebook, threads: int, track: Track
 ) -> tuple[Code, Bool[np.ndarray, " r"]]:
-    """The code of the rows that have a direction, and which of all do: embeddings can cancel out."""
+    """Embeddings can cancel out."""
     codes, directed = _encode_rows(features, codebook, threads, track)
     if not directed.all():
         codes = codes.rows(np.flatnonzero(directed))

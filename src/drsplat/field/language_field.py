@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Integer, UInt32
+from jaxtyping import Float32, Float64, Int64, Integer, UInt32
 
 from ..aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..codes import Best, Code, Codebook, Hits, PQCode
@@ -123,6 +123,16 @@ class LanguageField:
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)
+
+    def rows_of(self, gaussian_ids: Integer[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
+        """The row of each Gaussian of the scene; -1 where it has no feature, or there is no such Gaussian."""
+        if not len(self):
+            return np.full(len(gaussian_ids), -1)
+        ids = np.clip(gaussian_ids, 0, self.gaussian_ids[-1]).astype(
+            np.uint32
+        )  # else all rows are cast
+        rows = np.searchsorted(self.gaussian_ids, ids)
+        return np.where(self.gaussian_ids[rows] == gaussian_ids, rows, -1)
 
     @property
     def codebook(self) -> Codebook:
@@ -299,10 +309,8 @@ class LanguageField:
             raise InputError(f"Gaussian {gaussian_id} of a scene of {self.num_gaussians}")
         if self.evidence is None:
             raise InputError("this field holds no evidence: register again and keep it")
-        row = int(np.searchsorted(self.gaussian_ids, gaussian_id))
-        if row == len(self) or self.gaussian_ids[row] != gaussian_id:
-            return []
-        return self.evidence.explain(row, _unit(query), top)
+        row = int(self.rows_of(np.array([gaussian_id]))[0])
+        return [] if row < 0 else self.evidence.explain(row, _unit(query), top)
 
     def check_scene(self, gaussians: Gaussians) -> None:
         """Refuse another scene than the one registered.

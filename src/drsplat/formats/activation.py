@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float32, Integer
 from ..errors import FormatError
 from ..gaussians import Gaussians
 
-SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic
 BLOCK_ROWS = 1 << 13
 CURE = (
     "Delete these Gaussians in the tool that wrote the file (SuperSplat, or splat-transform "

@@ -3,15 +3,24 @@
 In safetensors files they stand in the header's metadata, in JSON documents beside the other keys.
 """
 
+import hashlib
 import json
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
+from ..contents import open_file
 from ..errors import FormatError
 
 TENSORS, HEADER, DOCUMENT = "crc32", "crc32_header", "crc32"
+
+
+def hash_file(path: Path) -> str:
+    """Of the content of a file: blake2b, 16 bytes, as hexadecimals."""
+    with open_file(path) as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def raw_bytes(array: np.ndarray) -> memoryview:

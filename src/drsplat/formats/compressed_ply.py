@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float32, UInt32
 
 from ..errors import FormatError
-from ..gaussians import SH_COEFFICIENTS, Gaussians
-from .activation import SH_C0, checked, exp, from_smallest_three
+from ..gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
+from .activation import checked, exp, from_smallest_three
 from .gaussian_ply import extra_columns
 from .ply import Records, gather, read_elements
 from .ply_header import Header

@@ -1,6 +1,5 @@
 """embedding.json: what made the features of a folder, and which of them are finished."""
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -8,7 +7,7 @@ from pathlib import Path
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
-from .checksums import check_seal, sealed
+from .checksums import check_seal, hash_file, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .json_files import is_text, read_json, shown
 from .photo_files import listed
@@ -78,7 +77,7 @@ class EmbeddingRecord:
     ) -> None:
         """After the files are written."""
         compact, maps, rows = (self.folder / f"{stem}{e}" for e in (COMPACT, MAPS, EMBEDDINGS))
-        digest = _digest(compact if form == "compact" else rows)
+        digest = hash_file(compact if form == "compact" else rows)
         size = None if form == "compact" else maps.stat().st_size
         self.finished[stem] = Finished(photo, digest, size, masks, empty_masks)
         self.write()
@@ -207,20 +206,15 @@ def _entry(value: object) -> Finished | None:
 def _fits(entry: Finished, folder: Path, stem: str) -> bool:
     if entry.form == "compact":
         hashed = folder / f"{stem}{COMPACT}"
-        return hashed.is_file() and _digest(hashed) == entry.embeddings
+        return hashed.is_file() and hash_file(hashed) == entry.embeddings
     embeddings = folder / f"{stem}{EMBEDDINGS}"
     if _sized(folder / f"{stem}{MAPS}") != entry.map_bytes or not embeddings.is_file():
         return False
-    return _digest(embeddings) == entry.embeddings
+    return hash_file(embeddings) == entry.embeddings
 
 
 def _sized(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def _listed_stems(folder: Path) -> list[str]:

@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..errors import FormatError
-from ..gaussians import SH_COEFFICIENTS, Gaussians
-from .activation import SH_C0, checked
+from ..gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
+from .activation import checked
 
 MAGIC = b"\0\1\0\0"  # the version, and two bytes without a use
 CENTRE_BYTES = 12

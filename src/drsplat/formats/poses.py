@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import FormatError, InputError
+from ..rotations import rotation_matrices
 from ..views import View
 
 Matrix3 = Float64[np.ndarray, "3 3"]
@@ -44,14 +45,8 @@ def rotation_from_quaternion(quaternion: tuple[float, ...], where: str) -> Matri
     norm = math.hypot(*quaternion)
     if not (math.isfinite(norm) and norm > 1e-12):
         raise FormatError(f"{where}: expected a rotation quaternion, got {quaternion}")
-    w, x, y, z = (part / norm for part in quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    unit = np.array([[part / norm for part in quaternion]])
+    return np.asarray(rotation_matrices(unit)[0])
 
 
 def nearest_rotation(matrix: Matrix3, where: str) -> Matrix3:

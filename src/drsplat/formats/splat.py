@@ -10,8 +10,8 @@ Source: the format notes of github.com/antimatter15/splat.
 import numpy as np
 
 from ..errors import FormatError
-from ..gaussians import Gaussians
-from .activation import SH_C0, checked
+from ..gaussians import SH_C0, Gaussians
+from .activation import checked
 
 RECORD = np.dtype(
     [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)]

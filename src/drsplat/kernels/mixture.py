@@ -17,7 +17,6 @@ from .splatting import _checked_isa
 
 ROWS_OF_A_BLOCK = 64
 MOST_ATOMS = 16  # of one row
-MOST_FURTHER = 64
 ADDRESSABLE = 1 << 16  # atoms that an id can name
 T = TypeVar("T")
 

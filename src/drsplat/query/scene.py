@@ -275,14 +275,12 @@ class Scene:
         return best_views(self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
 
     def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
-        rows = self.field.gaussian_ids
-        known = 0 <= gaussian_id < self.field.num_gaussians
-        row = int(np.searchsorted(rows, np.uint32(gaussian_id))) if known else len(rows)
-        if row == len(rows) or rows[row] != gaussian_id:
+        row = self.field.rows_of(np.array([gaussian_id]))
+        if row[0] < 0:
             raise InputError(
                 f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it"
             )
-        feature: np.ndarray = self.field.feature(np.array([row]))[0]
+        feature: np.ndarray = self.field.feature(row)[0]
         return feature
 
     def _support(self, match: Match, answer: Answer) -> tuple[Explanation, ...]:

@@ -148,8 +148,7 @@ def feature_at(
     Source: Dr. Splat Sec. F "Broader application".
     """
     found = gaussian_at(field, gaussians, view, xy, threads=threads)
-    row = int(np.searchsorted(field.gaussian_ids, np.uint32(found)))
-    feature: np.ndarray = field.feature(np.array([row]))[0]
+    feature: np.ndarray = field.feature(field.rows_of(np.array([found])))[0]
     return feature
 
 
@@ -176,8 +175,7 @@ def gaussian_at(
     pixel = np.full((view.height, view.width), -1, np.int32)
     pixel[row, column] = 0
     seen = view_weights(splat_arrays(gaussians), view, pixel, topk=None, threads=threads)
-    rows = np.searchsorted(field.gaussian_ids, seen.gaussian_ids)
-    known = field.gaussian_ids[np.minimum(rows, len(field) - 1)] == seen.gaussian_ids
+    known = field.rows_of(seen.gaussian_ids) >= 0
     if not known.any():
         raise InputError(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"

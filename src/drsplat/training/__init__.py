@@ -1,7 +1,7 @@
 """Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU."""
 
 from .devices import train
-from .loop import Status
+from .job import Status
 from .result import Training
 from .settings import TrainingSettings
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
 from ..formats.captures import SparsePoints
+from ..formats.checksums import hash_file
 from ..formats.tensors import check_tensors, read_tensors, write_tensors
 from ..views import View
 from .run import Run
@@ -56,8 +57,7 @@ def _photo_hash(view: View) -> bytes:
     if view.image_path is None:
         return b""
     try:
-        with view.image_path.open("rb") as file:
-            return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).digest()
+        return bytes.fromhex(hash_file(view.image_path))
     except OSError as error:
         raise InputError(f"{view.image_path}: cannot be read: {error.strerror}") from error
 

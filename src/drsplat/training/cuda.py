@@ -2,18 +2,14 @@
 
 import os
 import shutil
-from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from ..errors import MissingExtraError
-from ..formats.captures import SparsePoints
-from ..views import View
-from .loop import CHECKPOINT_EVERY, Status
+from .job import Job
 from .result import Training
-from .settings import TrainingSettings
 
 INSTALL = 'pip install "drsplat[cuda]"'
 ELSE_CPU = "or train with device 'cpu'"
@@ -45,18 +41,7 @@ def _has_cuda_compiler() -> bool:
     return shutil.which("nvcc") is not None or (Path(named) / "bin" / "nvcc").is_file()
 
 
-def train(
-    views: Sequence[View],
-    settings: TrainingSettings | None = None,
-    output_dir: str | Path | None = None,
-    *,
-    points: SparsePoints | None = None,
-    overwrite: bool = False,
-    save_at: Collection[int] = (7000,),
-    checkpoint_every: int = CHECKPOINT_EVERY,
-    threads: int = 0,
-    report: Callable[[Status], None] | None = None,
-) -> Training:
+def train(job: Job) -> Training:
     """As `gsplat_loop.train`, with gsplat on "cuda".
 
     Raises: as there, and MissingExtraError: torch, gsplat, its kernels or a GPU is absent.
@@ -64,10 +49,7 @@ def train(
     engine = installed_engine()
     from . import gsplat_loop
 
-    return gsplat_loop.train(
-        views, settings, output_dir, engine=engine, points=points, overwrite=overwrite,
-        save_at=save_at, checkpoint_every=checkpoint_every, threads=threads, report=report,
-    )  # fmt: skip
+    return gsplat_loop.train(job, engine)
 
 
 def installed_engine() -> Any:

@@ -9,7 +9,7 @@ from ..errors import InputError, MissingExtraError
 from ..formats.captures import SparsePoints
 from ..views import View
 from . import loop
-from .loop import CHECKPOINT_EVERY, Status
+from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
 from .result import Training
 from .settings import TrainingSettings
 
@@ -24,7 +24,7 @@ def train(
     points: SparsePoints | None = None,
     device: str = "auto",
     overwrite: bool = False,
-    save_at: Collection[int] = (7000,),
+    save_at: Collection[int] = SAVE_AT,
     checkpoint_every: int = CHECKPOINT_EVERY,
     threads: int = 0,
     report: Callable[[Status], None] | None = None,
@@ -54,11 +54,11 @@ def train(
     optimisation diverged.
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
     """
-    backend = loop.train if chosen_device(device) == "cpu" else _cuda().train
-    training: Training = backend(
-        views, settings, output_dir, points=points, overwrite=overwrite, save_at=save_at,
-        checkpoint_every=checkpoint_every, threads=threads, report=report,
+    job = Job(
+        views, settings or TrainingSettings(), output_dir, points, overwrite, save_at,
+        checkpoint_every, threads, report,
     )  # fmt: skip
+    training: Training = (loop if chosen_device(device) == "cpu" else _cuda()).train(job)
     return training
 
 

@@ -1,42 +1,21 @@
 """`train` with gsplat's rasterisation and strategies: posed photos in, Gaussians out."""
 
-import math
-import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from functools import partial
 
-import numpy as np
 import torch
 
-from ..errors import DrSplatError, InputError
-from ..formats.captures import SparsePoints
-from ..views import View
-from .gsplat_run import DeviceRun, Drawn, Engine
+from ..errors import DrSplatError
+from .gsplat_run import DeviceRun, Engine
 from .gsplat_strategy import require_what_gsplat_can
-from .interrupting import deferred_interrupt
-from .keeper import Keeper, beginning
-from .loop import CHECKPOINT_EVERY, PSNR_EVERY, PSNR_MEMORY, Status
-from .model_folder import model_folder
-from .optimizer import Optimizer
+from .job import Job
+from .keeper import Keeper
+from .loop import optimise, trained
 from .result import Training
-from .settings import TrainingSettings
-from .start import first_gaussians, local_capture, scene_extent, split_views
 
 
-def train(
-    views: Sequence[View],
-    settings: TrainingSettings | None = None,
-    output_dir: str | Path | None = None,
-    *,
-    engine: Engine,
-    points: SparsePoints | None = None,
-    overwrite: bool = False,
-    save_at: Collection[int] = (7000,),
-    checkpoint_every: int = CHECKPOINT_EVERY,
-    threads: int = 0,
-    report: Callable[[Status], None] | None = None,
-) -> Training:
+def train(job: Job, engine: Engine) -> Training:
     """As `loop.train`, on the engine's device; on a GPU not the same to the bit each time.
 
     Start, photos, schedules and files are those of the CPU. Held-out photos are rendered by our own
@@ -45,47 +24,13 @@ def train(
     Raises: as `loop.train`, and InputError: a setting that gsplat has fixed at another value.
     DrSplatError: the device's memory is full.
     """
-    settings = settings or TrainingSettings()
-    if checkpoint_every < 1:
-        raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
-    require_what_gsplat_can(settings)
-    split, points, origin = local_capture(split_views(views, settings.test_every), points)
-    extent, rng = scene_extent(split.train), np.random.default_rng(settings.seed)
-    with model_folder(output_dir, overwrite) as folder:
-        start = beginning(folder, points, split.train, settings, rng, origin)
-        optimizer = Optimizer(first_gaussians(start.points, settings))
-        run = DeviceRun(split.train, settings, extent, optimizer, rng, origin, engine=engine)
-        keeper = Keeper(run, split, folder, save_at, checkpoint_every, threads)
-        keeper.begin(points, start)
-        with _full_precision(), _memory_explained(run), deferred_interrupt() as interrupted:
-            _optimise(run, keeper, report, interrupted)
-        return keeper.finish()
+    require_what_gsplat_can(job.settings)
+    return trained(job, partial(DeviceRun, engine=engine), _optimise)
 
 
-def _optimise(
-    run: DeviceRun,
-    keeper: Keeper,
-    report: Callable[[Status], None] | None,
-    interrupted: Callable[[], bool],
-) -> None:
-    psnr = math.nan
-    while run.iteration < run.settings.iterations:
-        begin = time.perf_counter()
-        drawn = run.advance()
-        run.seconds += time.perf_counter() - begin
-        keeper.after_step(interrupted())
-        if report is None:
-            continue
-        if run.iteration % PSNR_EVERY == 0:
-            now = _psnr(drawn)
-            psnr = now if math.isnan(psnr) else PSNR_MEMORY * psnr + (1 - PSNR_MEMORY) * now
-        count = len(run.scene)
-        report(Status(run.iteration, run.settings.iterations, drawn.loss, psnr, count))
-
-
-def _psnr(drawn: Drawn) -> float:
-    error = float(((drawn.image.clamp(0, 1) - drawn.target) ** 2).mean())
-    return min(-10 * math.log10(max(error, 1e-30)), 99.0)
+def _optimise(run: DeviceRun, keeper: Keeper, job: Job) -> None:
+    with _full_precision(), _memory_explained(run):
+        optimise(run, keeper, job)
 
 
 @contextmanager
@@ -105,7 +50,7 @@ def _memory_explained(run: DeviceRun) -> Iterator[None]:
         yield
     except torch.cuda.OutOfMemoryError as error:
         raise DrSplatError(
-            f"the GPU's memory is full at {len(run.scene):,} Gaussians, in iteration {run.iteration}: "
+            f"the GPU's memory is full at {len(run):,} Gaussians, in iteration {run.iteration}: "
             "limit them with max_gaussians=N, or train on smaller photos. "
             f"{error}"
         ) from error

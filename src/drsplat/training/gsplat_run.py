@@ -2,23 +2,22 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float64
 from torch import Tensor
 
 from ..errors import DrSplatError
 from ..kernels.reference_projection import BLUR
-from ..kernels.training import photometric_loss as photometric_loss_on_host
 from ..views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
+from .job import Beginning
 from .optimizer import Optimizer
 from .run import Outcome, Run
 from .schedules import active_sh_degree
-from .settings import TrainingSettings
 from .torch_loss import photometric_loss
 from .torch_parameters import DeviceParameters
 from .training_photos import Photo
@@ -32,14 +31,6 @@ class Engine(NamedTuple):
     device: str
 
 
-class Drawn(NamedTuple):
-    """Of one iteration: (h, w, 3) on the device, without derivatives."""
-
-    image: Tensor
-    target: Tensor
-    loss: float
-
-
 class DeviceRun(Run):
     """A run whose parameters live on a device; `optimizer` is their copy on the host.
 
@@ -47,21 +38,15 @@ class DeviceRun(Run):
     bit each time: sums on a GPU have no order.
     """
 
-    def __init__(
-        self,
-        views: Sequence[View],
-        settings: TrainingSettings,
-        extent: float,
-        optimizer: Optimizer,
-        rng: np.random.Generator,
-        origin: Float64[np.ndarray, " 3"] | None = None,
-        *,
-        engine: Engine,
-    ) -> None:
-        self._copy: Optimizer | None = optimizer
-        super().__init__(views, settings, extent, optimizer, rng, origin)
+    _copy: Optimizer | None
+
+    def __init__(self, beginning: Beginning, engine: Engine) -> None:
+        super().__init__(beginning)
         self.engine = engine
         self._upload()
+
+    def __len__(self) -> int:
+        return len(self.scene) if self._copy is None else len(self._copy)
 
     @property
     def optimizer(self) -> Optimizer:
@@ -82,17 +67,6 @@ class DeviceRun(Run):
         )
 
     def step(self, threads: int = 0) -> Outcome:
-        """As `advance`, with the pictures brought to the host."""
-        drawn = self.advance()
-        image, target = drawn.image.cpu().numpy(), drawn.target.cpu().numpy()
-        weight = self.settings.dssim_weight
-        return Outcome(photometric_loss_on_host(image, target, weight), image, target)
-
-    def advance(self) -> Drawn:
-        """The next iteration.
-
-        Raises: DrSplatError: the loss is no longer a number.
-        """
         self._since = time.perf_counter()
         self.iteration += 1
         self._copy = None
@@ -104,10 +78,10 @@ class DeviceRun(Run):
         self._lap("photo")
         image, seen = self._rendered(self.views[index])
         self._lap("forward")
-        drawn = self._compared(image, target, outside, seen)
+        outcome = self._compared(image, target, outside, seen)
         self._lap("backward")
         self._learnt(seen)
-        return drawn
+        return outcome
 
     def _photo(self, photo: Photo) -> tuple[Tensor, Tensor]:
         """Colours (h, w, 3), and where there is none (h, w, 1)."""
@@ -143,7 +117,7 @@ class DeviceRun(Run):
 
     def _compared(
         self, image: Tensor, target: Tensor, outside: Tensor, seen: dict[str, Any]
-    ) -> Drawn:
+    ) -> Outcome:
         """Loss and gradients. Where the photo says nothing, the rendering is its own target."""
         fixed = image.detach()
         target = torch.where(outside, fixed, target)
@@ -159,7 +133,7 @@ class DeviceRun(Run):
             )
         self.control.before_backward(seen, self.iteration)
         (loss + self.control.penalty()).backward()  # type: ignore[no-untyped-call]
-        return Drawn(fixed, target, value)
+        return Outcome(value, partial(_psnr, fixed, target))
 
     def _learnt(self, seen: dict[str, Any]) -> None:
         rates = self._rates()
@@ -178,3 +152,8 @@ class DeviceRun(Run):
         super().restore(arrays, texts)
         self._upload()
         self.control.learn(self.density)
+
+
+def _psnr(image: Tensor, target: Tensor) -> float:
+    error = float(((image.clamp(0, 1) - target) ** 2).mean())
+    return min(-10 * math.log10(max(error, 1e-30)), 99.0)

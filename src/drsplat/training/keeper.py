@@ -2,7 +2,7 @@
 
 import time
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..formats.point_ply import read_point_ply
 from ..views import View
 from .checkpoint import capture_fingerprint, load_checkpoint, save_checkpoint
 from .evaluation import Evaluation, evaluate
+from .job import Job
 from .model_folder import ModelFolder
 from .result import Training
 from .run import Run
@@ -26,7 +27,7 @@ CHECKPOINT_SECONDS = 120.0
 MOST_TRAIN_SCORED = 16  # photos
 
 
-def beginning(
+def start_of(
     folder: ModelFolder | None,
     points: SparsePoints | None,
     views: Sequence[View],
@@ -48,17 +49,8 @@ def beginning(
 class Keeper:
     """One sitting of a run, with its folder or without one."""
 
-    def __init__(
-        self,
-        run: Run,
-        split: Split,
-        folder: ModelFolder | None,
-        save_at: Collection[int],
-        checkpoint_every: int,
-        threads: int,
-    ) -> None:
-        self.run, self.split, self.folder, self.threads = run, split, folder, threads
-        self.save_at, self.checkpoint_every = save_at, checkpoint_every
+    def __init__(self, run: Run, split: Split, folder: ModelFolder | None, job: Job) -> None:
+        self.run, self.split, self.folder, self.job = run, split, folder, job
         self.test_photos = TrainingPhotos(split.test, run.settings.photo_memory_bytes)
         self.capture = ""
         self.saved = time.monotonic()
@@ -95,12 +87,12 @@ class Keeper:
 
     def _keep(self, folder: ModelFolder, interrupted: bool) -> None:
         run = self.run
-        if run.iteration in self.save_at:
+        if run.iteration in self.job.save_at:
             folder.write_scene(run.iteration, run.gaussians())
         late = time.monotonic() - self.saved > CHECKPOINT_SECONDS
         # from the last but one, a longer run goes on as if it had been planned so
         last = run.iteration == run.settings.iterations - 1
-        if late or last or interrupted or run.iteration % self.checkpoint_every == 0:
+        if late or last or interrupted or run.iteration % self.job.checkpoint_every == 0:
             self._checkpoint()
 
     def _checkpoint(self) -> None:
@@ -131,7 +123,7 @@ class Keeper:
         run = self.run
         return evaluate(
             run.optimizer.parameters, self.split.test, self.test_photos, run.settings,
-            near=run.near, pictures=pictures, threads=self.threads,
+            near=run.near, pictures=pictures, threads=self.job.threads,
         )  # fmt: skip
 
     def _psnr_train(self, count: int) -> float:
@@ -147,7 +139,7 @@ class Keeper:
             photos,
             run.settings,
             near=run.near,
-            threads=self.threads,
+            threads=self.job.threads,
         )
         return scores.psnr if scores else float("nan")
 

@@ -1,95 +1,62 @@
 """`train`: posed photos in, Gaussians out."""
 
+import math
 import time
-from collections.abc import Callable, Collection, Sequence
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 
-from ..errors import InputError
-from ..formats.captures import SparsePoints
-from ..views import View
 from .interrupting import deferred_interrupt
-from .keeper import Keeper, beginning
-from .metrics import psnr
+from .job import Beginning, Job, Status
+from .keeper import Keeper, start_of
 from .model_folder import model_folder
 from .optimizer import Optimizer
 from .result import Training
-from .run import Outcome, Run
-from .settings import TrainingSettings
-from .start import first_gaussians, local_capture, scene_extent, split_views
+from .run import R, Run
+from .start import first_gaussians, local_capture, split_views
 
-CHECKPOINT_EVERY = 1000
 PSNR_EVERY, PSNR_MEMORY = 10, 0.95
 
 
-class Status(NamedTuple):
-    """Of a run under way. psnr: running mean over the photos it is trained on, in dB."""
-
-    iteration: int
-    iterations: int
-    loss: float
-    psnr: float
-    num_gaussians: int
-
-
-def train(
-    views: Sequence[View],
-    settings: TrainingSettings | None = None,
-    output_dir: str | Path | None = None,
-    *,
-    points: SparsePoints | None = None,
-    overwrite: bool = False,
-    save_at: Collection[int] = (7000,),
-    checkpoint_every: int = CHECKPOINT_EVERY,
-    threads: int = 0,
-    report: Callable[[Status], None] | None = None,
-) -> Training:
+def train(job: Job) -> Training:
     """`devices.train` on the CPU, natively; the same bits for any number of threads.
 
     Raises: as `devices.train`.
     Source: 3DGS; 3DGS as MCMC.
     """
-    settings = settings or TrainingSettings()
-    if checkpoint_every < 1:
-        raise InputError(f"checkpoint_every: expected at least 1, got {checkpoint_every}")
-    split, points, origin = local_capture(split_views(views, settings.test_every), points)
-    extent, rng = scene_extent(split.train), np.random.default_rng(settings.seed)
-    with model_folder(output_dir, overwrite) as folder:
-        start = beginning(folder, points, split.train, settings, rng, origin)
+    return trained(job, Run, optimise)
+
+
+def trained(
+    job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, Keeper, Job], None]
+) -> Training:
+    """A job from its photos to its results, whatever the steps are taken on."""
+    settings = job.settings
+    split, points, origin = local_capture(split_views(job.views, settings.test_every), job.points)
+    rng = np.random.default_rng(settings.seed)
+    with model_folder(job.output_dir, job.overwrite) as folder:
+        start = start_of(folder, points, split.train, settings, rng, origin)
         optimizer = Optimizer(first_gaussians(start.points, settings))
-        run = Run(split.train, settings, extent, optimizer, rng, origin)
-        keeper = Keeper(run, split, folder, save_at, checkpoint_every, threads)
+        run = run_of(Beginning(split.train, settings, optimizer, rng, origin))
+        keeper = Keeper(run, split, folder, job)
         keeper.begin(points, start)
-        _optimise(run, keeper, threads, report)
+        optimise(run, keeper, job)
         return keeper.finish()
 
 
-def _optimise(
-    run: Run, keeper: Keeper, threads: int, report: Callable[[Status], None] | None
-) -> None:
-    meter = _Meter()
+def optimise(run: Run, keeper: Keeper, job: Job) -> None:
+    """Step by step to the end. The PSNR of photos trained on is for the eye, and not part of the state."""
+    psnr = math.nan
     with deferred_interrupt() as interrupted:
         while run.iteration < run.settings.iterations:
             begin = time.perf_counter()
-            outcome = run.step(threads)
+            outcome = run.step(job.threads)
             run.seconds += time.perf_counter() - begin
             keeper.after_step(interrupted())
-            if report is not None:
-                report(meter.status(run, outcome))
-
-
-class _Meter:
-    """Running PSNR of the photos trained on; for the eye, so it is not part of the state."""
-
-    def __init__(self) -> None:
-        self.psnr = float("nan")
-
-    def status(self, run: Run, outcome: Outcome) -> Status:
-        if run.iteration % PSNR_EVERY == 0:
-            now = min(psnr(np.clip(outcome.image, 0, 1), outcome.target), 99.0)
-            known = self.psnr == self.psnr
-            self.psnr = PSNR_MEMORY * self.psnr + (1 - PSNR_MEMORY) * now if known else now
-        count = len(run.optimizer)
-        return Status(run.iteration, run.settings.iterations, outcome.loss.value, self.psnr, count)
+            if job.report is None:
+                continue
+            if run.iteration % PSNR_EVERY == 0:
+                now = outcome.psnr()
+                psnr = now if math.isnan(psnr) else PSNR_MEMORY * psnr + (1 - PSNR_MEMORY) * now
+            iterations = run.settings.iterations
+            job.report(Status(run.iteration, iterations, outcome.loss, psnr, len(run)))

@@ -3,12 +3,13 @@
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from ..errors import DrSplatError
 from ..gaussians import Gaussians
@@ -16,10 +17,12 @@ from ..kernels.training import Gradients, Loss, TrainingView, forward, photometr
 from ..placing import near_plane
 from ..views import View
 from .density import AdaptiveDensity
+from .job import Beginning
 from .mcmc import MonteCarlo
+from .metrics import psnr
 from .optimizer import Optimizer, Rates
 from .schedules import active_sh_degree, means_rate
-from .settings import TrainingSettings
+from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder
 
 FINITE_EVERY = 100
@@ -27,40 +30,35 @@ STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
 
 
 class Outcome(NamedTuple):
-    """Of one iteration."""
+    """Of one iteration. psnr: of the photo that was drawn, in dB, at most 99; counted when it is asked for."""
 
-    loss: Loss
-    image: Float32[np.ndarray, "h w 3"]
-    target: Float32[np.ndarray, "h w 3"]
+    loss: float
+    psnr: Callable[[], float]
 
 
 class Run:
     """State of an optimisation; two runs of equal state take the same steps to the bit."""
 
-    def __init__(
-        self,
-        views: Sequence[View],
-        settings: TrainingSettings,
-        extent: float,
-        optimizer: Optimizer,
-        rng: np.random.Generator,
-        origin: Float64[np.ndarray, " 3"] | None = None,
-    ) -> None:
-        """origin: of the frame that views and Gaussians are in, in the world; None is zero."""
-        self.origin = np.zeros(3) if origin is None else origin
-        self.near = near_plane(optimizer.parameters.means)
-        self.views, self.settings, self.extent = views, settings, extent
-        self.optimizer, self.rng = optimizer, rng
-        self.photos = TrainingPhotos(views, settings.photo_memory_bytes)
-        self.order = ViewOrder(len(views))
-        kind = MonteCarlo if settings.strategy == "mcmc" else AdaptiveDensity
-        self.density: MonteCarlo | AdaptiveDensity = kind(settings, extent, len(optimizer))
+    def __init__(self, beginning: Beginning) -> None:
+        self.origin, self.rng = beginning.origin, beginning.rng
+        self.views, self.settings = beginning.views, beginning.settings
+        self.optimizer = beginning.optimizer
+        self.near = near_plane(self.optimizer.parameters.means)
+        self.extent = scene_extent(self.views)
+        self.photos = TrainingPhotos(self.views, self.settings.photo_memory_bytes)
+        self.order = ViewOrder(len(self.views))
+        kind = MonteCarlo if self.settings.strategy == "mcmc" else AdaptiveDensity
+        self.density: MonteCarlo | AdaptiveDensity = kind(self.settings, self.extent, len(self))
         self.iteration = 0
         self.seconds = 0.0
         self.history: list[dict[str, object]] = []
         self.start: dict[str, int] = {}
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)
         self._since = time.perf_counter()
+
+    def __len__(self) -> int:
+        """Gaussians, now."""
+        return len(self.optimizer)
 
     def step(self, threads: int = 0) -> Outcome:
         """The next iteration.
@@ -79,7 +77,7 @@ class Run:
         gradients = drawn.backward(loss.gradient)
         self._lap("backward")
         self._learn(gradients, threads)
-        return Outcome(loss, drawn.image, target)
+        return Outcome(loss.value, partial(_psnr, drawn.image, target))
 
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)
@@ -169,3 +167,10 @@ class Run:
         self.stage_seconds = json.loads(texts["stage_seconds"])
         self.history = json.loads(texts["history"])
         self.start = json.loads(texts["start"])
+
+
+R = TypeVar("R", bound=Run)
+
+
+def _psnr(image: Float32[np.ndarray, "h w 3"], target: Float32[np.ndarray, "h w 3"]) -> float:
+    return min(psnr(np.clip(image, 0, 1), target), 99.0)

@@ -9,9 +9,8 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..formats.activation import SH_C0
 from ..formats.captures import SparsePoints
-from ..gaussians import SH_COEFFICIENTS
+from ..gaussians import SH_C0, SH_COEFFICIENTS
 from ..kernels.training import SceneParameters
 from ..placing import local_origin, size_of
 from ..views import View

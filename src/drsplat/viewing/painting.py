@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
+from .. import palette
 from ..field import LanguageField
 
 Colors = Float32[np.ndarray, "n 3"]
@@ -16,7 +17,7 @@ ACCENTS = (
 )  # fmt: skip
 """Of several queries at once, in the order they were given."""
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+LUMA = palette.LUMA.astype(np.float32)
 DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another is meant
 TINT = 0.8  # share of the query's colour in what was found, where several are told apart
 GLOW = 0.3  # power of more light than it had: dark things gain most, and no channel overflows

@@ -62,21 +62,10 @@ def _met(
     part: Gaussians, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
     """Depth along the ray of the densest place, and the opacity there."""
-    axes = _axes(part.quats) / part.scales.astype(np.float64)[:, :, None]
+    axes = part.whitening()
     start = np.einsum("nij,nj->ni", axes, origin - part.means.astype(np.float64))
     step = axes @ direction
     depth = -np.einsum("ni,ni->n", start, step) / np.einsum("ni,ni->n", step, step)
     at = start + depth[:, None] * step
     alpha = part.opacities * np.exp(-0.5 * np.einsum("ni,ni->n", at, at))
     return depth, alpha
-
-
-def _axes(quats: np.ndarray) -> Float64[np.ndarray, "m 3 3"]:
-    """Row a is the direction of local axis a in the world."""
-    w, x, y, z = quats.astype(np.float64).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, 1) for row in rows], 1)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..gaussians import SH_C0, Gaussians
 from ..palette import class_colors
 from ..query import Query, Scene, Segmentation
 from ..terminal import counted
@@ -17,7 +17,7 @@ from . import painting, results
 from .naming import This, this_is
 from .picking import hit_by_ray
 from .results import Result
-from .shown import SH_C0, Shown, base_colors, shown_of
+from .shown import Shown, base_colors, shown_of
 
 MOST_QUERIES = 8  # at once: as many as there are colours
 

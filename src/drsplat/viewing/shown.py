@@ -6,13 +6,12 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..gaussians import SH_C0, Gaussians
 
 RADIUS = 10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
 WITHIN = 0.9  # of the opacity lies within that radius
 MOST_VARIANCE = 6e4  # float16 ends at 65504
 VOLUME_POWER = 0.1
-SH_C0 = 0.28209479177387814  # of 3DGS: colour = 0.5 + SH_C0 * coefficient
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ Features are mixtures of segment embeddings to begin with, so that a few of them
 typical features, come nearer in 14 bytes than 128 bytes that know nothing of the scene. See docs/mixture.md.
 """
 
-from .choice import Choice, choose_code
 from .code import MixtureCode, Part, mixture_from_tensors, recoded
 from .dictionary import AtomTable, quantised
 from .encoding import DEFAULT_ATOMS, MixtureSource, encode_mixture
@@ -13,12 +12,10 @@ from .scene_atoms import SceneAtoms, train_scene_atoms
 __all__ = [
     "DEFAULT_ATOMS",
     "AtomTable",
-    "Choice",
     "MixtureCode",
     "MixtureSource",
     "Part",
     "SceneAtoms",
-    "choose_code",
     "encode_mixture",
     "mixture_from_tensors",
     "quantised",

@@ -9,14 +9,13 @@ import numpy as np
 from jaxtyping import Int32
 from PIL import Image
 from scipy.spatial import cKDTree
+from world.packing import SCENE
 
 from drsplat import Gaussians, View, read_gaussians, read_views
 from drsplat.evaluation.label_sets import label_set
 from drsplat.evaluation.lerf_ovs import LerfScene, read_lerf_scene, without_labelled
 from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene
-from drsplat.evaluation.scorers import hash_file
-
-from ..packing import SCENE
+from drsplat.formats.checksums import hash_file
 
 LABEL_SET = "household"
 OPACITY = 0.9  # of Gaussians that stand for labelled points

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from drsplat import GraphSegmenter, MiniEncoder
-from drsplat.aggregation import AGGREGATORS
 from drsplat.encoders import identity_json
 from drsplat.evaluation.voxel import SIDE
 from drsplat.formats.replacing import replacing
 
+from .aggregators import MEASURED
 from .methods import Workshop
 from .rendered import STEPS
 from .scenes import LABEL_SET, BenchScene, about, read_scene
@@ -24,7 +24,7 @@ from .scoring import SWEEP, scored
 
 FORMAT, VERSION = "drsplat benchmark", 2
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-METHODS = (*AGGREGATORS, *STEPS)
+METHODS = (*MEASURED, *STEPS)
 
 
 @dataclass(frozen=True)

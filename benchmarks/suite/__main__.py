@@ -1,7 +1,7 @@
-"""python -m world.benchmark [SCENE ...] --output results.json [--masks true graph] [--methods mean robust ...] [--jobs 2]
+"""python -m benchmarks.suite [SCENE ...] --output results.json [--masks true graph] [--methods mean robust ...] [--jobs 2]
 
 Without scenes, all of world/scenes. A run that was stopped goes on when it is started again.
-Then: python -m world.benchmark.page results.json --output docs/evaluation.md
+Then: python -m benchmarks.suite.page results.json --output docs/evaluation.md
 """
 
 import argparse
@@ -11,7 +11,7 @@ from pathlib import Path
 from .masks import MASKS
 from .running import METHODS, Task, results_of, run, threads_for, write_results
 
-SCENES = Path(__file__).resolve().parent.parent / "scenes"
+SCENES = Path(__file__).resolve().parents[2] / "world" / "scenes"
 
 
 def main() -> None:

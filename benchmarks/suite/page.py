@@ -1,4 +1,4 @@
-"""python -m world.benchmark.page docs/evaluation.json --output docs/evaluation.md"""
+"""python -m benchmarks.suite.page docs/evaluation.json --output docs/evaluation.md"""
 
 import argparse
 import json
@@ -25,7 +25,7 @@ from .tables import (
 _HEAD = """\
 # Evaluation
 
-This page is made from [evaluation.json](evaluation.json) by `python -m world.benchmark.page`, and a test holds it to that: no
+This page is made from [evaluation.json](evaluation.json) by `python -m benchmarks.suite.page`, and a test holds it to that: no
 number here is typed. Numbers are percent. In brackets is the 95 % interval of the mean over scenes, by bootstrap; scenes are what
 is drawn again, so it says how other scenes of this world would do, and nothing about real photos."""
 _METHODS = """\
@@ -52,8 +52,8 @@ _MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
 pip install -e .
-python -m world.benchmark --output docs/evaluation.json --jobs 2      # goes on where it was when started again
-python -m world.benchmark.page docs/evaluation.json --output docs/evaluation.md
+python -m benchmarks.suite --output docs/evaluation.json --jobs 2      # goes on where it was when started again
+python -m benchmarks.suite.page docs/evaluation.json --output docs/evaluation.md
 drsplat evaluate lerf-ovs world/scenes --name {scene} --scene world/scenes/{scene}/scene.compressed.ply \\
     --features per_gaussian.npy --encoder drsplat-mini --report peer     # features of any other system
 ```"""

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import UInt8
 
-from drsplat import GraphSegmenter, Masks, MiniEncoder, View, ViewFeatures, load_image
+from drsplat import GraphSegmenter, MiniEncoder, View, ViewFeatures, load_image
 from drsplat.crops import crops
 from drsplat.mask_selection import segment_maps
-from drsplat.segments import LEVELS, cut_masks
+from drsplat.segments import LEVELS, Masks, cut_masks
 
 from .scenes import BenchScene
 

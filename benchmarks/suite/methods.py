@@ -15,9 +15,10 @@ from drsplat import (
     ViewFeatures,
     register,
 )
-from drsplat.aggregation import Sampling, aggregator
+from drsplat.aggregation import Sampling
 from drsplat.evaluation.scorers import Scorer, cosine_scorer
 
+from .aggregators import MEASURED
 from .masks import features_of
 from .rendered import STEPS, rendered_scorer
 from .scenes import BenchScene
@@ -49,7 +50,7 @@ class Registered:
         return self.registrations[sampling]
 
     def field(self, name: str, codebook: Codebook | None, threads: int) -> LanguageField:
-        how = aggregator(name)
+        how = MEASURED[name]
         found = self.registration(how.sampling or DEFAULT, threads)
         return found.to_field(codebook, aggregator=how, gaussians=self.gaussians, threads=threads)
 

@@ -82,7 +82,7 @@ def tell(
     features = read_features(
         folder / "language_features", level="large", encoder=WordEncoder.identity
     )
-    registration = register(gaussians, views, features, topk=40, threads=threads, track=track)
+    registration = register(gaussians, views, features, threads=threads, track=track)
     watch.lap("register")
     registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
     field = load_field(folder / FIELD)

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.sparse import csr_array, vstack
 
-from drsplat import Gaussians, MiniEncoder, View, ViewFeatures, splat_arrays, topk_contributions
+from drsplat import Gaussians, MiniEncoder, View, ViewFeatures
 from drsplat.evaluation.scorers import COSINES, Scorer
-from drsplat.kernels import SplatArrays
+from drsplat.kernels import SplatArrays, splat_arrays, topk_contributions
 
 RENDERED, ONE_STEP = "rendered", "rendered-one-step"
 WIDTH = 128  # pixels of what is rendered

@@ -9,9 +9,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from ..evidence import Evidence
-from .by_view import ViewSums, view_sums
-from .entries import with_weights
+from drsplat.aggregation.by_view import ViewSums, view_sums
+from drsplat.aggregation.entries import with_weights
+from drsplat.evidence import Evidence
 
 
 @runtime_checkable
@@ -63,6 +63,10 @@ class Gated:
 
     gates: tuple[Gate, ...] = (MassGate(), QuantileGate())
 
+    @property
+    def parts(self) -> tuple[Gate, ...]:
+        return self.gates
+
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
         sums = view_sums(evidence)
         kept = sums.per_entry(passing(sums, self.gates))
@@ -74,6 +78,10 @@ class Spared:
     """Gates that leave a Gaussian all its views where none would pass: nothing is pruned."""
 
     gated: Gated = Gated()
+
+    @property
+    def parts(self) -> tuple[Gate, ...]:
+        return self.gated.gates
 
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
         sums = view_sums(evidence)

@@ -1,26 +1,12 @@
 """Where the photographer of the demo stands."""
 
 import numpy as np
+from world.cameras import look_at
 
 from drsplat.views import View
 
 Number = int | float
 Point = tuple[Number, Number, Number] | np.ndarray
-
-
-def look_at(
-    name: str, eye: Point, target: Point, width: int, height: int, fov_degrees: Number
-) -> View:
-    """A pinhole at `eye` with `target` in the middle, world +z up; fov is horizontal."""
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0))
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return View(name, K, pose, width, height)
 
 
 def walk(num_views: int, width: int, height: int) -> list[View]:
@@ -32,7 +18,7 @@ def walk(num_views: int, width: int, height: int) -> list[View]:
     ]
     poses = [(eye, at, 58.0) for eye, at in outside] + [(eye, at, 66.0) for eye, at in inside]
     return [
-        look_at(f"photo_{i:03d}.jpg", eye, at, width, height, fov)
+        look_at(eye, at, (width, height), fov, f"photo_{i:03d}.jpg")
         for i, (eye, at, fov) in enumerate(poses)
     ]
 

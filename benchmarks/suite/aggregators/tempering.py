@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evidence import Evidence
-from .entries import with_weights
+from drsplat.aggregation.entries import with_weights
+from drsplat.evidence import Evidence
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,11 @@
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from world.cameras import look_at
 
-from drsplat.gaussians import Gaussians
+from drsplat.gaussians import SH_C0, Gaussians
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays
 
-from .cameras import look_at
-
-SH_BAND_0 = 0.28209479177387814
 AMBIENT, SIZE, FOV_DEGREES, BIAS = 0.40, 256, 118.0, 0.045  # BIAS in metres
 LAMPS = (  # position, share of the light, radius over which it is spread for soft shadows, samples
     ((3.6, 0.0, 2.9), 0.48, 0.55, 10),
@@ -20,7 +18,7 @@ LAMPS = (  # position, share of the light, radius over which it is spread for so
 
 
 def color_to_sh(colors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 1 3"]:
-    sh: np.ndarray = ((colors - 0.5) / SH_BAND_0)[:, None, :]
+    sh: np.ndarray = ((colors - 0.5) / SH_C0)[:, None, :]
     return sh
 
 
@@ -35,7 +33,7 @@ def lit(
             at = np.add(center, (radius * np.cos(turn), radius * np.sin(turn), 0))
             shade += share / samples * _lamp(gaussians, splats, normals, at)
     shade[glows] = 1.0
-    colors = np.clip((0.5 + SH_BAND_0 * gaussians.sh[:, 0]) * shade[:, None], 0, 1)
+    colors = np.clip((0.5 + SH_C0 * gaussians.sh[:, 0]) * shade[:, None], 0, 1)
     columns = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities
     return Gaussians(*columns, color_to_sh(colors).astype(np.float32))
 
@@ -63,7 +61,7 @@ def _seen_from(
     bias: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, " n"]:
     """1 where the lamp is seen, 0 in its shadow. bias: depth that counts as the same, in metres."""
-    view = look_at("lamp", at, (2.2, 2.1, 0.3), SIZE, SIZE, FOV_DEGREES)
+    view = look_at(at, (2.2, 2.1, 0.3), (SIZE, SIZE), FOV_DEGREES)
     depth = render_channels(splats, view, np.zeros((len(gaussians), 0), np.float32)).depth
     camera = gaussians.means @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
     z = np.maximum(camera[:, 2], 1e-3)

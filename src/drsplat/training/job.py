@@ -1,0 +1,61 @@
+"""What a training is asked for, what it tells while it is under way, and where its optimisation begins."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import InputError
+from ..formats.captures import SparsePoints
+from ..views import View
+from .optimizer import Optimizer
+from .settings import TrainingSettings
+
+CHECKPOINT_EVERY = 1000
+SAVE_AT = (7000,)
+
+
+class Status(NamedTuple):
+    """Of a run under way. psnr: running mean over the photos it is trained on, in dB."""
+
+    iteration: int
+    iterations: int
+    loss: float
+    psnr: float
+    num_gaussians: int
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """The arguments of `devices.train`, which describes them, but for the device.
+
+    Raises: InputError: checkpoint_every < 1.
+    """
+
+    views: Sequence[View]
+    settings: TrainingSettings = field(default_factory=TrainingSettings)
+    output_dir: str | Path | None = None
+    points: SparsePoints | None = None
+    overwrite: bool = False
+    save_at: Collection[int] = SAVE_AT
+    checkpoint_every: int = CHECKPOINT_EVERY
+    threads: int = 0
+    report: Callable[[Status], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.checkpoint_every < 1:
+            raise InputError(f"checkpoint_every: expected at least 1, got {self.checkpoint_every}")
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What a run is made of. origin: of the frame that views and Gaussians are in, in the world."""
+
+    views: Sequence[View]
+    settings: TrainingSettings
+    optimizer: Optimizer
+    rng: np.random.Generator
+    origin: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
