@@ -33,7 +33,9 @@ NEGATIVES = ("object", "things", "stuff", "texture")
 LOWEST = -1.0  # a cosine that no threshold selects
 AT_ONCE = 16  # queries that compete exactly in one scan
 CHUNK = 8  # queries whose scores are held at once
-_BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not\s+|\s+but\s+not\s+", re.IGNORECASE)
+_BUT_NOT = re.compile(
+    r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE
+)
 
 
 def embed_query(encoder: Encoder, field: LanguageField, text: str) -> Float32[np.ndarray, " D"]:
@@ -68,7 +70,9 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
     """
     wanted, *unwanted = (part.strip() for part in _BUT_NOT.split(text))
     if unwanted and not all([wanted, *unwanted]):
-        raise InputError(f"{text!r}: say what to look for and what it is not: 'mug, not red'")
+        raise InputError(
+            f"{text.strip()!r}: say what to look for and what it is not: 'mug, not red'"
+        )
     return wanted, tuple(unwanted)
 
 
