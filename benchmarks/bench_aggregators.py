@@ -20,8 +20,8 @@ from rooms import SyntheticFeatures, room, room_views
 
 from benchmarks.suite.aggregators import MEASURED
 from drsplat import Gaussians, register
-from drsplat.aggregation import Aggregator, Sampling
-from drsplat.evidence import Evidence
+from drsplat.evidence.aggregation import Aggregator, Sampling
+from drsplat.evidence.evidence import Evidence
 
 BLOCK = 8192
 

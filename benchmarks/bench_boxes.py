@@ -17,9 +17,9 @@ from PIL import Image
 from scipy.optimize import linear_sum_assignment
 
 import drsplat as ds
-from drsplat.boxes import Box, box_of, upward
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.query.tasks import _components
+from drsplat.scene.boxes import Box, box_of, upward
 
 SCENES = Path(__file__).parent.parent / "world" / "scenes"
 LEAST, SOLID = 40, 0.1

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from machine import describe
 
-from drsplat.adapters.loading import load_encoder
+from drsplat.models.loading import load_encoder
 
 SIDE = 400  # pixels of a crop, about what SAM's larger masks have in photos
 
@@ -61,7 +61,7 @@ def main() -> None:
 
     import torch
 
-    from drsplat.adapters.transformers_encoders import TransformersEncoder
+    from drsplat.models.transformers_encoders import TransformersEncoder
 
     print(f"{describe()}, torch {torch.__version__}")
     rng = np.random.default_rng(0)

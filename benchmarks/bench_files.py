@@ -21,7 +21,7 @@ from drsplat import EncoderIdentity, LanguageField, cli, load_field
 from drsplat.codes.mixture import MixtureCode
 from drsplat.codes.mixture.code import packed
 from drsplat.codes.mixture.dictionary import AtomTable
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.formats.tensors import read_tensors
 from drsplat.kernels.mixture import Dictionary
 

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 from machine import describe
 
-from drsplat.mask_selection import mask_nms
-from drsplat.segments import Masks, cut_masks
+from drsplat.masks.masks import Masks, cut_masks
+from drsplat.masks.selection import mask_nms
 
 HEIGHT, WIDTH = 1080, 1920
 
@@ -94,8 +94,8 @@ def bench_nms(number: int, rounds: int) -> None:
 def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
     import torch
 
-    from drsplat.adapters.point_masks import PointMaskSettings, PointSegmenter
-    from drsplat.adapters.sam import ModelFrame, SamPredictor
+    from drsplat.models.point_masks import PointMaskSettings, PointSegmenter
+    from drsplat.models.sam import ModelFrame, SamPredictor
 
     model = tiny_sam2()
     weights = sum(tensor.numel() for tensor in model.parameters())

@@ -21,7 +21,7 @@ from search_rivals import Prototype, Run
 from drsplat import LanguageField, load_field
 from drsplat.codes import Code, PQCode
 from drsplat.codes.mixture import AtomTable, MixtureCode, encode_mixture, quantised
-from drsplat.evidence import Evidence
+from drsplat.evidence.evidence import Evidence
 from drsplat.kernels import default_isa
 from drsplat.kernels.mixture import Blocks
 

@@ -31,9 +31,9 @@ from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat import EncoderIdentity, MiniEncoder, ViewFeatures, load_field, register, train_codebook
 from drsplat.codes.mixture import encode_mixture, train_scene_atoms
 from drsplat.codes.mixture.scene_atoms import spherical_kmeans
-from drsplat.evidence import Evidence
+from drsplat.evidence.evidence import Evidence
 from drsplat.kernels.mixture import nearest_centres
-from drsplat.mini.lexicon import COLORS, NAMES
+from drsplat.models.mini.lexicon import COLORS, NAMES
 
 TOP_SHARE = 0.02
 CLUSTERS = 150  # of masks, where things are not known

@@ -31,7 +31,7 @@ from study_thresholds import registered
 from benchmarks.suite.masks import features_of
 from benchmarks.suite.scenes import read_scene
 from drsplat import LanguageField, MiniEncoder, load_field, query, register
-from drsplat.mini.lexicon import COLORS, NAMES
+from drsplat.models.mini.lexicon import COLORS, NAMES
 from drsplat.query.contrast import contrast, relevancy_threshold
 from drsplat.query.thresholds import PEAK, peak_score, threshold_above
 from drsplat.query.word_list import list_vectors

@@ -34,11 +34,11 @@ from benchmarks.suite.masks import MASKS
 from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat import EncoderIdentity, Gaussians, ViewFeatures, load_image, register
 from drsplat.codes import read_faiss_codebook
-from drsplat.evidence import Evidence
-from drsplat.mask_selection import segment_maps
+from drsplat.evidence.evidence import Evidence
+from drsplat.masks.masks import LEVELS
+from drsplat.masks.selection import segment_maps
 from drsplat.query.contrast import CLEAR, Contrast, _contrast
 from drsplat.query.thresholds import PEAK, automatic_threshold, clear_threshold
-from drsplat.segments import LEVELS
 
 ROWS, OF = 12_000, 50_000  # Gaussians looked at, and of a scene
 PEAK_HERE = round(PEAK * ROWS / OF)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 import drsplat as ds
+from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.formats.captures import SparsePoints
-from drsplat.gaussians import SH_C0
-from drsplat.pictures import as_pixels, write_picture
+from drsplat.scene.gaussians import SH_C0
 from scenes import look_at_view, random_gaussians
 
 WIDTH, HEIGHT = 96, 72

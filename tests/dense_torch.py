@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, normalize
 
-from drsplat.views import View
+from drsplat.scene.views import View
 
 TILE = 16
 

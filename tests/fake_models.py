@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from drsplat.encoders import EncoderIdentity
-from drsplat.segments import LEVELS, Masks, cut_masks
+from drsplat.masks.masks import LEVELS, Masks, cut_masks
 
 DIM = 16
 
@@ -71,7 +71,7 @@ def thumbnail(image: np.ndarray) -> np.ndarray:
 
 if __name__ == "__main__":
     from drsplat import read_views
-    from drsplat.embedding import embed
+    from drsplat.embedding.embed import embed
 
     capture, output, form = sys.argv[1:]
     embed(read_views(capture), output, ColorSegmenter(seconds=0.1), ThumbnailEncoder(), form=form)

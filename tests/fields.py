@@ -10,7 +10,7 @@ from safetensors.numpy import save
 from scipy.sparse import csr_array, random_array
 
 from drsplat.encoders import EncoderIdentity
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.field import LanguageField, build_field
 from drsplat.formats.checksums import DOCUMENT, TENSORS
 from drsplat.formats.tensors import map_tensors

@@ -10,7 +10,7 @@ import numpy as np
 import zstandard
 from PIL import Image
 
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 
 C0 = 0.5 / np.sqrt(np.pi)
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint", "i2": "short"}

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drsplat.gaussians import Gaussians
-from drsplat.views import View
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.views import View
 
 
 def random_gaussians(

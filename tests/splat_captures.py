@@ -15,10 +15,10 @@ from skimage.color import rgb2lab
 from skimage.measure import label
 
 import drsplat as ds
+from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import write_features
 from drsplat.kernels import splat_arrays
-from drsplat.pictures import as_pixels, write_picture
 
 BACKDROP = 0.93  # grey level of the studio behind the object
 ELEVATIONS = (-12.0, 14.0, 40.0)  # degrees; views take them in turn

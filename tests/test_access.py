@@ -2,7 +2,7 @@
 
 import pytest
 
-from drsplat.access import is_addressed, is_loopback, is_own_page, is_secret, names_of
+from drsplat.serving.access import is_addressed, is_loopback, is_own_page, is_secret, names_of
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.aggregation import AGGREGATORS, Aggregator, aggregator
-from drsplat.aggregation.by_view import effective_views, view_sums
-from drsplat.aggregation.entries import BLOCK, canonical
-from drsplat.aggregation.outliers import OutlierRejection
-from drsplat.aggregation.reliability import reliability, resultant_lengths
-from drsplat.aggregation.trust import MaskTrust, surpluses
 from drsplat.errors import InputError
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.aggregation import AGGREGATORS, Aggregator, aggregator
+from drsplat.evidence.aggregation.by_view import effective_views, view_sums
+from drsplat.evidence.aggregation.entries import BLOCK, canonical
+from drsplat.evidence.aggregation.outliers import OutlierRejection
+from drsplat.evidence.aggregation.reliability import reliability, resultant_lengths
+from drsplat.evidence.aggregation.trust import MaskTrust, surpluses
+from drsplat.evidence.evidence import Evidence, Segments
 from fields import random_weights, unit_rows
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
@@ -183,7 +183,7 @@ def test_trust_keeps_the_proportions_within_a_photo() -> None:
 def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) -> None:
     evidence = evidence_of(np.random.default_rng(5), rows=200)
     whole = MaskTrust()(evidence, 1).weights.data
-    monkeypatch.setattr("drsplat.aggregation.trust.ENTRIES", 37)
+    monkeypatch.setattr("drsplat.evidence.aggregation.trust.ENTRIES", 37)
     assert_allclose(MaskTrust()(evidence, 1).weights.data, whole, rtol=1e-6)
 
 
@@ -290,7 +290,7 @@ def test_any_number_of_threads_gives_the_same_bits(how: Aggregator) -> None:
 
 @every_weigher
 def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) -> None:
-    from drsplat.aggregation import entries
+    from drsplat.evidence.aggregation import entries
 
     evidence = evidence_of(np.random.default_rng(8), rows=300)
     whole = how(evidence).evidence.weights

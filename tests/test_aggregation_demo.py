@@ -7,8 +7,8 @@ import pytest
 from benchmarks.suite.aggregators import MEASURED
 
 from drsplat import WordEncoder, load_field
-from drsplat.aggregation import Aggregated, aggregator
-from drsplat.evidence import Evidence
+from drsplat.evidence.aggregation import Aggregated, aggregator
+from drsplat.evidence.evidence import Evidence
 from drsplat.registration import Registration
 from test_cli import answer_of, error_of, registering, text_of
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from drsplat.aggregation import MEAN_RECORD, Sampling, aggregator
 from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.evidence.aggregation import MEAN_RECORD, Sampling, aggregator
 from drsplat.field import load_field
 from drsplat.formats.checksums import sealed
 from drsplat.registration import Registration, register

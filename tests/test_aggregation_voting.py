@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.aggregation import Aggregated, Aggregator, aggregator
-from drsplat.aggregation.reliability import reliability
-from drsplat.aggregation.voting import ModeVoting
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.aggregation import Aggregated, Aggregator, aggregator
+from drsplat.evidence.aggregation.reliability import reliability
+from drsplat.evidence.aggregation.voting import ModeVoting
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.field import build_field
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 from test_aggregation import evidence_of
 

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import InputError
-from drsplat.kernels import available_isas, pq_encode, pq_scores, reference_algebra, weighted_rows
+from drsplat.kernels import available_isas, pq_encode, pq_scores, weighted_rows
+from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
 
 every_isa = pytest.mark.parametrize("isa", available_isas())

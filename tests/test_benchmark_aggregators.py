@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.aggregation import AggregatorRecord, Sampling, aggregator
-from drsplat.aggregation.by_view import effective_views
-from drsplat.aggregation.outliers import OutlierRejection
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.aggregation import AggregatorRecord, Sampling, aggregator
+from drsplat.evidence.aggregation.by_view import effective_views
+from drsplat.evidence.aggregation.outliers import OutlierRejection
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.field import load_field
-from drsplat.kernels import reference, splat_arrays, view_weights
+from drsplat.kernels import splat_arrays, view_weights
+from drsplat.reference import registering as reference
 from drsplat.registration import Registration, register
 from scenes import random_gaussians, random_segment_map
 from test_aggregation import evidence_of, features, few, one_row, seeds, unit, votes

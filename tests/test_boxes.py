@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
 from drsplat import Answer, Gaussians, Scene, load_field, register
-from drsplat.aggregation import Sampling
-from drsplat.boxes import Box, box_of, mixture_quantile, up_of, upward
 from drsplat.codes import PQ
 from drsplat.errors import InputError, MismatchError
+from drsplat.evidence.aggregation import Sampling
 from drsplat.formats.field_folder import MANIFEST
 from drsplat.query.tasks import locate
+from drsplat.scene.boxes import Box, box_of, mixture_quantile, up_of, upward
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
 from test_tasks import boxes_scene, field_of, unit

@@ -284,7 +284,7 @@ def test_register_takes_the_names_that_others_use(
 
 KILLED_AFTER = """
 import os, signal
-from drsplat.aggregation import sampling
+from drsplat.evidence.aggregation import sampling
 from drsplat.cli import main
 whole, done = sampling.view_weights, []
 def weights(*args, **options):

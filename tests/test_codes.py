@@ -24,7 +24,8 @@ from drsplat.codes import (
 )
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.kernels import reference_algebra, reference_scan
+from drsplat.reference import algebra as reference_algebra
+from drsplat.reference import scan as reference_scan
 from fields import OFFICIAL_INDEX, unit_rows
 
 CLIP = EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 512)

@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 import drsplat as ds
 from drsplat import cli
-from drsplat.embedding import EmbeddingReport, embed
+from drsplat.embedding.embed import EmbeddingReport, embed
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats import compact_features
 from drsplat.formats.compact_features import read_compact, write_compact

@@ -13,7 +13,7 @@ from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats.json_files import read_json
 from drsplat.formats.npy import map_npy
 from drsplat.formats.tensors import map_tensors, write_tensors
-from drsplat.photos import photo_size
+from drsplat.scene.photos import photo_size
 
 
 def test_small_files_are_read_and_large_ones_mapped(

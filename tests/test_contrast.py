@@ -9,10 +9,10 @@ from scipy.sparse import csr_array, eye_array
 
 from drsplat import EncoderIdentity, LanguageField, Scene, load_field
 from drsplat.codes import Mixture
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
-from drsplat.mini import MiniEncoder
+from drsplat.models.mini import MiniEncoder
 from drsplat.query.contrast import CROWD, NEAR, TILT, contrast, relevancy_threshold
 from drsplat.query.nouns import NOUNS
 from drsplat.query.thresholds import PEAK

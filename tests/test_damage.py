@@ -310,7 +310,7 @@ from PIL import Image
 from drsplat.field import load_field
 from drsplat.errors import InputError
 from drsplat.formats.npy import write_npy
-from drsplat.pictures import write_picture
+from drsplat.drawing.pictures import write_picture
 folder = Path(sys.argv[1])
 field = load_field(folder / "a.field")
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))

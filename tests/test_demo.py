@@ -15,8 +15,8 @@ from drsplat.demo.household import read_household, unpack_household
 from drsplat.demo.page import write_page
 from drsplat.demo.probes import PROBES
 from drsplat.demo.story import Story, Verdict, tell
+from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
-from drsplat.pictures import visible_share
 
 SHIPPED = Path(__file__).parent.parent / "src/drsplat/demo/scene"
 

@@ -120,8 +120,8 @@ def test_models_in_the_cache_are_found(
 
 
 def test_the_models_are_the_defaults() -> None:
-    from drsplat.adapters.loading import DEFAULT_ENCODER
-    from drsplat.adapters.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
+    from drsplat.models.loading import DEFAULT_ENCODER
+    from drsplat.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
 
     assert list(doctor.MODELS) == [DEFAULT_ENCODER, DEFAULT_SEGMENTER, CPU_SEGMENTER]
 

@@ -19,16 +19,16 @@ from PIL import Image
 import drsplat as ds
 from captures_to_train import ring
 from drsplat import cli
-from drsplat.crops import crop
-from drsplat.embedding import embed as embed_compactly
-from drsplat.embedding import recorded_encoder
+from drsplat.drawing.pictures import as_pixels, write_picture
+from drsplat.embedding.embed import embed as embed_compactly
+from drsplat.embedding.embed import recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.checksums import sealed
 from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, read_features
-from drsplat.gaussians import SH_C0
-from drsplat.pictures import as_pixels, write_picture
-from drsplat.views import View
+from drsplat.masks.crops import crop
+from drsplat.scene.gaussians import SH_C0
+from drsplat.scene.views import View
 from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from furnished.capture import write_model
 from scenes import random_gaussians
@@ -483,7 +483,7 @@ def test_embed_register_query(three_balls, tmp_path):
 
 @pytest.fixture
 def fake_models(monkeypatch) -> None:
-    from drsplat.adapters import loading, sam
+    from drsplat.models import loading, sam
 
     def load_segmenter(name, device, settings):
         assert device == "cpu"
@@ -522,7 +522,7 @@ def test_where_the_command_writes_unless_told(named, three_balls, fake_models, c
 
 
 def test_an_encoder_of_words_alone_is_refused(three_balls, fake_models, monkeypatch, capsys):
-    from drsplat.adapters import loading
+    from drsplat.models import loading
 
     monkeypatch.setattr(loading, "load_encoder", lambda name, device: ds.WordEncoder())
     assert (

@@ -16,7 +16,7 @@ from drsplat.evaluation.pseudo_labels import (
     printed_labels,
     pseudo_labels,
 )
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 
 few = settings(derandomize=True, deadline=None, max_examples=25)

@@ -18,16 +18,16 @@ from safetensors.numpy import load_file, save_file
 from scipy.sparse import csr_array
 
 from drsplat import contents
-from drsplat.aggregation import Aggregated
 from drsplat.codes import Codebook, Mixture, train_codebook
 from drsplat.codes.mixture import MixtureCode
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evidence import Evidence, Explanation, Segments
+from drsplat.evidence.aggregation import Aggregated
+from drsplat.evidence.evidence import Evidence, Explanation, Segments
 from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
 from drsplat.formats.checksums import sealed
 from drsplat.formats.tensors import map_tensors, write_tensors
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
 
 few = settings(derandomize=True, deadline=None, max_examples=40)

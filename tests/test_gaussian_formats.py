@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 import scene_files
 from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 from scene_files import random_gaussians, turned
 
 SPLATS = Path(__file__).resolve().parents[2] / "shared" / "data" / "splats"

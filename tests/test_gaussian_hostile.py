@@ -15,7 +15,7 @@ import zstandard
 import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 from mutations import bounded_allocations, mutants, quota, seeded
 from scene_files import random_gaussians
 

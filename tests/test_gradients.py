@@ -14,18 +14,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.gaussians import Gaussians
-from drsplat.kernels import (
-    available_isas,
-    reference,
-    reference_gradients,
-    reference_training,
-    splat_arrays,
-)
-from drsplat.kernels.reference_training import Parameters
+from drsplat.drawing.rendering import render
+from drsplat.kernels import available_isas, splat_arrays
 from drsplat.kernels.training import Gradients, SceneParameters, forward
-from drsplat.rendering import render
-from drsplat.views import View
+from drsplat.reference import gradients as reference_gradients
+from drsplat.reference import registering as reference
+from drsplat.reference import training as reference_training
+from drsplat.reference.training import Parameters
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians
 
 TOLERANCE = 1e-3

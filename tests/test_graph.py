@@ -16,19 +16,33 @@ from world.segmenter.scenes import Photo, halved
 from world.segmenter.scores import score, shared_pixels
 from world.segmenter.tuning import case, learned, save_rule
 
-from drsplat.adapters.point_masks import PointMaskSettings
-from drsplat.adapters.sam import load_segmenter
 from drsplat.cli import main
 from drsplat.errors import InputError
-from drsplat.graph import GraphSegmenter
-from drsplat.graph.features import pair_features
-from drsplat.graph.merging import Merging
-from drsplat.graph.regions import WORKING_PIXELS, enlarged, lab_colors, small_regions, working_image
-from drsplat.graph.rule import MergeRule, shipped_rule
-from drsplat.graph.segmenter import GraphSettings, label_masks, segment_labels
-from drsplat.graph.statistics import AREA, AROUND, FRAME, LENGTH, STEP, RegionGraph, region_graph
-from drsplat.mask_selection import paint
-from drsplat.segments import Masks, Segmenter
+from drsplat.masks.masks import Masks, Segmenter
+from drsplat.masks.selection import paint
+from drsplat.models.graph import GraphSegmenter
+from drsplat.models.graph.features import pair_features
+from drsplat.models.graph.merging import Merging
+from drsplat.models.graph.regions import (
+    WORKING_PIXELS,
+    enlarged,
+    lab_colors,
+    small_regions,
+    working_image,
+)
+from drsplat.models.graph.rule import MergeRule, shipped_rule
+from drsplat.models.graph.segmenter import GraphSettings, label_masks, segment_labels
+from drsplat.models.graph.statistics import (
+    AREA,
+    AROUND,
+    FRAME,
+    LENGTH,
+    STEP,
+    RegionGraph,
+    region_graph,
+)
+from drsplat.models.point_masks import PointMaskSettings
+from drsplat.models.sam import load_segmenter
 
 Y, X = np.mgrid[:240, :320]
 IMAGES = st.builds(
@@ -386,7 +400,7 @@ def test_the_shipped_rule_is_of_the_learned_form(tmp_path: Path) -> None:
 
     rule = shipped_rule()[0]
     save_rule(rule, tmp_path / "again.safetensors")
-    shipped = files("drsplat.graph") / "rule.safetensors"
+    shipped = files("drsplat.models.graph") / "rule.safetensors"
     assert (tmp_path / "again.safetensors").read_bytes() == shipped.read_bytes()
     assert {name: a.shape for name, a in load_file(tmp_path / "again.safetensors").items()} == {
         name: a.shape for name, a in vars(rule).items()

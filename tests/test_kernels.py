@@ -16,14 +16,14 @@ from drsplat.kernels import (
     Triples,
     available_isas,
     default_isa,
-    reference,
     render_channels,
     sh_colors,
     splat_arrays,
     topk_contributions,
     view_weights,
 )
-from drsplat.views import View
+from drsplat.reference import registering as reference
+from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_segment_map
 
 WIDTH, HEIGHT = 128, 96

@@ -14,11 +14,11 @@ from PIL import Image
 
 import drsplat as ds
 from drsplat import cli
-from drsplat.crops import crop
+from drsplat.embedding.patches import MIN_AREA, PatchSource, embed_patches, find_patches, patches
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.lvis import read_annotations
 from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
-from drsplat.patches import MIN_AREA, PatchSource, embed_patches, find_patches, patches
+from drsplat.masks.crops import crop
 from fake_models import DIM, ThumbnailEncoder
 from lvis_files import (
     BOXES,
@@ -405,7 +405,7 @@ def test_what_an_earlier_run_did_of_other_patches_is_not_used(tmp_path, changed)
 
 @pytest.fixture
 def fake_encoder(monkeypatch) -> None:
-    from drsplat.adapters import loading
+    from drsplat.models import loading
 
     monkeypatch.setattr(loading, "load_encoder", lambda name, device: ThumbnailEncoder(name))
 

@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from drsplat.errors import InputError
 from drsplat.formats.langsplat import read_features, write_features
-from drsplat.mask_selection import mask_nms, overlaps, paint, segment_maps
-from drsplat.segments import LEVELS, Masks, cut_masks
+from drsplat.masks.masks import LEVELS, Masks, cut_masks
+from drsplat.masks.selection import mask_nms, overlaps, paint, segment_maps
 
 
 def of(*drawings: str, scores: list[float] | None = None) -> Masks:

@@ -10,15 +10,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from world.mini.augment import cut_out
 from world.mini.texts import bank, said_of, truth
 
-from drsplat import Query, Scene
-from drsplat.adapters.loading import load_encoder
-from drsplat.crops import crop
+from drsplat import Scene
 from drsplat.encoders import Encoder, ImageEncoder
 from drsplat.errors import InputError
 from drsplat.field import build_field
-from drsplat.mini import MiniEncoder
-from drsplat.mini.encoder import DIM, _pixels
-from drsplat.mini.lexicon import (
+from drsplat.masks.crops import crop
+from drsplat.models.loading import load_encoder
+from drsplat.models.mini import MiniEncoder
+from drsplat.models.mini.encoder import DIM, _pixels
+from drsplat.models.mini.lexicon import (
     COLORS,
     GROUPS,
     MATERIALS,
@@ -30,7 +30,7 @@ from drsplat.mini.lexicon import (
     fits,
     words_of,
 )
-from drsplat.mini.network import STRIDES, embed_images
+from drsplat.models.mini.network import STRIDES, embed_images
 from fields import SCENE, random_evidence
 
 

@@ -29,10 +29,10 @@ from drsplat.codes.mixture import (
 )
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError
-from drsplat.evidence import Evidence
+from drsplat.evidence.evidence import Evidence
 from drsplat.field import LanguageField, build_field
 from drsplat.formats.tensors import map_tensors, write_tensors
-from drsplat.kernels import reference_mixture
+from drsplat.reference import mixture as reference_mixture
 from fields import SCENE, TOY, random_evidence, unit_rows
 from mutations import bounded_allocations
 

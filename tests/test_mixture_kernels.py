@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drsplat.codes.mixture import quantised
 from drsplat.codes.mixture.code import packed
 from drsplat.errors import InputError
-from drsplat.kernels import available_isas, reference_mixture
+from drsplat.kernels import available_isas
 from drsplat.kernels.mixture import (
     Blocks,
     Candidates,
@@ -24,6 +24,7 @@ from drsplat.kernels.mixture import (
     nearest_centres,
     nearest_members,
 )
+from drsplat.reference import mixture as reference_mixture
 from fields import unit_rows
 
 every_isa = pytest.mark.parametrize("isa", available_isas())

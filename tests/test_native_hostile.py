@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from drsplat import _native
-from drsplat.kernels import reference_mixture
 from drsplat.kernels.mixture import Candidates, Dictionary, mixture_encode
+from drsplat.reference import mixture as reference_mixture
 from mutations import quota
 from native_calls import refused_or_answered
 

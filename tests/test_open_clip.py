@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.adapters import open_clip, pretrained
-from drsplat.adapters.loading import DEFAULT_ENCODER, load_encoder
-from drsplat.adapters.open_clip_settings import config_arguments
 from drsplat.errors import FormatError, InputError
+from drsplat.models import open_clip, pretrained
+from drsplat.models.loading import DEFAULT_ENCODER, load_encoder
+from drsplat.models.open_clip_settings import config_arguments
 from tiny_encoders import PATCH, SIDE, TOKENS, write_clip_tokenizer, write_model
 
 torch = pytest.importorskip("torch", reason="needs torch")

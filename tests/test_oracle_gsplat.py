@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drsplat.gaussians import Gaussians
-from drsplat.kernels import reference, sh_colors, splat_arrays
-from drsplat.kernels.reference_projection import BLUR, project
-from drsplat.placing import PUBLISHED_NEAR
-from drsplat.views import View
+from drsplat.kernels import sh_colors, splat_arrays
+from drsplat.reference import registering as reference
+from drsplat.reference.projection import BLUR, project
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.placing import PUBLISHED_NEAR
+from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians
 
 missing = [name for name in ("torch", "gsplat") if importlib.util.find_spec(name) is None]

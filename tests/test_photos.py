@@ -11,9 +11,9 @@ from PIL import Image
 
 from drsplat.errors import FormatError, InputError
 from drsplat.formats.captures import read_views
-from drsplat.lens import distort_points, fold_radius2, undistort_points
-from drsplat.photos import load_image, photo_size, undistort_ids
-from drsplat.views import View
+from drsplat.scene.lens import distort_points, fold_radius2, undistort_points
+from drsplat.scene.photos import load_image, photo_size, undistort_ids
+from drsplat.scene.views import View
 
 PLUSH = Path(__file__).resolve().parents[2] / "shared" / "data" / "plush"
 needs_plush = pytest.mark.skipif(not PLUSH.is_dir(), reason="the shared plush capture is absent")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drsplat.crops import MOST_PADDED, crop
 from drsplat.errors import FormatError, InputError
-from drsplat.photos import decoded_picture, load_image
-from drsplat.picture_costs import MORE_SCANS, MOST_SCANS, jpeg_scans, most_scans
-from drsplat.views import View
+from drsplat.masks.crops import MOST_PADDED, crop
+from drsplat.scene.photos import decoded_picture, load_image
+from drsplat.scene.picture_costs import MORE_SCANS, MOST_SCANS, jpeg_scans, most_scans
+from drsplat.scene.views import View
 
 RNG = np.random.default_rng(0)
 

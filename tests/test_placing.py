@@ -13,13 +13,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat import DrSplatWarning, Gaussians, View
-from drsplat.aggregation import Sampling
 from drsplat.errors import InputError
+from drsplat.evidence.aggregation import Sampling
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
-from drsplat.kernels import reference, splat_arrays
-from drsplat.placing import PUBLISHED_NEAR, local_origin, near_plane
+from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian
+from drsplat.reference import registering as reference
+from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane
 from drsplat.training import TrainingSettings, train
 from drsplat.viewing.picking import hit_by_ray
 from drsplat.viewing.shown import shown_of

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from drsplat import MiniEncoder, WordEncoder, write_gaussians
-from drsplat.boxes import upward
 from drsplat.demo import story as household
 from drsplat.errors import InputError, MismatchError
 from drsplat.query import Query, Scene, find_scene, open_scene
@@ -19,6 +18,7 @@ from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region
 from drsplat.query.search import feature_at
 from drsplat.query.spatial import gap, stands_on
+from drsplat.scene.boxes import upward
 from furnished.story import Story
 
 

@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from scipy.special import factorial, lpmv
 
-from drsplat.gaussians import Gaussians
-from drsplat.kernels import SplatArrays, reference, splat_arrays
-from drsplat.kernels.reference_projection import project
-from drsplat.placing import PUBLISHED_NEAR
-from drsplat.views import View
+from drsplat.kernels import SplatArrays, splat_arrays
+from drsplat.reference import registering as reference
+from drsplat.reference.projection import project
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.placing import PUBLISHED_NEAR
+from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_segment_map
 
 FOCAL, WIDTH, HEIGHT = 32.0, 48, 32

@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drsplat.aggregation import Sampling
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
-from drsplat.features import ViewFeatures
+from drsplat.evidence.aggregation import Sampling
 from drsplat.formats.langsplat import read_features, write_features
-from drsplat.kernels import reference, splat_arrays, view_weights
-from drsplat.lens import distort_points
+from drsplat.kernels import splat_arrays, view_weights
+from drsplat.masks.features import ViewFeatures
+from drsplat.reference import registering as reference
 from drsplat.registration import Registration, register
-from drsplat.views import View, same_aspect
+from drsplat.scene.lens import distort_points
+from drsplat.scene.views import View, same_aspect
 from scenes import look_at_view, random_gaussians, random_segment_map
 
 DIM = 32

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from drsplat.drawing.rendering import render
 from drsplat.errors import InputError
 from drsplat.kernels import splat_arrays
-from drsplat.rendering import render
 from scenes import look_at_view, random_gaussians
 
 VIEW = look_at_view((6, 0, 1), width=64, height=48)

@@ -12,18 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from drsplat.adapters import sam
-from drsplat.adapters.mask_geometry import (
+from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
+from drsplat.masks.masks import LEVELS, Segmenter, cut_masks
+from drsplat.masks.selection import segment_maps
+from drsplat.models import sam
+from drsplat.models.mask_geometry import (
     box_nms,
     crop_boxes,
     cut_by_crop,
     point_grid,
     without_small_regions,
 )
-from drsplat.adapters.point_masks import Found, PointMaskSettings, PointSegmenter
-from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
-from drsplat.mask_selection import segment_maps
-from drsplat.segments import LEVELS, Segmenter, cut_masks
+from drsplat.models.point_masks import Found, PointMaskSettings, PointSegmenter
 
 # --- where points are asked, which boxes and regions stay -----------------------------------------
 
@@ -632,7 +632,7 @@ def test_devices_that_are_not_here(folder, library, monkeypatch):
 
 
 def test_without_transformers_the_message_has_the_line(monkeypatch):
-    from drsplat.adapters import libraries
+    from drsplat.models import libraries
 
     monkeypatch.setattr(libraries, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r'pip install "drsplat\[models\]"'):

@@ -16,13 +16,13 @@ from drsplat.kernels import (
     available_isas,
     group_codes,
     lookup_tables,
-    reference_scan,
     rows_of_groups,
     scan_above,
     scan_best,
     scan_scores,
     scan_top,
 )
+from drsplat.reference import scan as reference_scan
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 HYBRID = Scanning(error=2e-3, wide=16)

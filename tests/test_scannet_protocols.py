@@ -24,7 +24,7 @@ from drsplat.evaluation.scorers import Scorer
 from drsplat.evaluation.thresholds import best_sweep, sweep_weighted_ious
 from drsplat.formats.npy import write_npy
 from drsplat.formats.ply import write_vertices
-from drsplat.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 from test_evaluation_pseudo_labels import random_points
 

@@ -165,7 +165,7 @@ def test_a_click_finds_the_thing_that_is_clicked(
     room: Path, story: Story, tmp_path: Path, capsys: Capture
 ) -> None:
     """The pixel nearest to where the sofa's Gaussians are, on average, and that shows it."""
-    from drsplat.pictures import visible_share
+    from drsplat.drawing.pictures import visible_share
 
     ids, view = truth_of(story, "green sofa"), story.views[2]
     share = visible_share(story.gaussians, view, ids)

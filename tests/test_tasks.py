@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from drsplat.codes import Codebook
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.field import LanguageField, build_field
-from drsplat.gaussians import Gaussians
 from drsplat.query import Answer
 from drsplat.query.tasks import NO_CLASS, locate, segment
 from drsplat.query.thresholds import automatic_threshold, rise
+from drsplat.scene.gaussians import Gaussians
 
 
 def boxes_scene(

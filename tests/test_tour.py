@@ -21,9 +21,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import drsplat as ds
-from drsplat.adapters import sam
 from drsplat.cli import VERBS, main
 from drsplat.errors import MismatchError
+from drsplat.models import sam
 from fake_models import ColorSegmenter
 from lvis_files import write_set
 from toy_capture import NEGATIVES, THINGS, write_toy_capture

@@ -109,7 +109,7 @@ def test_pixels_past_the_photo_teach_nothing(views, points):
     colors = np.full(points.colors.shape, 255, np.uint8)
     bright = SparsePoints(points.positions * 3, colors)
     settings = ds.TrainingSettings(iterations=1, test_every=0, sh_degree=0)
-    from drsplat.photos import photo_coverage
+    from drsplat.scene.photos import photo_coverage
 
     outside = ~photo_coverage(bent[0])
     assert outside.any()

@@ -17,7 +17,7 @@ from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
 from drsplat.formats.captures import SparsePoints
 from drsplat.kernels.training import Gradients, SceneParameters
-from drsplat.rotations import rotation_matrices
+from drsplat.scene.rotations import rotation_matrices
 from drsplat.training.density import AdaptiveDensity, reset_opacity, split
 from drsplat.training.mcmc import MonteCarlo, drawn, grow, relocate, shared_place
 from drsplat.training.metrics import psnr, ssim

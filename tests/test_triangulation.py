@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 
 import drsplat as ds
 from drsplat.errors import InputError
-from drsplat.lens import undistort_points
-from drsplat.photos import load_image
+from drsplat.scene.lens import undistort_points
+from drsplat.scene.photos import load_image
 from drsplat.training.settings import TrainingSettings
 from drsplat.training.start_points import start_points
 from drsplat.triangulation import filling, triangulate

@@ -14,7 +14,6 @@ import pytest
 
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
-from drsplat.features import ViewFeatures
 from drsplat.formats.captures import read_views
 from drsplat.formats.colmap import read_points
 from drsplat.formats.json_files import read_json
@@ -22,8 +21,9 @@ from drsplat.formats.langsplat import LEVELS, FeatureFolder, write_features
 from drsplat.formats.npy import map_npy
 from drsplat.formats.photo_files import safe_name
 from drsplat.formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
-from drsplat.photos import load_image, photo_size
-from drsplat.views import View
+from drsplat.masks.features import ViewFeatures
+from drsplat.scene.photos import load_image, photo_size
+from drsplat.scene.views import View
 from mutations import bounded_allocations, mutants, quota, seeded
 from written_captures import (
     IMAGES,

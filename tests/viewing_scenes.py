@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from drsplat.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, Segments
 from drsplat.field import build_field
-from drsplat.gaussians import Gaussians
+from drsplat.models.words import WordEncoder
 from drsplat.query import Scene
-from drsplat.words import WordEncoder
+from drsplat.scene.gaussians import Gaussians
 from scenes import look_at_view
 
 THINGS = ("red mug", "blue mug", "tall lamp")

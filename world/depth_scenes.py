@@ -19,9 +19,9 @@ import numpy as np
 from PIL import Image
 
 from drsplat import Gaussians, MiniEncoder, View, ViewFeatures, load_image, register
-from drsplat.crops import crop
 from drsplat.formats.npy import write_npy
 from drsplat.formats.scenes import write_gaussians
+from drsplat.masks.crops import crop
 
 from .simulated_clip import SimulatedClip
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drsplat.encoders import EncoderIdentity
-from drsplat.mini.lexicon import ANYTHING, COLORS, GROUPS, MATERIALS, STUFFS, TONES, words_of
+from drsplat.models.mini.lexicon import ANYTHING, COLORS, GROUPS, MATERIALS, STUFFS, TONES, words_of
 
 DIM = 512
 CONE, SHARED = 2.2, 0.33  # length of a cone's axis; cosine of the two axes

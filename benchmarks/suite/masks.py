@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from drsplat import GraphSegmenter, MiniEncoder, View, ViewFeatures, load_image
-from drsplat.crops import crops
-from drsplat.mask_selection import segment_maps
-from drsplat.segments import LEVELS, Masks, cut_masks
+from drsplat.masks.crops import crops
+from drsplat.masks.masks import LEVELS, Masks, cut_masks
+from drsplat.masks.selection import segment_maps
 
 from .scenes import BenchScene
 

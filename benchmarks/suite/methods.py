@@ -15,8 +15,8 @@ from drsplat import (
     ViewFeatures,
     register,
 )
-from drsplat.aggregation import Sampling
 from drsplat.evaluation.scorers import Scorer, cosine_scorer
+from drsplat.evidence.aggregation import Sampling
 
 from .aggregators import MEASURED
 from .masks import features_of

@@ -8,54 +8,54 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
-    from .adapters.loading import load_encoder
-    from .adapters.sam import load_segmenter
-    from .aggregation import Sampling
     from .codes import PQ, Codebook, Mixture, Smaller, load_codebook, train_codebook
-    from .embedding import embed
+    from .drawing.rendering import render
+    from .embedding.embed import embed
     from .encoders import Encoder, EncoderIdentity
     from .errors import DrSplatError, DrSplatWarning
-    from .features import ViewFeatures
+    from .evidence.aggregation import Sampling
     from .field import LanguageField, load_field
     from .formats.captures import read_sparse_points, read_views
     from .formats.langsplat import read_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
-    from .gaussians import Gaussians
-    from .graph import GraphSegmenter
-    from .mini import MiniEncoder
-    from .photos import load_image
+    from .masks.features import ViewFeatures
+    from .models.graph import GraphSegmenter
+    from .models.loading import load_encoder
+    from .models.mini import MiniEncoder
+    from .models.sam import load_segmenter
+    from .models.words import WordEncoder
     from .query import Answer, Cut, Match, Query, Scene, open_scene
     from .registration import Registration, register
-    from .rendering import render
+    from .scene.gaussians import Gaussians
+    from .scene.photos import load_image
+    from .scene.views import View
     from .training import TrainingSettings, train
-    from .views import View
-    from .words import WordEncoder
 
 _HOMES = {
-    "adapters.loading": ("load_encoder",),
-    "adapters.sam": ("load_segmenter",),
-    "aggregation": ("Sampling",),
+    "models.loading": ("load_encoder",),
+    "models.sam": ("load_segmenter",),
+    "evidence.aggregation": ("Sampling",),
     "codes": ("PQ", "Codebook", "Mixture", "Smaller", "load_codebook", "train_codebook"),
-    "embedding": ("embed",),
+    "embedding.embed": ("embed",),
     "encoders": ("Encoder", "EncoderIdentity"),
     "errors": ("DrSplatError", "DrSplatWarning"),
-    "features": ("ViewFeatures",),
+    "masks.features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"),
     "formats.captures": ("read_sparse_points", "read_views"),
     "formats.langsplat": ("read_features",),
     "formats.scenes": ("read_gaussians", "write_gaussians"),
     "formats.vocabulary": ("read_vocabulary",),
-    "gaussians": ("Gaussians",),
-    "graph": ("GraphSegmenter",),
-    "mini": ("MiniEncoder",),
-    "photos": ("load_image",),
+    "scene.gaussians": ("Gaussians",),
+    "models.graph": ("GraphSegmenter",),
+    "models.mini": ("MiniEncoder",),
+    "scene.photos": ("load_image",),
     "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"),
-    "rendering": ("render",),
+    "drawing.rendering": ("render",),
     "training": ("TrainingSettings", "train"),
-    "views": ("View",),
-    "words": ("WordEncoder",),
+    "scene.views": ("View",),
+    "models.words": ("WordEncoder",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

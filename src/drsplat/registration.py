@@ -16,21 +16,21 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.sparse import csr_array, hstack
 
-from .aggregation import Aggregator, Sampling
-from .aggregation import aggregator as named
-from .boxes import up_of
 from .codes import PQ, CodeSpecification, Track, untracked
-from .columns import ColumnMaker, Columns, stack_columns
 from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError
-from .evidence import Evidence, Segments
-from .features import ViewFeatures
+from .evidence.aggregation import Aggregator, Sampling
+from .evidence.aggregation import aggregator as named
+from .evidence.columns import ColumnMaker, Columns, stack_columns
+from .evidence.evidence import Evidence, Segments
 from .field import LanguageField, build_field
-from .gaussians import Gaussians
 from .kernels import splat_arrays
+from .masks.features import ViewFeatures
+from .scene.boxes import up_of
+from .scene.gaussians import Gaussians
+from .scene.units import doubts
+from .scene.views import View
 from .terminal import counted
-from .units import doubts
-from .views import View
 
 UNKNOWN_ENCODER = "unknown"
 

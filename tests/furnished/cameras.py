@@ -3,7 +3,7 @@
 import numpy as np
 from world.cameras import look_at
 
-from drsplat.views import View
+from drsplat.scene.views import View
 
 Number = int | float
 Point = tuple[Number, Number, Number] | np.ndarray

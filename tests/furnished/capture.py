@@ -6,13 +6,13 @@ from pathlib import Path
 from scipy.spatial.transform import Rotation
 
 from drsplat.codes import Track, untracked
+from drsplat.drawing.pictures import as_pixels, write_picture
+from drsplat.drawing.rendering import render
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.replacing import replacing
 from drsplat.formats.scenes import write_gaussians
 from drsplat.kernels import splat_arrays
-from drsplat.pictures import as_pixels, write_picture
-from drsplat.rendering import render
-from drsplat.views import View
+from drsplat.scene.views import View
 
 from .masks import MaskMaker
 from .room import Room

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from world.cameras import look_at
 
-from drsplat.gaussians import SH_C0, Gaussians
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays
+from drsplat.scene.gaussians import SH_C0, Gaussians
 
 AMBIENT, SIZE, FOV_DEGREES, BIAS = 0.40, 256, 118.0, 0.045  # BIAS in metres
 LAMPS = (  # position, share of the light, radius over which it is spread for soft shadows, samples

@@ -13,9 +13,9 @@ from jaxtyping import Float32, Int32
 from scipy import ndimage
 
 from drsplat.encoders import Encoder
-from drsplat.features import ViewFeatures
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays
-from drsplat.views import View
+from drsplat.masks.features import ViewFeatures
+from drsplat.scene.views import View
 
 from .room import Room
 

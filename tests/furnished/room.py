@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from drsplat.gaussians import Gaussians
 from drsplat.kernels import splat_arrays, view_weights
-from drsplat.views import View
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.views import View
 
 from . import belongings, furniture
 from .light import color_to_sh, lit

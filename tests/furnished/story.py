@@ -15,12 +15,12 @@ from drsplat.field import LanguageField, load_field
 from drsplat.formats.captures import read_views
 from drsplat.formats.langsplat import read_features
 from drsplat.formats.scenes import read_gaussians
-from drsplat.gaussians import Gaussians
+from drsplat.models.words import WordEncoder
 from drsplat.progress import Stopwatch
 from drsplat.query import Scene
 from drsplat.registration import register
-from drsplat.views import View
-from drsplat.words import WordEncoder
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.views import View
 
 from .cameras import walk
 from .capture import write_capture

@@ -5,15 +5,15 @@ from jaxtyping import Bool, UInt8
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from drsplat.crops import crop
-from drsplat.mini.network import SIDE
-from drsplat.segments import tight_box
+from drsplat.masks.crops import crop
+from drsplat.masks.masks import tight_box
+from drsplat.models.mini.network import SIDE
 
 
 def cut_out(
     image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
 ) -> UInt8[np.ndarray, "s s 3"]:
-    """What `mini` sees of a mask: its crop as `drsplat.crops` makes it, SIDE pixels."""
+    """What `mini` sees of a mask: its crop as `drsplat.masks.crops` makes it, SIDE pixels."""
     x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
     square = crop(image, mask[y0:y1, x0:x1], (x0, y0, x1, y1))
     return np.asarray(Image.fromarray(square).resize((SIDE, SIDE), Image.Resampling.BILINEAR))

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from drsplat import GraphSegmenter, LanguageField, MiniEncoder, ViewFeatures, load_image, register
-from drsplat.crops import crop
-from drsplat.mini.lexicon import NAMES
+from drsplat.masks.crops import crop
+from drsplat.models.mini.lexicon import NAMES
 from drsplat.query.thresholds import PEAK
 from drsplat.registration import Registration
 

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from PIL import Image, ImageDraw
 
-from drsplat.mini import MiniEncoder
-from drsplat.mini.lexicon import COLORS, NAMES
+from drsplat.models.mini import MiniEncoder
+from drsplat.models.mini.lexicon import COLORS, NAMES
 
 from .augment import cut_out
 

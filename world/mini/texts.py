@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float32
 
-from drsplat.mini.lexicon import (
+from drsplat.models.mini.lexicon import (
     ANYTHING,
     COLORS,
     GROUPS,

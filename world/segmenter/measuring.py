@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Int64, UInt8
 from PIL import Image
 
-from drsplat.graph import GraphSegmenter
-from drsplat.mask_selection import paint
+from drsplat.masks.selection import paint
+from drsplat.models.graph import GraphSegmenter
 
 from .scenes import Photo, photos
 from .scores import LEAST_PIXELS, Score, score, shared_pixels

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from safetensors.numpy import save_file
 
-from drsplat.graph.merging import Likelihood, Merging
-from drsplat.graph.regions import lab_colors, small_regions, working_image
-from drsplat.graph.rule import MergeRule
-from drsplat.graph.segmenter import GraphSettings, merged
-from drsplat.graph.statistics import AREA, RegionGraph, region_graph
+from drsplat.models.graph.merging import Likelihood, Merging
+from drsplat.models.graph.regions import lab_colors, small_regions, working_image
+from drsplat.models.graph.rule import MergeRule
+from drsplat.models.graph.segmenter import GraphSettings, merged
+from drsplat.models.graph.statistics import AREA, RegionGraph, region_graph
 
 from .network import first_rule, learn_rule
 from .scenes import Photo, photos, with_smaller
@@ -156,7 +156,7 @@ def main() -> None:
 
 
 def save_rule(rule: MergeRule, path: Path) -> None:
-    """As `drsplat.graph.rule.shipped_rule` reads it."""
+    """As `drsplat.models.graph.rule.shipped_rule` reads it."""
     save_file({name: array.astype(np.float32) for name, array in vars(rule).items()}, path)
 
 

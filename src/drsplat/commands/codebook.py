@@ -125,9 +125,9 @@ def show(answer: dict[str, Any]) -> None:
 def _embedded(
     arguments: argparse.Namespace, parts: Path
 ) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+    from ..embedding.patches import embed_patches, find_patches
     from ..errors import InputError
     from ..formats.lvis import read_annotations
-    from ..patches import embed_patches, find_patches
 
     if arguments.images is None:
         raise InputError("--lvis needs --images DIR, the folder of the annotated photos")

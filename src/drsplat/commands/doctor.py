@@ -131,7 +131,7 @@ def _no_cuda_training(facts: dict[str, Any]) -> str | None:
 
 def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
     """Why SAM and CLIP cannot run, and the cure."""
-    from ..adapters.libraries import INSTALL, NO_TORCHVISION
+    from ..models.libraries import INSTALL, NO_TORCHVISION
 
     absent = [name for name in ("torch", "transformers") if not _is_installed(name)]
     if absent:
@@ -149,7 +149,7 @@ def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
 
 def probe() -> dict[str, Any]:
     """What only importing torch can tell."""
-    from ..adapters.probing import torch_facts
+    from ..models.probing import torch_facts
 
     facts = torch_facts()
     if facts["torch_fault"]:
@@ -196,7 +196,7 @@ def _native() -> dict[str, Any]:
 
 def _models() -> dict[str, dict[str, Any]]:
     """The default models by id: what for, and whether they are here (None: cannot be told)."""
-    from ..adapters.pretrained import cached_in_full
+    from ..models.pretrained import cached_in_full
 
     known = _is_installed("huggingface_hub")
     return {
@@ -214,7 +214,7 @@ def _cached_said(cached: bool | None) -> str:
 
 
 def _has_fast_bfloat16() -> bool:
-    from ..adapters.devices import has_fast_bfloat16
+    from ..models.devices import has_fast_bfloat16
 
     return has_fast_bfloat16()
 

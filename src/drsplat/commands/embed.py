@@ -10,9 +10,9 @@ from .leaving_out import add_without, left_out
 from .options import add_capture_options, add_overwrite, count, tracker, up_to, views_of, words
 
 if TYPE_CHECKING:
-    from ..adapters.point_masks import PointMaskSettings
     from ..encoders import ImageEncoder
-    from ..segments import Segmenter
+    from ..masks.masks import Segmenter
+    from ..models.point_masks import PointMaskSettings
 
 SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register"
 EXAMPLES = """\
@@ -86,7 +86,7 @@ def add_device(parser: argparse._ActionsContainer) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..embedding import embed
+    from ..embedding.embed import embed
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
@@ -151,9 +151,9 @@ def _output_folder(arguments: argparse.Namespace) -> Path:
 
 def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
     """That of --encoder and --device. InputError: one that knows words only."""
-    from ..adapters.loading import load_encoder
     from ..encoders import ImageEncoder
     from ..errors import InputError
+    from ..models.loading import load_encoder
 
     encoder = load_encoder(arguments.encoder, arguments.device)
     if not isinstance(encoder, ImageEncoder):
@@ -162,16 +162,16 @@ def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
 
 
 def _segmenter(arguments: argparse.Namespace) -> Segmenter:
-    from ..adapters.sam import load_segmenter
+    from ..models.sam import load_segmenter
 
     return load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
 
 
 def _point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
     """Those of SAM; None for `graph`. InputError: options of SAM for `graph`."""
-    from ..adapters.point_masks import PointMaskSettings
     from ..errors import InputError
-    from ..graph import GraphSegmenter
+    from ..models.graph import GraphSegmenter
+    from ..models.point_masks import PointMaskSettings
 
     asked = {"points_per_side": arguments.points, "crop_layers": arguments.crop_layers}
     given = {name: value for name, value in asked.items() if value is not None}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..evaluation.report import Figure
     from ..evaluation.scannet import ScannetScene
     from ..evaluation.scorers import Scorer
-    from ..gaussians import Gaussians
+    from ..scene.gaussians import Gaussians
 
 SUMMARY = "score fields, or features of other systems, on a protocol of the papers"
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")

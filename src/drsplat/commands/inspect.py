@@ -137,7 +137,7 @@ def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _features(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.langsplat import read_features
-    from ..segments import LEVELS
+    from ..masks.masks import LEVELS
 
     folder = read_features(arguments.path)
     by_level = {level: read_features(arguments.path, level=level) for level in LEVELS}

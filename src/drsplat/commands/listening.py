@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..access import is_loopback, names_of
+from ..serving.access import is_loopback, names_of
 from .options import PORT
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ..codes import Track
-    from ..views import View
+    from ..scene.views import View
 
 MOST = 2**31 - 1  # the kernels count with 32 bits
 LARGEST, SMALLEST = 3.4e38, 1e-30  # and measure with floats of 32 bits

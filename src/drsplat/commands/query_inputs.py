@@ -55,7 +55,7 @@ def read_picture(path: str) -> np.ndarray:
     Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
     """
     from ..errors import FormatError, InputError
-    from ..photos import decoded_picture
+    from ..scene.photos import decoded_picture
 
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such picture")

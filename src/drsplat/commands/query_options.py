@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..query import Answer, Cut, Query, Scene
-    from ..views import View
+    from ..scene.views import View
 
 
 def threshold(text: str) -> float | str:
@@ -233,7 +233,7 @@ def measured_said(answer: dict[str, Any]) -> str:
 
 def draw(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray, note: str) -> str:
     """Write --picture: the photo, in colour where the Gaussians at `ids` are; returns its name."""
-    from ..pictures import titled, write_picture
+    from ..drawing.pictures import titled, write_picture
 
     view = chosen_view(arguments, scene, ids)
     title = f"“{query_said(arguments)}”" if arguments.text else query_said(arguments)

@@ -24,9 +24,9 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..aggregation import Aggregator, Sampling
     from ..codes import Codebook, CodeSpecification
     from ..encoders import EncoderIdentity
+    from ..evidence.aggregation import Aggregator, Sampling
     from ..field import LanguageField
 
 DEFAULT_TOPK = 40
@@ -132,7 +132,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from .. import read_features, read_gaussians, register
-    from ..aggregation import aggregator
+    from ..evidence.aggregation import aggregator
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
@@ -188,7 +188,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
 
 def _with_words(field: "LanguageField", features: str) -> "LanguageField":
     """With the words that queries are contrasted with, where `drsplat embed` embedded them."""
-    from ..embedding import recorded_words
+    from ..embedding.embed import recorded_words
 
     words = recorded_words(features)
     if words is None or not field.encoder.matches(words.identity):
@@ -238,7 +238,7 @@ def show(answer: dict[str, Any]) -> None:
 
 def _finished(parts: Path, names: Iterable[str]) -> dict[str, int]:
     """Time of writing of each finished view's file."""
-    from ..columns import part_name
+    from ..evidence.columns import part_name
 
     files = (parts / part_name(name) for name in names)
     return {file.name: file.stat().st_mtime_ns for file in files if file.is_file()}
@@ -246,8 +246,8 @@ def _finished(parts: Path, names: Iterable[str]) -> dict[str, int]:
 
 def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
     """The aggregator's own where it has one; --topk and --first-hits may not contradict it."""
-    from ..aggregation import Sampling
     from ..errors import InputError
+    from ..evidence.aggregation import Sampling
 
     given = {} if arguments.first_hits is None else {"first_hits": arguments.first_hits}
     given |= {"topk": arguments.topk} if hasattr(arguments, "topk") else {}
@@ -292,7 +292,7 @@ def _encoder(
     arguments: argparse.Namespace, codebook: "Codebook | None"
 ) -> "EncoderIdentity | None":
     from .. import EncoderIdentity, WordEncoder
-    from ..embedding import recorded_encoder
+    from ..embedding.embed import recorded_encoder
     from ..formats.langsplat import FeatureFolder
 
     noted = recorded_encoder(arguments.features)

@@ -21,9 +21,9 @@ from .options import (
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..gaussians import Gaussians
     from ..kernels import SplatArrays
-    from ..views import View
+    from ..scene.gaussians import Gaussians
+    from ..scene.views import View
 
 SUMMARY = "render a scene from the places of its photos, if wanted with an answer highlighted"
 EXAMPLES = """\
@@ -148,8 +148,8 @@ def _render(
     import numpy as np
 
     from .. import render
+    from ..drawing.pictures import as_pixels, highlighted, write_picture
     from ..formats.npy import write_npy
-    from ..pictures import as_pixels, highlighted, write_picture
 
     stem = Path(arguments.output_dir) / Path(view.name).with_suffix("")
     paths = {"rgb": stem.with_name(f"{stem.name}.png")}

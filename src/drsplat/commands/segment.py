@@ -119,7 +119,7 @@ def _save(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> N
 def _draw(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> str:
     import numpy as np
 
-    from ..pictures import photo_or_rendering, write_picture
+    from ..drawing.pictures import photo_or_rendering, write_picture
     from .legend import class_picture
 
     view = chosen_view(arguments, scene, np.flatnonzero(found.labels >= 0))

@@ -11,8 +11,8 @@ from .options import add_overwrite, count, views_of, whole
 
 if TYPE_CHECKING:
     from ..formats.captures import SparsePoints
+    from ..scene.views import View
     from ..training import TrainingSettings
-    from ..views import View
 
 SUMMARY = "train a scene of Gaussians on posed photos (3D Gaussian Splatting), on a CPU or on CUDA"
 EXAMPLES = """\

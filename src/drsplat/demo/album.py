@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..pictures import (
+from ..drawing.pictures import (
     OtherPixels,
     as_pixels,
     best_views,
@@ -17,8 +17,8 @@ from ..pictures import (
     write_picture,
     zoomed,
 )
-from ..rendering import render
-from ..views import View
+from ..drawing.rendering import render
+from ..scene.views import View
 from .story import Story, Verdict
 
 OVERVIEW = "overview.png"

@@ -9,21 +9,21 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..codes import Track, untracked
-from ..embedding import embed
+from ..drawing.pictures import visible_share
+from ..embedding.embed import embed
 from ..evaluation.metrics import mask_iou
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
 from ..formats.langsplat import read_features
 from ..formats.scenes import read_gaussians
-from ..gaussians import Gaussians
-from ..graph import GraphSegmenter
 from ..kernels import SplatArrays, splat_arrays
-from ..mini import MiniEncoder
-from ..pictures import visible_share
+from ..models.graph import GraphSegmenter
+from ..models.mini import MiniEncoder
 from ..progress import Stopwatch
 from ..query import Scene
 from ..registration import register
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
 from .household import SCENE, Household, unpack_household
 from .probes import PROBES, Probe
 

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from ..gaussians import Gaussians
+from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..kernels import SplatArrays, render_channels, splat_arrays
-from ..pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
 from .lerf_ovs import LerfScene
 from .report import Figure
 from .scannet import ScannetScene

@@ -28,9 +28,9 @@ from ..formats.captures import read_views
 from ..formats.json_files import as_vector, read_json, shown
 from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
 from ..formats.replacing import replacing
-from ..gaussians import Gaussians
 from ..kernels import SplatArrays, render_channels, splat_arrays
-from ..views import View, same_aspect
+from ..scene.gaussians import Gaussians
+from ..scene.views import View, same_aspect
 from . import metrics
 from .predictions import (
     ANSWERED,

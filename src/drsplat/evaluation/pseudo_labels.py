@@ -17,7 +17,7 @@ from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 
 CUT_OFF = 3.0  # standard deviations
 MOST_CANDIDATES = 8192

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64, Integer
 
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 
 Positions = Float64[np.ndarray, "m 3"]
 

@@ -21,7 +21,7 @@ from ..formats.scannet import (
     read_scannet_labels,
     scene_file,
 )
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from . import metrics
 from .label_sets import LabelSet
 from .predictions import ANSWERED, AUTOMATIC, FIXED, Chooser, Manifest, read_array, sweep_column

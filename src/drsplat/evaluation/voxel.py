@@ -20,7 +20,7 @@ from jaxtyping import Float64, Int32, Int64
 
 from ..codes import Track, untracked
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume
 from .predictions import read_manifest
 from .scannet import (

@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Bool
 
-from ..aggregation import MEAN, Aggregated
-from ..aggregation.entries import canonical
 from ..codes import (
     PQ,
     Code,
@@ -22,7 +20,9 @@ from ..codes.codebook import BLOCK, TRAINING_POINTS
 from ..codes.mixture import encode_mixture
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
-from ..evidence import Evidence
+from ..evidence.aggregation import MEAN, Aggregated
+from ..evidence.aggregation.entries import canonical
+from ..evidence.evidence import Evidence
 from .language_field import LanguageField
 
 

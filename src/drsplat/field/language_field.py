@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, Integer, UInt32
 
-from ..aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..codes import Best, Code, Codebook, Hits, PQCode
 from ..encoders import EncoderIdentity, identity_json
 from ..errors import InputError, MismatchError
-from ..evidence import Evidence, Explanation
+from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
+from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from ..terminal import counted
 
 FORMAT, VERSION = "drsplat field", 3

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from ..aggregation import record_from_json
 from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
 from ..codes.mixture import MixtureCode, mixture_from_tensors
 from ..errors import FormatError, InputError, MismatchError
-from ..evidence import Evidence, evidence_from_tensors
+from ..evidence.aggregation import record_from_json
+from ..evidence.evidence import Evidence, evidence_from_tensors
 from ..formats.checksums import check_checksums, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Integer
 
 from ..errors import FormatError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 
 BLOCK_ROWS = 1 << 13
 CURE = (

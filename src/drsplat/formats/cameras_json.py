@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DrSplatWarning, FormatError
-from ..views import View
+from ..scene.views import View
 from .json_files import as_count, as_matrix, as_number, as_vector, read_json, shown
 from .photo_files import listed, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ..errors import DrSplatWarning, FormatError, InputError
-from ..views import View
+from ..scene.views import View
 from .cameras_json import read_cameras_json
 from .colmap import find_model, has_points, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE

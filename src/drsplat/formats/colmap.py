@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ..errors import FormatError, InputError
-from ..views import View
+from ..scene.views import View
 from . import colmap_binary, colmap_text
 from .colmap_records import CameraRecord, ImageRecord, PointRecord, parameter_names
 from .photo_files import safe_name

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, UInt32
 
 from ..errors import FormatError
-from ..gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked, exp, from_smallest_three
 from .gaussian_ply import extra_columns
 from .ply import Records, gather, read_elements

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import FormatError
-from ..views import View
+from ..scene.views import View
 from .json_files import as_matrix, as_number, read_json
 from .poses import nearest_rotation, pose
 

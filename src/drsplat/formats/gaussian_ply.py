@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..errors import FormatError, InputError
-from ..gaussians import SH_COEFFICIENTS, Gaussians
-from ..placing import local_origin
+from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
+from ..scene.placing import local_origin
 from .activation import checked, exp, logit, sigmoid
 from .ply import Records, gather, read_elements
 from .ply_header import Header

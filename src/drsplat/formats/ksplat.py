@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..errors import FormatError
-from ..gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked
 
 MAGIC = b"\0\1\0\0"  # the version, and two bytes without a use

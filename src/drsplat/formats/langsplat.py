@@ -12,8 +12,8 @@ from jaxtyping import Float32, Int32, Int64
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
-from ..features import ViewFeatures
-from ..segments import LEVELS
+from ..masks.features import ViewFeatures
+from ..masks.masks import LEVELS
 from ..terminal import counted
 from .compact_features import CompactFile, read_compact, write_compact
 from .embedding_record import embedded_by

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from ..errors import FormatError, InputError, MismatchError
-from ..photos import photo_size
-from ..views import View, same_aspect
+from ..scene.photos import photo_size
+from ..scene.views import View, same_aspect
 
 PHOTO_SUFFIXES = (
     ".jpg",

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import FormatError, InputError
-from ..rotations import rotation_matrices
-from ..views import View
+from ..scene.rotations import rotation_matrices
+from ..scene.views import View
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 Matrix4 = Float64[np.ndarray, "4 4"]

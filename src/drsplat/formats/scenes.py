@@ -12,8 +12,8 @@ from jaxtyping import Shaped
 
 from ..contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError
-from ..gaussians import SH_COEFFICIENTS, Gaussians
-from ..units import lost_precision
+from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
+from ..scene.units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import NORMALS, parse_gaussian_ply, vertex_columns
 from .ksplat import MAGIC as KSPLAT_MAGIC

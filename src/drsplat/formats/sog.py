@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ..errors import FormatError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three, sigmoid
 from .json_files import as_count, as_number, as_vector, shown
 from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member

@@ -10,7 +10,7 @@ Source: the format notes of github.com/antimatter15/splat.
 import numpy as np
 
 from ..errors import FormatError
-from ..gaussians import SH_C0, Gaussians
+from ..scene.gaussians import SH_C0, Gaussians
 from .activation import checked
 
 RECORD = np.dtype(

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ..errors import DrSplatWarning, FormatError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three
 from .spz_streams import gunzipped, unzstd
 

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import DrSplatWarning, FormatError, InputError
-from ..photos import photo_size
-from ..views import View
+from ..scene.photos import photo_size
+from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
 from .json_files import as_count, as_matrix, as_number, read_json, shown
 from .photo_files import find_photo, listed, on_photo, safe_name

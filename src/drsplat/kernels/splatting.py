@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float32, Float64, Int32, Integer, UInt32
 
 from .. import _native
 from ..errors import InputError
-from ..gaussians import Gaussians
-from ..placing import PUBLISHED_NEAR
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.placing import PUBLISHED_NEAR
+from ..scene.views import View
 
 MAX_SIDE = 65536
 MOST_COUNTED = 2**31 - 1  # no ray meets so many: as good as all

@@ -12,8 +12,8 @@ from jaxtyping import Float32
 
 from .. import _native
 from ..errors import InputError
-from ..placing import PUBLISHED_NEAR
-from ..views import View
+from ..scene.placing import PUBLISHED_NEAR
+from ..scene.views import View
 from .splatting import _checked_isa, camera_numbers
 
 

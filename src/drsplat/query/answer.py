@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..errors import InputError
-from ..evidence import Explanation
+from ..evidence.evidence import Explanation
 from ..field import LanguageField
 from ..terminal import counted
 from .defaults import COSINE, GIVEN, RELEVANCY

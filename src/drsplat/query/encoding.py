@@ -4,13 +4,13 @@ from collections.abc import Callable
 from copy import copy
 from pathlib import Path
 
-from ..adapters.loading import load_encoder
 from ..encoders import Encoder, EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..field import LanguageField
 from ..formats.vocabulary import read_vocabulary
-from ..mini import MiniEncoder
-from ..words import WordEncoder
+from ..models.loading import load_encoder
+from ..models.mini import MiniEncoder
+from ..models.words import WordEncoder
 
 Load = Callable[[str, str], Encoder]
 

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..crops import crop
 from ..encoders import Encoder, ImageEncoder
 from ..errors import InputError
 from ..field import LanguageField, Negatives
+from ..masks.crops import crop
 from .answer import Answer
 from .contrast import Contrast, contrast, relevancy_threshold
 from .defaults import (

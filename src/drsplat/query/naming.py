@@ -9,8 +9,8 @@ from ..encoders import Encoder
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
-from ..mini import MiniEncoder
-from ..mini.lexicon import COLORS, NAMES, STRUCTURES
+from ..models.mini import MiniEncoder
+from ..models.mini.lexicon import COLORS, NAMES, STRUCTURES
 
 
 def own_vocabulary(encoder: Encoder) -> tuple[str, ...] | None:

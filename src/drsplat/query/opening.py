@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
-from ..adapters.loading import load_encoder
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
 from ..formats.scenes import read_gaussians
-from ..gaussians import Gaussians
-from ..views import View
+from ..models.loading import load_encoder
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
 from .encoding import Load, encoder_for
 from .scene import Scene
 

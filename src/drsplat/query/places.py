@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Integer
 
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 
 FAR = 3.0  # standard deviations
 SLACK = 0.01  # of the scene's size: people and models round their numbers

@@ -8,14 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
 
-from ..boxes import BoxKind, up_of
-from ..encoders import Encoder
-from ..errors import InputError
-from ..evidence import Explanation
-from ..field import LanguageField
-from ..gaussians import Gaussians
-from ..kernels import SplatArrays, splat_arrays
-from ..pictures import (
+from ..drawing.pictures import (
     OtherPixels,
     as_pixels,
     best_views,
@@ -23,8 +16,15 @@ from ..pictures import (
     photo_or_rendering,
     visible_share,
 )
-from ..rendering import render
-from ..views import View
+from ..drawing.rendering import render
+from ..encoders import Encoder
+from ..errors import InputError
+from ..evidence.evidence import Explanation
+from ..field import LanguageField
+from ..kernels import SplatArrays, splat_arrays
+from ..scene.boxes import BoxKind, up_of
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
 from .encoding import encoder_for

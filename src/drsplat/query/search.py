@@ -9,9 +9,9 @@ from jaxtyping import Float32
 from ..encoders import Encoder
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
-from ..gaussians import Gaussians
 from ..kernels import splat_arrays, view_weights
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
 
 __all__ = [
     "LOWEST",

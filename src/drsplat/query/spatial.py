@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from .answer import Match
 from .scene import Scene
 from .tasks import HAZE

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float32, Integer
 
 from ..errors import InputError
-from ..evidence import Explanation
+from ..evidence.evidence import Explanation
 from ..field import LanguageField
 
 

@@ -8,10 +8,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..boxes import box_of
 from ..errors import InputError
 from ..field import LanguageField
-from ..gaussians import Gaussians
+from ..scene.boxes import box_of
+from ..scene.gaussians import Gaussians
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import InputError
-from ..views import View
+from ..scene.views import View
 
 
 def view_named(views: Sequence[View], name: str) -> View:

@@ -8,11 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from threading import Lock
 
-from ..adapters.loading import load_encoder
 from ..encoders import Encoder
 from ..errors import DrSplatError, InputError
 from ..formats.field_folder import read_manifest
 from ..formats.vocabulary import read_vocabulary
+from ..models.loading import load_encoder
 from ..query import Scene, SceneFiles, find_scene, open_scene
 from ..query.opening import CAMERAS, FIELD_SUFFIX
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from starlette.exceptions import HTTPException
 
-from ..access import is_addressed, is_secret
+from .access import is_addressed, is_secret
 from .limits import Limits
 from .metrics import Metrics
 

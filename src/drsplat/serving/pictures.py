@@ -7,7 +7,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from ..errors import FormatError, InputError
-from ..photos import decoded_picture
+from ..scene.photos import decoded_picture
 
 
 def png(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from .. import query as engine
-from ..boxes import BoxKind
 from ..errors import InputError
 from ..query.defaults import MIN_GAUSSIANS
+from ..scene.boxes import BoxKind
 from .limits import Limits
 from .pictures import decoded
 

@@ -16,7 +16,7 @@ from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
 from ..formats.captures import SparsePoints
 from ..formats.checksums import hash_file
 from ..formats.tensors import check_tensors, read_tensors, write_tensors
-from ..views import View
+from ..scene.views import View
 from .run import Run
 from .schedules import same_until
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from ..errors import InputError, MissingExtraError
 from ..formats.captures import SparsePoints
-from ..views import View
+from ..scene.views import View
 from . import loop
 from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
 from .result import Training

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
-from ..pictures import as_pixels, write_picture
-from ..placing import PUBLISHED_NEAR
-from ..views import View
+from ..scene.placing import PUBLISHED_NEAR
+from ..scene.views import View
 from .metrics import psnr, ssim
 from .settings import TrainingSettings
 from .training_photos import Photo, TrainingPhotos

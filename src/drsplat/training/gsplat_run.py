@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from ..errors import DrSplatError
-from ..kernels.reference_projection import BLUR
-from ..views import View
+from ..reference.projection import BLUR
+from ..scene.views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
 from .job import Beginning
 from .optimizer import Optimizer

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from ..errors import InputError
 from ..formats.captures import SparsePoints
-from ..views import View
+from ..scene.views import View
 from .optimizer import Optimizer
 from .settings import TrainingSettings
 

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..formats.point_ply import read_point_ply
-from ..views import View
+from ..scene.views import View
 from .checkpoint import capture_fingerprint, load_checkpoint, save_checkpoint
 from .evaluation import Evaluation, evaluate
 from .job import Job

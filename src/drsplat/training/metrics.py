@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float32, Float64, Integer
 
-from ..kernels.reference_loss import ssim_map
+from ..reference.loss import ssim_map
 
 Image = Float32[np.ndarray, "h w 3"]
 Flat = Integer[np.ndarray, " m"]

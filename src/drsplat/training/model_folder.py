@@ -30,9 +30,9 @@ from ..formats.claiming import LOCK, claimed_folder
 from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
-from ..gaussians import Gaussians
-from ..placing import local_origin
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.placing import local_origin
+from ..scene.views import View
 from .settings import TrainingSettings
 
 _LEFT_BEHIND = re.compile(r"\.[0-9a-f]{16}\.tmp")  # by a run that was killed while it wrote

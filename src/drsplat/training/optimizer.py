@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float32, Integer
 
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
-from ..gaussians import Gaussians
 from ..kernels.training import Gradients, SceneParameters, adam_step
+from ..scene.gaussians import Gaussians
 
 FLOATING = SceneParameters._fields
 LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32

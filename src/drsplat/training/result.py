@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 from .evaluation import Evaluation
 from .settings import TrainingSettings
 

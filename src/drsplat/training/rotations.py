@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float32
 
-from ..rotations import rotation_matrices
+from ..scene.rotations import rotation_matrices
 
 
 def unit(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:

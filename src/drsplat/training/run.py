@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..errors import DrSplatError
-from ..gaussians import Gaussians
 from ..kernels.training import Gradients, Loss, TrainingView, forward, photometric_loss
-from ..placing import near_plane
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.placing import near_plane
+from ..scene.views import View
 from .density import AdaptiveDensity
 from .job import Beginning
 from .mcmc import MonteCarlo

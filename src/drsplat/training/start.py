@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..formats.captures import SparsePoints
-from ..gaussians import SH_C0, SH_COEFFICIENTS
 from ..kernels.training import SceneParameters
-from ..placing import local_origin, size_of
-from ..views import View
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS
+from ..scene.placing import local_origin, size_of
+from ..scene.views import View
 from .settings import TrainingSettings
 
 NEIGHBOURS = 3

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float64
 
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
+from ..scene.views import View
 from ..triangulation import Triangulation, triangulate
 from ..triangulation.filling import fill
-from ..views import View
 from .settings import TrainingSettings
 from .start import NEIGHBOURS, scene_extent
 

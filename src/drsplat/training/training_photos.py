@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Integer, UInt8
 
-from ..photos import load_image, photo_coverage
-from ..views import View
+from ..scene.photos import load_image, photo_coverage
+from ..scene.views import View
 
 
 class Photo(NamedTuple):

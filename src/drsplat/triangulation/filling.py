@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
-from ..views import View
+from ..scene.views import View
 
 SEVERAL = 3  # cameras, or all where there are fewer
 LEAST_SEEN = 10  # points that a view must see to know from them how far things are

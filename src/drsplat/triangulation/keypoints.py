@@ -9,9 +9,9 @@ from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
 from ..errors import InputError
-from ..lens import undistort_points
-from ..photos import load_image, photo_size
-from ..views import View
+from ..scene.lens import undistort_points
+from ..scene.photos import load_image, photo_size
+from ..scene.views import View
 
 LONGER_SIDE = 640  # pixels; more cost more and triangulate no better what 3DGS starts from
 MOST = 1000  # of a photo, those of the largest scale first

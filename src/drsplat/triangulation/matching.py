@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Integer
 
-from ..views import View
+from ..scene.views import View
 from .keypoints import Keypoints
 
 RATIO = 0.8  # Lowe's: the second best is farther by this

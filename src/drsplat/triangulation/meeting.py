@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Integer
 
-from ..views import View
+from ..scene.views import View
 from .tracks import Tracks
 
 SLACK = (16, 4, 1)  # times the tolerance, by round: an outlier moves the first point off all rays

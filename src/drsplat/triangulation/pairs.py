@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64, Integer
 
-from ..views import View
+from ..scene.views import View
 
 RANKS = (1, 2, 3, 5, 8, 12, 18)
 """Of the neighbours of a photo: the nearest show most of the same, those farther off say how far things are."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Integer, UInt8
 
-from ..views import View
+from ..scene.views import View
 from .keypoints import Keypoints, keypoints
 from .matching import matches
 from .meeting import meet

@@ -10,9 +10,9 @@ from ..errors import InputError
 from ..field import LanguageField
 from ..formats.captures import read_views
 from ..formats.scenes import read_gaussians
-from ..gaussians import Gaussians
 from ..kernels.scan import GROUP
 from ..query import Scene
+from ..scene.gaussians import Gaussians
 
 NO_FIELD = (
     "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"

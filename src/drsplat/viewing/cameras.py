@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import InputError
-from ..gaussians import Gaussians
 from ..query import Match
-from ..views import View
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
 from .shown import RADIUS, Frame
 
 Vector = Float64[np.ndarray, " 3"]

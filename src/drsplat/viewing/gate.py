@@ -19,7 +19,7 @@ from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from ..access import is_addressed, is_own_page, is_secret, names_of
+from ..serving.access import is_addressed, is_own_page, is_secret, names_of
 from . import messages
 from .uploads import Uploads
 

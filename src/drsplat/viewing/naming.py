@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ..errors import DrSplatError
-from ..evidence import Explanation
-from ..mini.lexicon import NAMES, STRUCTURES
+from ..evidence.evidence import Explanation
+from ..models.mini.lexicon import NAMES, STRUCTURES
 from ..query import Match, Query, Scene, Word
 from ..query.naming import own_vocabulary
 from .picking import Hit

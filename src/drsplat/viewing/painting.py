@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
-from .. import palette
+from ..drawing import palette
 from ..field import LanguageField
 
 Colors = Float32[np.ndarray, "n 3"]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..drawing.palette import class_colors
 from ..errors import DrSplatError
-from ..palette import class_colors
 from ..query import Match
 from . import painting, saving, texts
 from .actions import Actions

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from ..gaussians import Gaussians
+from ..scene.gaussians import Gaussians
 
 REACH = 3.0  # standard deviations at which a Gaussian ends
 LEAST_ALPHA = 1 / 255

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
+from ..drawing.pictures import as_pixels
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
 from ..kernels import render_channels
-from ..pictures import as_pixels
-from ..views import View
+from ..scene.views import View
 from . import results
 from .cameras import flight, looking_at
 from .session import Session

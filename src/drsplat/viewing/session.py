@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
+from ..drawing.palette import class_colors
 from ..errors import InputError
-from ..gaussians import SH_C0, Gaussians
-from ..palette import class_colors
 from ..query import Query, Scene, Segmentation
+from ..scene.gaussians import SH_C0, Gaussians
 from ..terminal import counted
 from . import painting, results
 from .naming import This, this_is

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..errors import InputError
-from ..gaussians import SH_C0, Gaussians
+from ..scene.gaussians import SH_C0, Gaussians
 
 RADIUS = 10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
 WITHIN = 0.9  # of the opacity lies within that radius

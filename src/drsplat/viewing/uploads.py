@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..errors import FormatError, InputError
-from ..photos import decoded_picture
+from ..scene.photos import decoded_picture
 from .messages import PART, UPLOAD
 
 MOST_BYTES, MOST_PIXELS = 20 << 20, 40_000_000

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from ..access import EVERYWHERE, is_loopback
 from ..errors import MissingExtraError
 from ..query import Match
-from ..views import View
+from ..scene.views import View
+from ..serving.access import EVERYWHERE, is_loopback
 from . import painting
 from .cameras import FOV_DEGREES, first_look, looking_at
 from .finds import MOST_FIRST, MOST_LISTED, finds_of

@@ -1,0 +1,186 @@
+"""Pictures of answers: a photo in which what was found keeps its colours and the rest fades to grey."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from os import PathLike
+
+import numpy as np
+from jaxtyping import Bool, Float32, Integer, UInt8
+from PIL import Image, ImageDraw, ImageFont
+from scipy import ndimage
+
+from ..errors import InputError
+from ..formats.replacing import replacing
+from ..kernels import SplatArrays, render_channels, splat_arrays
+from ..scene.gaussians import Gaussians
+from ..scene.photos import load_image
+from ..scene.views import View
+from .palette import LUMA
+from .rendering import render
+
+Pixels = UInt8[np.ndarray, "h w 3"]
+OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
+OUTLINE = (255, 64, 160)
+PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (120, 124, 134)
+
+
+def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
+    """Floats in [0, 1] to bytes; what is outside is clipped."""
+    pixels: Pixels = (np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return pixels
+
+
+def photo_or_rendering(gaussians: Gaussians, view: View, *, threads: int = 0) -> Pixels:
+    """The photo of the view; where there is none, what the Gaussians look like from there."""
+    if view.image_path is not None:
+        return load_image(view)
+    return as_pixels(render(gaussians, view, threads=threads).rgb)
+
+
+def visible_share(
+    gaussians: Gaussians,
+    view: View,
+    ids: Integer[np.ndarray, " m"],
+    *,
+    splats: SplatArrays | None = None,
+    threads: int = 0,
+) -> Float32[np.ndarray, "h w"]:
+    """Per pixel the summed blending weight of the Gaussians at `ids`, behind what hides them."""
+    chosen = np.zeros((len(gaussians), 1), np.float32)
+    chosen[ids] = 1
+    drawn = render_channels(splats or splat_arrays(gaussians), view, chosen, threads=threads)
+    return drawn.channels[..., 0]
+
+
+def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: int = 0) -> Pixels:
+    """The photo, grey and pale where `share` is 0, with a line around where it is above a half.
+
+    outline_px: thickness of the line in pixels; 0 takes one in 240 of the width.
+
+    Raises: InputError: photo and share differ in size.
+    """
+    if photo.shape[:2] != share.shape:
+        raise InputError(
+            f"the photo is {photo.shape[:2]}, the share {share.shape}: render the share at the photo's size"
+        )
+    grey = photo @ LUMA
+    faded = (150 + 0.38 * (grey - 110))[..., None]
+    kept = np.clip(share, 0, 1)[..., None]
+    picture: Pixels = np.clip(photo * kept + faded * (1 - kept), 0, 255).astype(np.uint8)
+    picture[_border(share > 0.5, outline_px or max(2, photo.shape[1] // 240))] = OUTLINE
+    return picture
+
+
+def _border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
+    """Just outside of the region; specks of a few pixels get none."""
+    pieces, num = ndimage.label(inside)
+    sizes = np.bincount(pieces.ravel(), minlength=num + 1)
+    sizes[0] = 0
+    region = ndimage.binary_fill_holes((sizes > 4 * thickness**2)[pieces])
+    border: np.ndarray = ndimage.binary_dilation(region, iterations=thickness) & ~region
+    return border
+
+
+def best_views(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    selections: Sequence[Integer[np.ndarray, " _"]],
+    *,
+    threads: int = 0,
+) -> list[View]:
+    """For each selection the view that shows most of it, in share of its pixels, not cut off by the border.
+
+    Raises: InputError: no views.
+    """
+    if not views:
+        raise InputError("there are no views to choose from")
+    splats, chosen = (
+        splat_arrays(gaussians),
+        np.zeros((len(gaussians), len(selections)), np.float32),
+    )
+    for column, ids in enumerate(selections):
+        chosen[ids, column] = 1
+    areas = np.empty((len(views), len(selections)))
+    for row, view in enumerate(views):
+        small = view.resized(160, max(1, round(160 * view.height / view.width)))
+        share = render_channels(splats, small, chosen, threads=threads).channels
+        cut = share[[0, -1]].sum((0, 1)) + share[:, [0, -1]].sum((0, 1))
+        areas[row] = share.sum((0, 1)) / (1 + cut)
+    return [views[best] for best in areas.argmax(0)]
+
+
+def zoomed(
+    view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, most: float = 3.0
+) -> View:
+    """The same camera, turned to a longer lens on where `share` is above a half.
+
+    margin: sides of the picture over sides of that region, at least. most: largest magnification.
+    """
+    rows, columns = np.nonzero(share > 0.5)
+    if len(rows) == 0:
+        return view
+    (top, bottom), (left, right) = np.percentile(rows, (1, 99)), np.percentile(columns, (1, 99))
+    needed = max(
+        margin * (right - left) / view.width, margin * (bottom - top) / view.height, 1 / most
+    )
+    scale = min(1.0, needed)
+    width, height = scale * view.width, scale * view.height
+    x = np.clip((left + right - width) / 2, 0, view.width - width)
+    y = np.clip((top + bottom - height) / 2, 0, view.height - height)
+    K = np.diag([1 / scale, 1 / scale, 1]) @ (view.K - np.array([[0, 0, x], [0, 0, y], [0, 0, 0]]))
+    return replace(view, K=K)
+
+
+def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
+    """A strip above the picture with a title on the left and a note on the right."""
+    height, width = picture.shape[:2]
+    strip = max(28, width // 15)
+    canvas = Image.new("RGB", (width, height + strip), PAPER)
+    canvas.paste(Image.fromarray(picture), (0, strip))
+    draw = ImageDraw.Draw(canvas)
+    large, small = ImageFont.load_default(strip * 0.56), ImageFont.load_default(strip * 0.42)
+    draw.text((strip * 0.35, strip / 2), title, INK, large, anchor="lm")
+    draw.text((width - strip * 0.35, strip / 2), note, FAINT, small, anchor="rm")
+    return np.asarray(canvas)
+
+
+def contact_sheet(
+    pictures: Sequence[OtherPixels], columns: int, tile_width: int = 400, gap: int = 14
+) -> OtherPixels:
+    """Pictures of one shape, side by side in rows, on white.
+
+    Raises: InputError: no picture, or pictures of different shapes.
+    """
+    shapes = {picture.shape for picture in pictures}
+    if len(shapes) != 1:
+        raise InputError(f"a contact sheet needs pictures of one shape, got {sorted(shapes)}")
+    height = round(pictures[0].shape[0] * tile_width / pictures[0].shape[1])
+    rows = -(-len(pictures) // columns)
+    sheet = Image.new(
+        "RGB", (columns * (tile_width + gap) + gap, rows * (height + gap) + gap), PAPER
+    )
+    for index, picture in enumerate(pictures):
+        row, column = divmod(index, columns)
+        tile = Image.fromarray(picture).resize((tile_width, height), Image.Resampling.LANCZOS)
+        sheet.paste(tile, (gap + column * (tile_width + gap), gap + row * (height + gap)))
+    return np.asarray(sheet)
+
+
+def write_picture(
+    path: str | PathLike[str], pixels: UInt8[np.ndarray, "h w *c"], overwrite: bool = False
+) -> None:
+    """Write a PNG, or a JPEG where the name ends so.
+
+    Raises: InputError: the file exists and not `overwrite`; another suffix.
+    """
+    suffix = str(path).lower().rpartition(".")[2]
+    options = {
+        "png": ("PNG", {}),
+        "jpg": ("JPEG", {"quality": 92}),
+        "jpeg": ("JPEG", {"quality": 92}),
+    }
+    if suffix not in options:
+        raise InputError(f"{path}: pictures are written as .png or .jpg")
+    kind, settings = options[suffix]
+    with replacing(path, overwrite) as file:
+        Image.fromarray(pixels).save(file, kind, **settings)

@@ -1,0 +1,253 @@
+"""Photos to language features: masks, their crops, their embeddings; one photo at a time.
+
+What a folder was made with, and which of its files are finished, is kept in an `embedding.json`
+beside them. Features count as finished only with an entry there that fits them and their photo.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from warnings import warn
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..codes import Track, encoder_from_json, untracked
+from ..encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
+from ..errors import DrSplatWarning, InputError
+from ..formats.checksums import hash_file
+from ..formats.claiming import claimed_folder
+from ..formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
+from ..formats.feature_files import Form
+from ..formats.langsplat import stored_features, write_features
+from ..formats.photo_files import listed
+from ..formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
+from ..masks.crops import crops
+from ..masks.masks import LEVELS, Masks, Segmenter
+from ..masks.selection import SegmentMaps, segment_maps
+from ..query.nouns import NOUNS
+from ..scene.photos import load_image
+from ..scene.views import View
+
+ALGORITHM = "1"  # of everything here that decides what is written; a new one makes all files anew
+WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
+MAX_HEIGHT = 1080
+"""Taller photos are scaled down to it. Source: LangSplat preprocess.py."""
+
+
+@dataclass(frozen=True)
+class EmbeddingReport:
+    """photos: that now have features; reused: of them, finished before; redone: made anew over older
+    files. masks: by level. empty_masks: left out because they had no pixels. changes: settings that
+    differ from those of the older files.
+    """
+
+    photos: int
+    reused: int
+    redone: int
+    masks: Mapping[str, int]
+    empty_masks: int
+    changes: tuple[str, ...]
+
+
+def embed(
+    views: Sequence[View],
+    output_dir: str | Path,
+    segmenter: Segmenter,
+    encoder: ImageEncoder,
+    *,
+    max_height: int | None = MAX_HEIGHT,
+    overwrite: bool = False,
+    form: Form = "compact",
+    track: Track = untracked,
+) -> EmbeddingReport:
+    """Write `<photo>.features.safetensors` of every view, or LangSplat's files.
+
+    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps
+    to lie. Finished photos are not touched: a run that was killed loses at most the photo it was at.
+    Where a setting differs from the folder's, everything is made anew, each file replaced when its
+    successor is complete. Memory holds one photo at a time.
+    form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; what is finished in the other form
+    is rewritten, not made anew.
+    max_height: photos that are taller are scaled to it, in pixels; None takes them as they are.
+    overwrite: makes everything anew, also over features that others made.
+
+    Warns: DrSplatWarning: views without photo, changed settings, files left from other settings.
+    Raises: InputError: no photo, photos that would share a file, features of others in the folder, another
+    process that embeds into it.
+    FormatError: a damaged photo or embedding.json.
+    Source: LangSplat preprocess.py; Dr. Splat Sec. A.
+    """
+    if max_height is not None and max_height < 1:
+        raise InputError(f"max_height: expected at least 1 pixel, got {max_height}")
+    rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views).items()}
+    settings = {
+        "segmenter": dict(segmenter.identity),
+        "encoder": identity_json(encoder.identity),
+        "max_height": max_height,
+        "algorithm": ALGORITHM,
+    }
+    with claimed_folder(output_dir):
+        record = open_record(Path(output_dir), settings, overwrite)
+        _tell_changes(record)
+        photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
+        pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
+        redone = sum(record.has_files(stem) for stem in pending)
+        for stem in sorted(photos.keys() - pending):
+            _rewrite(record, stem, form)
+        for stem in track(pending, "embedding photos"):
+            _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder, form)
+        _record_words(record.folder, encoder)
+        _tell_leftovers(record)
+    masks, empty_masks = _totals(record, list(photos))
+    return EmbeddingReport(
+        len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes
+    )
+
+
+def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
+    """The words that queries are contrasted with, where `embed` left them.
+
+    Raises: FormatError: a damaged file.
+    """
+    path = Path(folder) / WORD_LIST
+    return read_vocabulary(path) if path.is_file() else None
+
+
+def _record_words(folder: Path, encoder: ImageEncoder) -> None:
+    """Embed the list while the model is at hand. Built-in encoders are always."""
+    if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
+        return
+    words = VocabularyEncoder(encoder.identity, NOUNS, encoder.encode_texts(NOUNS))
+    write_vocabulary(folder / WORD_LIST, words, overwrite=True)
+
+
+def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
+    """Who made the embeddings of a folder that `embed` wrote; None where others wrote it.
+
+    Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are
+    in it.
+    """
+    settings = read_settings(Path(folder))
+    if settings is None:
+        return None
+    return encoder_from_json(settings.get("encoder"), f"{folder}/{FILE_NAME}")
+
+
+def _by_stem(views: Sequence[View]) -> dict[str, View]:
+    """Views with a photo by the name of their files, sorted.
+
+    Raises: InputError: no photo at all; two photos of one name but for the suffix.
+    """
+    found: dict[str, View] = {}
+    for view in sorted(views, key=lambda view: view.name):
+        if view.image_path is not None:
+            stem = PurePosixPath(view.name).with_suffix("").as_posix()
+            if stem in found:
+                raise InputError(
+                    f"'{found[stem].name}' and '{view.name}' would share the features '{stem}': "
+                    "rename one of the photos"
+                )
+            found[stem] = view
+    without = [view.name for view in views if view.image_path is None]
+    if not found:
+        raise InputError(f"none of {len(views)} views has a photo: read them with images=FOLDER")
+    if without:
+        text = f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}"
+        warn(text, DrSplatWarning, stacklevel=4)
+    return found
+
+
+def _raster(view: View, max_height: int | None) -> View:
+    """The view on the raster that is segmented; maps lie on the photo as stored."""
+    stored = replace(view, distortion=None)
+    if max_height is None or view.height <= max_height:
+        return stored
+    return stored.resized(max(1, view.width * max_height // view.height), max_height)
+
+
+def _photo_identity(view: View) -> str:
+    """Of a photo's bytes and the raster it is read to."""
+    if view.image_path is None:
+        raise InputError(f"view '{view.name}' has no photo")
+    return f"{hash_file(view.image_path)} {view.width}x{view.height}"
+
+
+def _embed_photo(
+    record: EmbeddingRecord,
+    stem: str,
+    view: View,
+    photo: str,
+    segmenter: Segmenter,
+    encoder: ImageEncoder,
+    form: Form,
+) -> None:
+    image = load_image(view)
+    levels = segmenter.segment(image)
+    maps = segment_maps(levels)
+    embeddings = _embeddings(image, maps.masks, encoder, view.name)
+    record.make_room(stem)
+    write_features(record.folder, stem, maps.segment_ids, embeddings, overwrite=True, form=form)
+    empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
+    record.add(stem, photo, _counts(maps, levels), empty, form)
+
+
+def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
+    """A finished photo's files in this form, if they are in the other."""
+    known = record.finished[stem]
+    if known.form != form:
+        maps, embeddings = stored_features(record.folder, stem, known.form)
+        record.make_room(stem)
+        write_features(record.folder, stem, maps, embeddings, overwrite=True, form=form)
+        record.add(stem, known.photo, known.masks, known.empty_masks, form)
+
+
+def _embeddings(
+    image: UInt8[np.ndarray, "h w 3"], masks: Masks, encoder: ImageEncoder, name: str
+) -> Float32[np.ndarray, "n d"]:
+    dim = encoder.identity.dim
+    if len(masks) == 0:
+        return np.zeros((0, dim), np.float32)
+    rows = encoder.encode_images(crops(image, masks))
+    if rows.shape != (len(masks), dim) or not np.allclose(np.linalg.norm(rows, axis=1), 1, 0, 1e-3):
+        raise InputError(
+            f"{name}: the encoder {encoder.identity.name} gave {rows.shape} for {len(masks)} crops: "
+            f"expected as many finite unit vectors of {dim} numbers"
+        )
+    return rows
+
+
+def _counts(maps: SegmentMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
+    """Masks by level, of the levels that the segmenter gave."""
+    ids = {level: maps.segment_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
+    return {level: len(np.unique(seen[seen >= 0])) for level, seen in ids.items()}
+
+
+def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:
+    """Masks by level and empty masks of all these photos."""
+    finished = [record.finished[stem] for stem in stems]
+    counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
+    masks = {level: count for level, count in counts.items() if count}
+    if not masks:
+        text = f"no mask was found in any of {len(stems)} photos: there is nothing to register"
+        warn(text, DrSplatWarning, stacklevel=5)
+    return masks, sum(photo.empty_masks for photo in finished)
+
+
+def _tell_changes(record: EmbeddingRecord) -> None:
+    if record.changes:
+        text = (
+            f"{record.folder} was made with other settings, so all photos are embedded again: "
+            + "; ".join(record.changes)
+        )
+        warn(text, DrSplatWarning, stacklevel=4)
+
+
+def _tell_leftovers(record: EmbeddingRecord) -> None:
+    leftovers = record.unfinished()
+    if leftovers:
+        text = (
+            f"{record.folder} still has files of {len(leftovers)} photos that are not among these "
+            f"views and were made otherwise: remove them, or registering mixes them in: {listed(leftovers)}"
+        )
+        warn(text, DrSplatWarning, stacklevel=4)

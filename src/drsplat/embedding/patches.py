@@ -1,0 +1,220 @@
+"""Patches for a codebook: outlined things of a data set, cut out as masks of a scene are, embedded.
+
+A codebook that is trained once on many things of all kinds fits every scene of the same encoder.
+Source: Dr. Splat Sec. B (LVIS).
+"""
+
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+from warnings import warn
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..codes import Track, untracked
+from ..encoders import EncoderIdentity, ImageEncoder, identity_json
+from ..errors import DrSplatWarning, InputError, MismatchError
+from ..formats.json_files import read_json
+from ..formats.lvis import AnnotatedPhoto, Annotations, Instance
+from ..formats.photo_files import listed
+from ..formats.replacing import replacing
+from ..masks.crops import Crop, crop
+from ..masks.masks import tight_box
+from ..scene.photos import load_image, photo_size
+from ..scene.views import View
+
+ALGORITHM = "1"  # of everything here that decides a patch
+MIN_AREA = 100
+"""Pixels of the smallest patch: segmenters drop smaller masks, so that no scene has any.
+Source: SAM's min_mask_region_area as LangSplat sets it."""
+
+
+@dataclass(frozen=True)
+class PhotoPatches:
+    """The wanted instances of one photo, and where the photo is."""
+
+    photo: AnnotatedPhoto
+    path: Path
+    instances: tuple[Instance, ...]
+
+
+@dataclass(frozen=True)
+class PatchSource:
+    """Photos with their wanted instances, in the order of the file. Made by `find_patches`.
+
+    missing: names of photos that are not in the folder. left_out: instances that are crowds, smaller
+    than MIN_AREA by the file's own area, or of missing photos.
+    """
+
+    annotations: Annotations
+    photos: tuple[PhotoPatches, ...]
+    missing: tuple[str, ...]
+    left_out: int
+
+    @property
+    def num_wanted(self) -> int:
+        return sum(len(photo.instances) for photo in self.photos)
+
+
+class EmbeddedPatches(NamedTuple):
+    """embeddings: a row per patch, on disk. too_small: wanted instances whose mask is below MIN_AREA."""
+
+    embeddings: Float32[np.ndarray, "n d"]
+    too_small: int
+
+
+def find_patches(
+    annotations: Annotations, images: str | Path, limit: int | None = None, seed: int = 0
+) -> PatchSource:
+    """The instances to cut out, at most `limit` of them, drawn by `seed`; no photo is opened yet.
+
+    images: a photo is looked for under its name there, then under the last part of its name.
+
+    Warns: DrSplatWarning: photos that are missing.
+    Raises: InputError: all photos are missing, or no instance is large enough.
+    """
+    paths = _find_photos(annotations, Path(images))
+    usable = [
+        place
+        for place, instance in enumerate(annotations.instances)
+        if instance.photo in paths and instance.area >= MIN_AREA and not instance.crowd
+    ]
+    if not usable:
+        raise InputError(
+            f"{annotations.path}: none of {len(annotations.instances)} instances in these photos has "
+            f"{MIN_AREA} pixels or more"
+        )
+    left_out = len(annotations.instances) - len(usable)
+    if limit is not None and limit < len(usable):
+        drawn = np.random.default_rng(seed).choice(len(usable), limit, replace=False)
+        usable = [usable[index] for index in np.sort(drawn)]
+    by_photo: dict[int, list[Instance]] = defaultdict(list)
+    for place in usable:
+        by_photo[annotations.instances[place].photo].append(annotations.instances[place])
+    photos = tuple(
+        PhotoPatches(annotations.photos[number], paths[number], tuple(instances))
+        for number, instances in by_photo.items()
+    )
+    missing = _missing(annotations, paths)
+    return PatchSource(annotations, photos, missing, left_out)
+
+
+def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[list[Crop]]:
+    """The patches of one photo after the other, each photo opened once.
+
+    A patch is a square: the thing on black, as `crops.crop` makes it. Instances whose mask has fewer
+    than MIN_AREA pixels are left out.
+
+    Raises: MismatchError: a photo of another size than annotated. FormatError: a damaged photo, a mask
+    that does not fit its photo.
+    """
+    return (_patches_of(source.annotations, wanted) for wanted in photos)
+
+
+def embed_patches(
+    source: PatchSource, encoder: ImageEncoder, folder: Path, track: Track = untracked
+) -> EmbeddedPatches:
+    """Embed the patches photo by photo into a file in `folder`, which is mapped, not loaded.
+
+    A run that finds there what an earlier one of the same patches and encoder has done goes on with
+    the next photo.
+
+    Raises: as `patches`. InputError: no patch is large enough.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    rows_path, progress_path = folder / "embeddings.npy", folder / "progress.json"
+    key, shape = _key(source, encoder.identity), (source.num_wanted, encoder.identity.dim)
+    done, filled = _progress(progress_path, key)
+    again = done and rows_path.is_file()
+    rows = np.lib.format.open_memmap(rows_path, "r+" if again else "w+", np.float32, shape)
+    done, filled = (done, filled) if again else (0, 0)
+    seen = sum(len(photo.instances) for photo in source.photos[:done])
+    following = source.photos[done:]
+    steps = track(range(len(following)), "embedding patches")
+    for _, photo, crops in zip(steps, following, patches(source, following), strict=True):
+        if crops:
+            rows[filled : filled + len(crops)] = encoder.encode_images(crops)
+        done, filled, seen = done + 1, filled + len(crops), seen + len(photo.instances)
+        _write_progress(progress_path, key, done, filled)
+    if not filled:
+        raise InputError(f"none of {seen} patches has {MIN_AREA} pixels or more: give larger ones")
+    return EmbeddedPatches(rows[:filled], seen - filled)
+
+
+def _find_photos(annotations: Annotations, folder: Path) -> dict[int, Path]:
+    """Paths of photos that are there and have instances, by id."""
+    if not folder.is_dir():
+        raise InputError(f"images: there is no folder '{folder}'")
+    paths: dict[int, Path] = {}
+    for number in dict.fromkeys(instance.photo for instance in annotations.instances):
+        name = annotations.photos[number].name
+        candidates = (folder / name, folder / PurePosixPath(name).name)
+        found = next((path for path in candidates if path.is_file()), None)
+        if found is not None:
+            paths[number] = found
+    missing = _missing(annotations, paths)
+    if missing and not paths:
+        raise InputError(
+            f"{folder}: none of the {len(missing)} annotated photos is there, e.g. "
+            f"{listed(list(missing), 3)}: give the folder that they lie in, or that above the split's"
+        )
+    if missing:
+        text = f"{folder}: {len(missing)} of {len(missing) + len(paths)} annotated photos are missing: "
+        warn(text + listed(list(missing)), DrSplatWarning, stacklevel=4)
+    return paths
+
+
+def _missing(annotations: Annotations, paths: dict[int, Path]) -> tuple[str, ...]:
+    wanted = dict.fromkeys(instance.photo for instance in annotations.instances)
+    return tuple(annotations.photos[number].name for number in wanted if number not in paths)
+
+
+def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> list[Crop]:
+    photo, path = wanted.photo, wanted.path
+    size = photo_size(path)
+    if size != (photo.width, photo.height):
+        raise MismatchError(
+            f"{path}: the photo is {size[0]}x{size[1]}, annotated at {photo.width}x{photo.height}: use "
+            "the photos that the annotations were made on"
+        )
+    image = load_image(View(photo.name, np.eye(3), np.eye(4), photo.width, photo.height, path))
+    crops = []
+    for instance in wanted.instances:
+        mask = annotations.mask(instance)
+        box = tight_box(mask)
+        if box is not None and np.count_nonzero(mask) >= MIN_AREA:
+            x0, y0, x1, y1 = box
+            crops.append(crop(image, mask[y0:y1, x0:x1], box))
+    return crops
+
+
+def _key(source: PatchSource, encoder: EncoderIdentity) -> str:
+    """Of all that decides the rows: the outlines, the photos by size and time, the encoder."""
+    stats = [wanted.path.stat() for wanted in source.photos]
+    file = source.annotations.path.stat()
+    facts = [
+        ALGORITHM,
+        identity_json(encoder),
+        [file.st_size, file.st_mtime_ns],
+        [[instance.id for instance in wanted.instances] for wanted in source.photos],
+        [[stat.st_size, stat.st_mtime_ns] for stat in stats],
+    ]
+    return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()
+
+
+def _progress(path: Path, key: str) -> tuple[int, int]:
+    """Photos done and rows filled by an earlier run of the same key."""
+    document = read_json(path) if path.is_file() else None
+    if not isinstance(document, dict) or document.get("key") != key:
+        return 0, 0
+    return int(document["photos"]), int(document["rows"])
+
+
+def _write_progress(path: Path, key: str, photos: int, rows: int) -> None:
+    with replacing(path, overwrite=True) as file:
+        file.write(json.dumps({"key": key, "photos": photos, "rows": rows}).encode())

@@ -1,0 +1,126 @@
+"""The columns of W that one view makes: computed once, kept on disk, stacked into a sparse matrix."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.sparse import csr_array
+
+from ..errors import FormatError, MismatchError
+from ..formats.tensors import map_tensors, read_tensors, write_tensors
+from ..kernels import SplatArrays, Triples, default_isa
+from ..masks.features import ViewFeatures
+from ..scene.photos import undistort_ids
+from ..scene.views import View, same_aspect
+from .aggregation import Sampling
+
+COLUMNS_VERSION = "1"
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """One view's part of W: its triples are on disk at `path`; segment s is column s of this view."""
+
+    view_name: str
+    path: Path
+    embeddings: Float32[np.ndarray, "s d"]
+
+    def triples(self) -> Triples:
+        tensors, _ = map_tensors(self.path)
+        return Triples(tensors["gaussian_ids"], tensors["segment_ids"], tensors["weights"])
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnMaker:
+    """Makes views' columns of one scene into `folder`, and recognises those that are there already."""
+
+    splats: SplatArrays
+    folder: Path
+    sampling: Sampling
+    threads: int
+
+    def columns(self, view: View, features: ViewFeatures) -> Columns:
+        """Compute the view's columns, unless the very same ones are in the folder.
+
+        Raises: MismatchError: the map has another shape than the photo.
+        """
+        _refuse_another_shape(view, features)
+        stored = features.resized(view.width, view.height).segment_ids
+        segment_ids = undistort_ids(view, stored)
+        key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
+        path = self.folder / part_name(view.name)
+        if not _is_finished(path, key):
+            triples = self.sampling.triples(self.splats, view, segment_ids, self.threads)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_tensors(path, triples._asdict(), {"key": key, "view": view.name}, overwrite=True)
+        return Columns(view.name, path, features.embeddings)
+
+    @cached_property
+    def _settings(self) -> str:
+        """Of all that every view shares: another instruction set changes the last bits."""
+        splats, sampling = self.splats, self.sampling
+        scene = _digest(*splats[:3], splats.origin, salt=repr(splats.near))
+        counted = f"{sampling.topk} {sampling.first_hits}"
+        if sampling.pixels != "all":
+            counted = f"{counted} {sampling.pixels}"
+        return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
+
+
+def _refuse_another_shape(view: View, features: ViewFeatures) -> None:
+    height, width = features.segment_ids.shape
+    if not same_aspect((width, height), (view.width, view.height)):
+        raise MismatchError(
+            f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
+            "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
+        )
+
+
+def part_name(view_name: str) -> str:
+    """Of the file of a view's columns."""
+    digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
+    return f"{digest}.columns.safetensors"
+
+
+def _digest(*arrays: np.ndarray, salt: str = "") -> str:
+    digest = hashlib.blake2b(salt.encode(), digest_size=16)
+    for array in arrays:
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def _is_finished(path: Path, key: str) -> bool:
+    if not path.exists():
+        return False
+    try:
+        return read_tensors(path)[1].get("key") == key
+    except FormatError:  # a damaged part is computed again
+        return False
+
+
+def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
+    """W (N, M) in CSR form from the views' triples, in two passes over them; 8 bytes per weight.
+
+    Columns stay in the order given; within a row they are ascending.
+    """
+    starts = np.zeros(num_gaussians + 1, np.int64)
+    for view in columns:
+        starts[1:] += np.bincount(view.triples().gaussian_ids, minlength=num_gaussians)
+    np.cumsum(starts, out=starts)
+    indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
+    cursor, offset = starts[:-1].copy(), 0
+    for view in columns:
+        ids, segments, values = view.triples()
+        first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
+        runs = np.diff(first, append=len(ids))
+        position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
+        indices[position], weights[position] = segments + offset, values
+        cursor[ids[first]] += runs
+        offset += len(view.embeddings)
+    # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
+    starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
+    return csr_array((weights, indices, starts), shape=(num_gaussians, offset))

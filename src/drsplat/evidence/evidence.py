@@ -1,0 +1,222 @@
+"""What a field was made from: sparse weights, the segments behind them, and their embeddings."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32, Integer
+from scipy.sparse import csr_array
+
+from ..errors import FormatError, InputError
+from ..formats.tensors import check_tensors
+from ..kernels import weighted_rows
+
+UNIT_TOLERANCE = 1e-3
+
+
+class Explanation(NamedTuple):
+    """One photo and mask behind an answer. share: its part of all that spoke for it, (0, 1]."""
+
+    view_name: str
+    segment_id: int
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """The columns of W. views: per column an index into view_names. ids: the segment in that view.
+
+    Raises: InputError: shapes disagree, or a column of no view.
+    """
+
+    view_names: tuple[str, ...]
+    views: Int32[np.ndarray, " m"]
+    ids: Int32[np.ndarray, " m"]
+
+    def __post_init__(self) -> None:
+        for name, values in (("views", self.views), ("ids", self.ids)):
+            if values.ndim != 1 or values.dtype != np.int32 or len(values) != len(self.views):
+                raise InputError(
+                    f"segments: {name} must be int32 (M,), got {values.dtype} {values.shape}"
+                )
+        if len(self.views) and not 0 <= self.views.min() <= self.views.max() < len(self.view_names):
+            raise InputError(
+                f"segments: a column names a view that is not among the {len(self.view_names)}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """W (rows x M) with its columns and their unit embeddings.
+
+    A row belongs to a Gaussian: all of them after registration, those with a feature in a field.
+
+    Raises: InputError: shapes disagree, indices out of range, embeddings that are not unit vectors.
+    """
+
+    weights: csr_array
+    segments: Segments
+    embeddings: Float32[np.ndarray, "m d"]
+
+    def __post_init__(self) -> None:
+        weights, embeddings = self.weights, self.embeddings
+        if not isinstance(weights, csr_array) or weights.dtype != np.float32:
+            raise InputError("weights: expected a float32 scipy.sparse.csr_array")
+        if not embeddings.ndim == 2 or embeddings.dtype != np.float32:
+            raise InputError(
+                f"embeddings: expected float32 (M, D), got {embeddings.dtype} {embeddings.shape}"
+            )
+        if not weights.shape[1] == len(self.segments) == len(embeddings):
+            raise InputError(
+                f"expected one segment and one embedding per column: {weights.shape[1]} columns, "
+                f"{len(self.segments)} segments, {len(embeddings)} embeddings"
+            )
+        if (
+            len(weights.indices)
+            and not 0 <= weights.indices.min() <= weights.indices.max() < weights.shape[1]
+        ):
+            raise InputError(
+                f"weights: a column index is out of range ({weights.shape[1]} columns)"
+            )
+        norms = np.sqrt(np.einsum("md,md->m", embeddings, embeddings))
+        if not (np.abs(norms - 1) < UNIT_TOLERANCE).all():
+            raise InputError(
+                "embeddings must be finite unit vectors: divide each row by its L2 norm"
+            )
+
+    def __len__(self) -> int:
+        return int(self.weights.shape[0])
+
+    @property
+    def dim(self) -> int:
+        return int(self.embeddings.shape[1])
+
+    @property
+    def num_seen(self) -> int:
+        """Rows that any mask sees."""
+        return int((np.diff(self.weights.indptr) > 0).sum())
+
+    def check_weights(self) -> None:
+        """Raises: InputError: weights that are no numbers, infinite or negative."""
+        data = self.weights.data
+        if len(data) and not 0 <= data.min() <= data.max() < np.inf:  # NaN fails as well
+            raise InputError("weights: expected finite numbers of 0 or more")
+
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
+        """Mean embedding of rows [begin, end), weighted and normalised; zero where there is none.
+
+        Source: Dr. Splat Sec. A "Training stage".
+        """
+        w = self.weights
+        return weighted_rows(
+            w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads
+        )
+
+    def rows(self, index: Integer[np.ndarray, " r"]) -> "Evidence":
+        """The evidence of some rows, in that order. Weights are shared where only empty rows go."""
+        indptr = self.weights.indptr
+        lengths = np.diff(indptr)[index]
+        ascending = (np.diff(index) > 0).all()
+        if ascending and int(lengths.sum()) == indptr[-1]:
+            starts = np.append(indptr[index], indptr[-1]).astype(indptr.dtype)
+            return self._with_weights(self.weights.data, self.weights.indices, starts)
+        kept = self.weights[index]
+        return self._with_weights(kept.data, kept.indices, kept.indptr)
+
+    def _with_weights(
+        self, data: np.ndarray, indices: np.ndarray, indptr: np.ndarray
+    ) -> "Evidence":
+        shape = (len(indptr) - 1, self.weights.shape[1])
+        return Evidence(
+            csr_array((data, indices, indptr), shape=shape), self.segments, self.embeddings
+        )
+
+    def explain(
+        self, row: int, query: Float32[np.ndarray, " d"], top: int = 5
+    ) -> list[Explanation]:
+        """The photos and masks that speak most for `query` in a row: the largest W_ij <q, e_j>.
+
+        Only what speaks for it is listed, so there may be fewer than `top`, or none.
+
+        Raises: InputError: no such row, or a query of another dimension.
+        """
+        if not 0 <= row < len(self) or query.shape != (self.dim,):
+            raise InputError(
+                f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)"
+            )
+        entries = slice(self.weights.indptr[row], self.weights.indptr[row + 1])
+        columns = self.weights.indices[entries]
+        support = self.weights.data[entries] * (self.embeddings[columns].astype(np.float64) @ query)
+        total = support[support > 0].sum()
+        order = np.argsort(-support, kind="stable")[:top]
+        return [
+            self._explanation(int(columns[k]), float(support[k] / total))
+            for k in order
+            if support[k] > 0
+        ]
+
+    def _explanation(self, column: int, share: float) -> Explanation:
+        segments = self.segments
+        return Explanation(
+            segments.view_names[segments.views[column]], int(segments.ids[column]), share
+        )
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Its arrays by name, as they are written to files; `metadata` holds the rest."""
+        return {
+            "indptr": self.weights.indptr,
+            "indices": self.weights.indices,
+            "data": self.weights.data,
+            "embeddings": self.embeddings,
+            "segment_views": self.segments.views,
+            "segment_ids": self.segments.ids,
+        }
+
+    def metadata(self) -> dict[str, str]:
+        return {"view_names": json.dumps(self.segments.view_names)}
+
+
+_ARRAYS = {
+    "indptr": ("int32 int64", "r"),
+    "indices": ("int32 int64", "e"),
+    "data": ("float32", "e"),
+    "embeddings": ("float32", "m d"),
+    "segment_views": ("int32", "m"),
+    "segment_ids": ("int32", "m"),
+}
+
+
+def evidence_from_tensors(
+    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str
+) -> Evidence:
+    """The evidence of a file's arrays, which are used as they are: a memory map stays one.
+
+    Raises: FormatError: an array is missing, of another type, or does not fit the others.
+    """
+    check_tensors(tensors, _ARRAYS, where)
+    indptr, indices, data, embeddings, views, ids = (np.asarray(tensors[name]) for name in _ARRAYS)
+    # SciPy checks neither; it would read where the row starts point.
+    whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
+    if not whole or (indptr[1:] < indptr[:-1]).any():
+        raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
+    shape = (len(indptr) - 1, len(embeddings))
+    try:
+        segments = Segments(_view_names(metadata), views, ids)
+        return Evidence(csr_array((data, indices, indptr), shape=shape), segments, embeddings)
+    except ValueError as error:  # ours, or SciPy's
+        raise FormatError(f"{where}: {error}") from error
+
+
+def _view_names(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    try:
+        names = json.loads(metadata.get("view_names", ""))
+    except RecursionError:
+        names = None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError("expected a list of view names")
+    return tuple(names)

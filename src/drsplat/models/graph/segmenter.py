@@ -1,0 +1,103 @@
+"""The segmenter `graph`."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+from ...errors import InputError
+from ...masks.masks import Masks
+from . import regions
+from .merging import Merging
+from .rule import MergeRule, shipped_rule
+from .statistics import RegionGraph, region_graph
+
+
+@dataclass(frozen=True)
+class GraphSettings:
+    """Of the masks that stay: least_area in pixels of an image of 640x480, least_width in pixels, both
+    before larger images are scaled back. threshold: likelihood above which regions merge, None for the
+    learned one.
+
+    Raises: InputError: a number out of its range.
+    """
+
+    least_area: float = 60.0
+    least_width: float = 2.5
+    threshold: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("least_area", "least_width"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name}: expected 0 or more pixels, got {getattr(self, name)}")
+        if self.threshold is not None and not 0 <= self.threshold <= 1:
+            raise InputError(f"threshold: expected 0 to 1, got {self.threshold}")
+
+
+class GraphSegmenter:
+    """Cuts an image into things by colour, borders and shape; one mask per pixel, on the level `large`.
+
+    Regions of like colour are merged as long as a learned rule finds it likely that they belong to one
+    thing. The rule knows renderings of the small world. Images of more than 640x480 pixels are cut at
+    that size. The same image gives the same masks.
+    """
+
+    name = "graph"
+
+    def __init__(self, settings: GraphSettings | None = None) -> None:
+        self.settings = settings or GraphSettings()
+        self.rule, weights = shipped_rule()
+        self.identity: Mapping[str, object] = {
+            "name": self.name, "version": 1, "weights": weights,
+            "scale": regions.SCALE, "sigma": regions.SIGMA, "region_area": regions.LEAST_AREA,
+            "working_pixels": regions.WORKING_PIXELS, **asdict(self.settings),
+        }  # fmt: skip
+
+    def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
+        """Masks of `large`, largest first; together they are the whole image.
+
+        Raises: InputError: an image without pixels.
+        """
+        height, width = image.shape[:2]
+        if not height * width:
+            raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
+        labels = segment_labels(regions.working_image(image), self.rule, self.settings)
+        return {"large": label_masks(regions.enlarged(labels, height, width))}
+
+
+def segment_labels(
+    image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, settings: GraphSettings
+) -> Int64[np.ndarray, "h w"]:
+    """A number from 0 for each thing."""
+    lab = regions.lab_colors(image)
+    labels = regions.small_regions(lab)
+    owner = merged(region_graph(labels, lab), rule, settings)
+    return np.asarray(owner[labels], np.int64)
+
+
+def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Int64[np.ndarray, " n"]:
+    """The thing that each region belongs to, from 0."""
+    merging, threshold = Merging(graph, rule.likelihood), settings.threshold
+    merging.merge_above(float(rule.threshold[0]) if threshold is None else threshold)
+    least_area = settings.least_area * regions.working_share(graph.pixels)
+    merging.merge_small(least_area, settings.least_width)
+    return merging.labels()
+
+
+def label_masks(labels: Int64[np.ndarray, "h w"]) -> Masks:
+    """A mask per number that occurs, largest first, of equal ones the lower number."""
+    from scipy.ndimage import find_objects
+
+    areas = np.bincount(labels.ravel())
+    order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i]]
+    found = find_objects(labels + 1)
+    boxes = np.array([_box(found[i]) for i in order], np.int32).reshape(-1, 4)
+    parts = tuple(np.asarray(labels[found[i]] == i) for i in order)
+    height, width = labels.shape
+    return Masks(height, width, boxes, parts, np.ones(len(order), np.float32))
+
+
+def _box(place: tuple[slice, slice]) -> tuple[int, int, int, int]:
+    rows, columns = place
+    return columns.start, rows.start, columns.stop, rows.stop

@@ -1,0 +1,121 @@
+"""Where points are asked, and which boxes and regions stay."""
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy import ndimage
+
+from ..masks.masks import tight_box
+
+Box = tuple[int, int, int, int]
+"""x0, y0, x1, y1 in pixels, ends excluded."""
+_CROP_EDGE_PX = 20  # Source: segment-anything utils/amg.py, is_box_near_crop_edge
+
+
+def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
+    """side x side points (x, y) in the middles of equal cells of the unit square, row by row."""
+    middles = (np.arange(side) + 0.5) / side
+    return np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
+
+
+def crop_boxes(height: int, width: int, layers: int, overlap: float) -> list[tuple[int, Box]]:
+    """The whole image as layer 0, then of layer n 2**n x 2**n crops that overlap, column by column.
+
+    Crops without pixels, which images of a pixel's breadth have, are left out.
+    Source: segment-anything utils/amg.py, generate_crop_boxes.
+    """
+    boxes: list[tuple[int, Box]] = [(0, (0, 0, width, height))]
+    for layer in range(1, layers + 1):
+        number = 2**layer
+        shared = int(overlap * min(height, width) * (2 / number))
+        across, down = (-(-(shared * (number - 1) + n) // number) for n in (width, height))
+        for i, j in product(range(number), range(number)):
+            x0, y0 = i * (across - shared), j * (down - shared)
+            if x0 < width and y0 < height:
+                box = (x0, y0, min(x0 + across, width), min(y0 + down, height))
+                boxes.append((layer, box))
+    return boxes
+
+
+def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
+    """Whether a mask comes within 20 px of an edge of its crop that is not one of the image's.
+
+    It may go on outside; the whole image or a neighbour has it in full.
+    """
+    corners = np.subtract(box, (0, 0, 1, 1))  # pixels, both included, as in the source
+    near_crop = np.abs(corners - crop) <= _CROP_EDGE_PX
+    near_image = np.abs(corners - (0, 0, size[1], size[0])) <= _CROP_EDGE_PX
+    return bool((near_crop & ~near_image).any())
+
+
+def box_nms(
+    boxes: Sequence[Box], scores: Sequence[float], max_iou: float
+) -> Int64[np.ndarray, " k"]:
+    """Indices of boxes that overlap no kept one of a higher score by more than max_iou, best first.
+
+    Of equal scores the earlier goes first. Corners are pixels, both included, and the area is the
+    product of their differences, as in the source; a box of one row has none and overlaps nothing.
+    """
+    corners = np.array(boxes, np.float64).reshape(-1, 4) - (0, 0, 1, 1)
+    areas = (corners[:, 2] - corners[:, 0]) * (corners[:, 3] - corners[:, 1])
+    alive, kept = np.ones(len(corners), bool), []
+    for i in np.argsort(-np.array(scores, np.float64), kind="stable"):
+        if not alive[i]:
+            continue
+        kept.append(i)
+        low = np.maximum(corners[:, :2], corners[i, :2])
+        high = np.minimum(corners[:, 2:], corners[i, 2:])
+        shared = np.maximum(high - low, 0).prod(1)
+        union = areas + areas[i] - shared
+        iou = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+        alive &= iou <= max_iou
+    return np.array(kept, np.int64)
+
+
+def without_small_regions(
+    box: Box, part: Bool[np.ndarray, "h w"], size: tuple[int, int], min_region: int
+) -> tuple[Box, Bool[np.ndarray, "_ _"], bool]:
+    """A mask with its holes below min_region pixels filled, then its islands below it removed.
+
+    The largest island stays whatever its size: this rule drops no mask. The last says whether
+    there was anything small, be it that island alone. Regions touch at sides or corners; small
+    background at the image's edge is a hole too.
+    Source: segment-anything utils/amg.py, remove_small_regions.
+    """
+    if min_region == 0:
+        return box, part, False
+    # so wide a margin that background around the box is counted as small only if it is
+    x0, y0 = max(0, box[0] - min_region), max(0, box[1] - min_region)
+    x1, y1 = min(size[1], box[2] + min_region), min(size[0], box[3] + min_region)
+    canvas = np.zeros((y1 - y0, x1 - x0), bool)
+    canvas[box[1] - y0 : box[3] - y0, box[0] - x0 : box[2] - x0] = part
+    holes = _regions_below(~canvas, min_region)
+    canvas |= holes
+    islands = _regions_below(canvas, min_region)
+    if not (holes.any() or islands.any()):
+        return box, part, False
+    if islands.sum() == canvas.sum():
+        islands &= ~_largest(canvas)
+    canvas &= ~islands
+    left, top, right, bottom = tight_box(canvas) or (0, 0, 1, 1)
+    shifted = (left + x0, top + y0, right + x0, bottom + y0)
+    return shifted, canvas[top:bottom, left:right].copy(), True
+
+
+def _regions_below(mask: Bool[np.ndarray, "h w"], limit: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels of a mask whose connected region has fewer pixels than the limit."""
+    labels, _ = ndimage.label(mask, np.ones((3, 3), int))
+    small = np.bincount(labels.ravel()) < limit
+    small[0] = False
+    below: Bool[np.ndarray, "h w"] = small[labels]
+    return below
+
+
+def _largest(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    labels, _ = ndimage.label(mask, np.ones((3, 3), int))
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    largest: Bool[np.ndarray, "h w"] = labels == sizes.argmax()
+    return largest

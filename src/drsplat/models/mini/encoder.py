@@ -1,0 +1,91 @@
+"""Words and crops to unit vectors in one space."""
+
+import difflib
+import hashlib
+from collections.abc import Sequence
+from importlib.resources import files
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from PIL import Image
+
+from ...encoders import EncoderIdentity
+from ...errors import InputError
+from .lexicon import COLORS, NAMES, STRUCTURES, WORDS, words_of
+from .network import SIDE, embed_images
+
+DIM = 512
+BATCH = 64  # crops of which all that is between input and output takes some 20 MiB
+_ROWS = {word: row for row, word in enumerate(WORDS)}
+
+
+class MiniEncoder:
+    """Knows the things, colours and materials of `lexicon`, and nothing else.
+
+    A text is the sum of its words. nouns: what queries are contrasted with. least_share: of the cosine that
+    these reach in a scene, what a query has to reach there too: "blue mug" fits a red one better than any
+    other name does, but not well. threshold: the fixed cosine that finds most in fields which
+    `world/mini/cutting.py` makes of rooms of the training split; queries follow the scene instead.
+    """
+
+    name = "drsplat-mini"
+    threshold = 0.2
+    nouns = (*NAMES, *STRUCTURES)
+    least_share = 0.42
+
+    def __init__(self) -> None:
+        from safetensors.numpy import load
+
+        data = (files(__package__) / "mini.safetensors").read_bytes()
+        self._weights = {name: array.astype(np.float32) for name, array in load(data).items()}
+        weights = hashlib.blake2b(data, digest_size=8).hexdigest()
+        self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
+
+    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+        """Raises: InputError: a text with a word that it was not taught, or without any word."""
+        return np.stack([self._text(text) for text in texts])
+
+    def encode_images(
+        self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]
+    ) -> Float32[np.ndarray, "n d"]:
+        """Square crops on a black background; others are made square by black borders."""
+        found = [
+            embed_images(_pixels(images[at : at + BATCH]), self._weights)
+            for at in range(0, len(images), BATCH)
+        ]
+        return np.concatenate(found) if found else np.empty((0, DIM), np.float32)
+
+    def _text(self, text: str) -> Float32[np.ndarray, " d"]:
+        words = words_of(text)
+        strange = [word for word in words if word not in _ROWS]
+        if strange or not words:
+            raise InputError(_unknown(text, strange))
+        total = self._weights["words"][[_ROWS[word] for word in words]].sum(0)
+        return np.asarray(total / np.linalg.norm(total), np.float32)
+
+
+def _unknown(text: str, strange: Sequence[str]) -> str:
+    if not strange:
+        return f"{text!r} has no word that says what to look for: name a thing, e.g. 'red mug'"
+    near = [word for s in strange for word in difflib.get_close_matches(s, WORDS, 2, 0.75)]
+    meant = f" Did you mean {' or '.join(near)}?" if near else ""
+    return (
+        f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows "
+        f"{', '.join(NAMES)}; {', '.join(COLORS)}. For all other words register with CLIP"
+    )
+
+
+def _pixels(images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n s s 3"]:
+    scaled = [np.asarray(_square(image)) for image in images]
+    return np.stack(scaled).astype(np.float32) / 127.5 - 1
+
+
+def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> Image.Image:
+    h, w = image.shape[:2]
+    side = max(h, w)
+    picture = Image.fromarray(image)
+    if h != w:
+        square = Image.new("RGB", (side, side))
+        square.paste(picture, ((side - w) // 2, (side - h) // 2))
+        picture = square
+    return picture.resize((SIDE, SIDE), Image.Resampling.BILINEAR)

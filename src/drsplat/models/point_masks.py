@@ -1,0 +1,221 @@
+"""Masks of everything in an image, from a model that answers points.
+
+Source: the automatic mask generator of segment-anything, in the form of LangSplat's fork, which keeps
+the three masks that a point has (part, object, group) apart as levels.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from ..errors import InputError
+from ..masks.masks import LEVELS, Masks, tight_box
+from ..masks.selection import mask_nms
+from .mask_geometry import (
+    Box,
+    box_nms,
+    crop_boxes,
+    cut_by_crop,
+    point_grid,
+    without_small_regions,
+)
+
+_OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
+
+
+@dataclass(frozen=True)
+class PointMaskSettings:
+    """The paper's numbers: those of LangSplat's preprocess.py, the others segment-anything's defaults.
+
+    Raises: InputError: a number out of its range, a level that is none.
+    """
+
+    points_per_side: int = 32  # LangSplat
+    min_predicted_iou: float = 0.7  # LangSplat; kept if above
+    min_stability: float = 0.85  # LangSplat; kept if not below
+    stability_offset: float = 1.0  # segment-anything; logits above and below the mask's edge
+    max_box_iou: float = 0.7  # LangSplat; box NMS within a crop, by predicted IoU
+    crop_layers: int = 1  # LangSplat; layer n has 4**n crops
+    crop_points_divisor: int = 1  # LangSplat; layer n has points_per_side // divisor**n
+    crop_overlap: float = 512 / 1500  # segment-anything; of the shorter side of the image
+    max_crop_box_iou: float = 0.7  # segment-anything; box NMS between crops, smaller crops first
+    min_region: int = 100  # LangSplat; pixels, see without_small_regions
+    mask_iou: float = 0.8  # LangSplat; mask NMS
+    mask_score: float = 0.7  # LangSplat; mask NMS
+    mask_inner: float = 0.5  # LangSplat; mask NMS
+    levels: tuple[str, ...] = LEVELS  # LangSplat; Dr. Splat and OpenGaussian use large alone
+    points_per_batch: int = 64  # segment-anything; of memory only
+
+    def __post_init__(self) -> None:
+        for name in ("points_per_side", "crop_points_divisor", "points_per_batch"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        if not 0 <= self.crop_layers <= 4 or self.min_region < 0:
+            raise InputError("crop_layers: expected 0 to 4, and min_region: 0 or more")
+        if not 0 <= self.crop_overlap < 1:
+            raise InputError(f"crop_overlap: expected 0 to below 1, got {self.crop_overlap}")
+        if not self.levels or not set(self.levels) <= set(LEVELS):
+            raise InputError(f"levels: expected some of {', '.join(LEVELS)}, got {self.levels}")
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """Which of the three masks of a point the levels need."""
+        return tuple(sorted({output for level in self.levels for output in _OUTPUTS[level]}))
+
+
+class Found(NamedTuple):
+    """Masks of a batch of points, at the size of the crop they were found in.
+
+    output: which of the three masks of its point each is. stability: area at a stricter threshold
+    by area at a laxer one.
+    """
+
+    masks: Bool[np.ndarray, "n h w"]
+    predicted_iou: Float32[np.ndarray, " n"]
+    stability: Float32[np.ndarray, " n"]
+    output: Int64[np.ndarray, " n"]
+
+
+@runtime_checkable
+class PointPredictor(Protocol):
+    """A model that has a mask or three for a point."""
+
+    identity: Mapping[str, object]
+
+    def find(
+        self,
+        crop: UInt8[np.ndarray, "h w 3"],
+        points: Float64[np.ndarray, "p 2"],
+        settings: PointMaskSettings,
+    ) -> Iterator[Found]:
+        """Masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
+
+        Those of other outputs than settings.outputs, of a predicted IoU that is not above
+        min_predicted_iou or of a stability below min_stability may be left out: they are dropped
+        anyway.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
+
+    box: Box
+    bits: UInt8[np.ndarray, " b"]
+    predicted_iou: float
+    stability: float
+    output: int
+    crop_area: int
+
+    @property
+    def part(self) -> Bool[np.ndarray, "h w"]:
+        height, width = self.box[3] - self.box[1], self.box[2] - self.box[0]
+        return np.unpackbits(self.bits, count=height * width).reshape(height, width).astype(bool)
+
+
+class PointSegmenter:
+    """A segmenter that asks a grid of points and keeps the good, different masks.
+
+    Memory: the bits of the masks of one crop that pass the thresholds, and what the predictor needs.
+    """
+
+    def __init__(self, predictor: PointPredictor, settings: PointMaskSettings | None = None):
+        self.predictor, self.settings = predictor, settings or PointMaskSettings()
+        self.identity: Mapping[str, object] = {
+            **predictor.identity,
+            "settings": asdict(self.settings),
+        }
+
+    def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
+        """Masks by level, in the order in which they are painted.
+
+        Raises: InputError: an image without pixels.
+        """
+        height, width = image.shape[:2]
+        if 0 in (height, width):
+            raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
+        kept: dict[str, list[_Candidate]] = {level: [] for level in self.settings.levels}
+        crops = crop_boxes(height, width, self.settings.crop_layers, self.settings.crop_overlap)
+        for layer, crop in crops:
+            found = self._in_crop(image, crop, layer)
+            for level, candidates in kept.items():
+                candidates += _distinct_in_crop(found, _OUTPUTS[level], self.settings.max_box_iou)
+        cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
+        return {
+            level: self._level(some, (height, width), len(crops) > 1, cleaned)
+            for level, some in kept.items()
+        }
+
+    def _in_crop(
+        self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int
+    ) -> list[_Candidate]:
+        x0, y0, x1, y1 = crop
+        side = max(1, self.settings.points_per_side // self.settings.crop_points_divisor**layer)
+        points = point_grid(side) * (x1 - x0, y1 - y0)
+        pixels = np.ascontiguousarray(image[y0:y1, x0:x1])
+        return [
+            candidate
+            for found in self.predictor.find(pixels, points, self.settings)
+            for candidate in self._passing(found, crop, image.shape[:2])
+        ]
+
+    def _passing(self, found: Found, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
+        s, (left, top, right, bottom) = self.settings, crop
+        good = (found.predicted_iou > s.min_predicted_iou) & (found.stability >= s.min_stability)
+        for i in np.flatnonzero(good & np.isin(found.output, s.outputs)):
+            tight = tight_box(found.masks[i])
+            if tight is None:
+                continue
+            x0, y0, x1, y1 = tight
+            box = (x0 + left, y0 + top, x1 + left, y1 + top)
+            if not cut_by_crop(box, crop, size):
+                yield _Candidate(
+                    box,
+                    np.packbits(found.masks[i, y0:y1, x0:x1]),
+                    float(found.predicted_iou[i]),
+                    float(found.stability[i]),
+                    int(found.output[i]),
+                    (right - left) * (bottom - top),
+                )
+
+    def _level(
+        self,
+        candidates: list[_Candidate],
+        size: tuple[int, int],
+        has_crops: bool,
+        cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]],
+    ) -> Masks:
+        """cleaned: results of without_small_regions, since levels share candidates."""
+        s = self.settings
+        if has_crops:
+            sharpness = [1 / candidate.crop_area for candidate in candidates]
+            kept = box_nms([c.box for c in candidates], sharpness, s.max_crop_box_iou)
+            candidates = [candidates[i] for i in kept]
+        for c in candidates:
+            if id(c) not in cleaned:
+                cleaned[id(c)] = without_small_regions(c.box, c.part, size, s.min_region)
+        pieces = [cleaned[id(c)] for c in candidates]
+        if s.min_region:
+            unchanged = [float(not changed) for _, _, changed in pieces]
+            limit = max(s.max_box_iou, s.max_crop_box_iou)
+            kept = box_nms([box for box, _, _ in pieces], unchanged, limit)
+            pieces, candidates = [pieces[i] for i in kept], [candidates[i] for i in kept]
+        masks = Masks(
+            *size,
+            np.array([box for box, _, _ in pieces], np.int32).reshape(-1, 4),
+            tuple(part for _, part, _ in pieces),
+            np.array([c.predicted_iou * c.stability for c in candidates], np.float32),
+        )
+        return masks.subset(mask_nms(masks, s.mask_iou, s.mask_score, s.mask_inner))
+
+
+def _distinct_in_crop(
+    found: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float
+) -> list[_Candidate]:
+    some = [candidate for candidate in found if candidate.output in outputs]
+    kept = box_nms([c.box for c in some], [c.predicted_iou for c in some], max_iou)
+    return [some[i] for i in kept]

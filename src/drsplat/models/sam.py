@@ -1,0 +1,227 @@
+"""A segmenter by its name; SAM and SAM 2 of transformers as such: no torchvision, none of their processors."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from PIL import Image
+
+from ..errors import FormatError, InputError
+from ..formats.json_files import as_vector, read_json, shown
+from .devices import chosen_device
+from .graph import GraphSegmenter
+from .libraries import models_library
+from .point_masks import Found, PointMaskSettings, PointSegmenter
+from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
+
+DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
+"""The paper's. Source: LangSplat preprocess.py (sam_vit_h_4b8939)."""
+CPU_SEGMENTER = "facebook/sam2.1-hiera-tiny"
+"""The one to take without a GPU."""
+
+_IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+_ARCHITECTURES = {
+    "sam": ("SamModel", False),
+    "sam2": ("Sam2Model", True),
+    "sam2_video": ("Sam2Model", True),  # what Meta's SAM 2 checkpoints say; they hold both
+}
+_CHUNK_NUMBERS = 1 << 24  # floats of enlarged masks at a time: 64 MiB
+
+
+@dataclass(frozen=True)
+class ModelFrame:
+    """How an image becomes what the model sees, a square of `side` pixels, and masks come back.
+
+    stretched: SAM 2 stretches the image to the square. SAM scales the longer side to it and fills
+    the rest, right and below, with zeros after normalising. Scaled by Pillow, bilinear, as bytes.
+
+    Source: segment-anything utils/transforms.py and modeling/sam.py; sam2 utils/transforms.py,
+    which scales floats in torch, so up to 1/255 differs before normalising.
+    """
+
+    side: int
+    stretched: bool
+    mean: tuple[float, ...] = _IMAGENET_MEAN
+    std: tuple[float, ...] = _IMAGENET_STD
+
+    def scaled_size(self, height: int, width: int) -> tuple[int, int]:
+        """Height and width of the image within the square."""
+        if self.stretched:
+            return self.side, self.side
+        scale = self.side / max(height, width)
+        return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
+
+    def pixel_values(self, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 s s"]:
+        height, width = self.scaled_size(*image.shape[:2])
+        scaled = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
+        pixels = np.asarray(scaled, np.float64) / 255
+        values = np.zeros((3, self.side, self.side), np.float32)
+        values[:, :height, :width] = ((pixels - self.mean) / self.std).transpose(2, 0, 1)
+        return values
+
+    def scaled_points(
+        self, points: Float64[np.ndarray, "p 2"], height: int, width: int
+    ) -> Float32[np.ndarray, "p 2"]:
+        """x, y in pixels of the image to those of the square."""
+        new_height, new_width = self.scaled_size(height, width)
+        scaled = points * (new_width / width, new_height / height)
+        return np.asarray(scaled, np.float32)
+
+    def enlarged(self, logits: Any, height: int, width: int) -> Any:
+        """Masks' logits, (n, h, w) over the square, to the size of the image, as tensors."""
+        from torch.nn.functional import interpolate
+
+        rows = logits[:, None].float()
+        if not self.stretched:
+            used_height, used_width = self.scaled_size(height, width)
+            rows = interpolate(rows, (self.side, self.side), mode="bilinear", align_corners=False)
+            rows = rows[..., :used_height, :used_width]
+        rows = interpolate(rows, (height, width), mode="bilinear", align_corners=False)
+        return rows[:, 0]
+
+
+class SamPredictor:
+    """SAM or SAM 2 on one device, in float32. identity: name and hash of the weights."""
+
+    def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
+        self.model, self.frame, self.device = model.to(device), frame, device
+        self.identity: Mapping[str, object] = dict(identity)
+
+    def find(
+        self,
+        crop: UInt8[np.ndarray, "h w 3"],
+        points: Float64[np.ndarray, "p 2"],
+        settings: PointMaskSettings,
+    ) -> Iterator[Found]:
+        """See PointPredictor. The image is encoded once; batches of points are decoded."""
+        import torch
+
+        size = crop.shape[:2]
+        with torch.inference_mode():  # never across a yield: it would hold in the caller
+            pixels = torch.from_numpy(self.frame.pixel_values(crop))[None].to(self.device)
+            features = self.model.get_image_embeddings(pixels)
+        asked = self.frame.scaled_points(points, *size)
+        for start in range(0, len(asked), settings.points_per_batch):
+            batch = asked[start : start + settings.points_per_batch]
+            logits, iou = self._answers(features, batch)
+            # before masks are enlarged, which costs time and memory
+            wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
+            yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
+
+    def _answers(
+        self, features: Any, points: Float32[np.ndarray, "p 2"]
+    ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
+        """Three masks' logits per point, (p, 3, h, w) over the square, and their predicted IoU."""
+        import torch
+
+        with torch.inference_mode():
+            asked = torch.from_numpy(points).to(self.device)
+            answer = self.model(
+                image_embeddings=features,
+                input_points=asked[None, :, None],
+                input_labels=torch.ones((1, len(asked), 1), dtype=torch.int64, device=self.device),
+                multimask_output=True,
+            )
+            return answer.pred_masks[0], _array(answer.iou_scores[0])
+
+    def _enlarged(
+        self,
+        logits: Any,
+        iou: Float32[np.ndarray, "p 3"],
+        wanted: Int64[np.ndarray, "n 2"],
+        size: tuple[int, ...],
+        settings: PointMaskSettings,
+    ) -> Iterator[Found]:
+        """wanted: point and output of each mask."""
+        chunk = max(1, _CHUNK_NUMBERS // max(size[0] * size[1], self.frame.side**2))
+        for start in range(0, len(wanted), chunk):
+            points, outputs = wanted[start : start + chunk].T
+            masks, stability = self._stable(logits[points, outputs], size, settings)
+            good = stability >= settings.min_stability
+            yield Found(masks[good], iou[points, outputs][good], stability[good], outputs[good])
+
+    def _stable(
+        self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
+    ) -> tuple[Bool[np.ndarray, "n h w"], Float32[np.ndarray, " n"]]:
+        """Masks at the size of the crop, and how little they change with the threshold."""
+        import torch
+
+        with torch.inference_mode():
+            enlarged = self.frame.enlarged(logits, size[0], size[1])
+            strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
+            lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
+            # nothing above the laxer bound: 0
+            return (enlarged > 0).cpu().numpy(), _array(strict / lax.clamp(min=1))
+
+
+def load_segmenter(
+    name: str = DEFAULT_SEGMENTER,
+    device: str = "auto",
+    settings: PointMaskSettings | None = None,
+) -> PointSegmenter | GraphSegmenter:
+    """The built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
+
+    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it,
+    or an id of the Hugging Face hub, which is
+    downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are loaded,
+    never pickles. device: auto, cpu, cuda or mps.
+
+    identity of SAM: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
+    pixels, and the settings. The device is not part of it, although it may change single pixels.
+
+    Raises: InputError: no such model, a gated one, another architecture, no weights; settings for
+    `graph`. FormatError: damaged or incomplete ones. MissingExtraError: torch, transformers or the
+    device is absent. DrSplatError: no network.
+    """
+    if name == GraphSegmenter.name:
+        if settings is not None:
+            raise InputError("the segmenter graph asks no points: load it without settings")
+        return GraphSegmenter()
+    models_library()
+    device = chosen_device(device)
+    folder = model_folder(name)
+    kind = model_type(folder)
+    if kind not in _ARCHITECTURES:
+        raise InputError(
+            f"{name}: is a '{kind}', expected SAM or SAM 2 ({', '.join(_ARCHITECTURES)}), such as "
+            f"{DEFAULT_SEGMENTER} or, without a GPU, {CPU_SEGMENTER}"
+        )
+    files = weight_files(folder)
+    class_name, stretched = _ARCHITECTURES[kind]
+    model = load_model(class_name, folder)
+    mean, std = read_normalization(folder)
+    side = int(model.config.prompt_encoder_config.image_size)  # in which points are placed
+    frame = ModelFrame(side, stretched, mean, std)
+    called = folder.resolve().name if Path(name).expanduser().is_dir() else name
+    identity = {
+        "name": called, "architecture": class_name, "weights": weights_hash(files),
+        "side": side, "mean": list(mean), "std": list(std),
+    }  # fmt: skip
+    return PointSegmenter(SamPredictor(model, frame, device, identity), settings)
+
+
+def read_normalization(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Mean and deviation per channel, of 0 to 1, from the model's folder, else ImageNet's.
+
+    Raises: FormatError: the file has other than three numbers, or deviations that are not positive.
+    """
+    path = folder / "preprocessor_config.json"
+    settings = read_json(path) if path.is_file() else {}
+    if not path.is_file() and (folder / "processor_config.json").is_file():
+        path = folder / "processor_config.json"
+        whole = read_json(path)
+        settings = whole.get("image_processor", {}) if isinstance(whole, dict) else whole
+    if not isinstance(settings, dict):
+        raise FormatError(f"{path}: expected an object, got {shown(settings)}")
+    mean = as_vector(settings.get("image_mean", list(_IMAGENET_MEAN)), 3, f"{path}: image_mean")
+    std = as_vector(settings.get("image_std", list(_IMAGENET_STD)), 3, f"{path}: image_std")
+    if min(std) <= 0:
+        raise FormatError(f"{path}: image_std: expected positive numbers, got {std.tolist()}")
+    return tuple(mean.tolist()), tuple(std.tolist())
+
+
+def _array(tensor: Any) -> Float32[np.ndarray, "*shape"]:
+    return np.asarray(tensor.float().cpu().numpy())

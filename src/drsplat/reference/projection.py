@@ -1,0 +1,172 @@
+"""Gaussians to image-plane ellipses in float64, with bounds on what float32 arithmetic would lose.
+
+Source: Kerbl et al. 2023 (3D Gaussian Splatting) Eq. 5 and its rasterizer's tile rectangles;
+Zwicker et al. 2001 for the affine approximation.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Float64, Int
+
+from ..scene.views import View
+
+TILE = 16
+FRUSTUM_MARGIN = 1.3
+BLUR = 0.3
+MIN_ALPHA = 1 / 255
+
+ROUNDING = 4 * 2.0**-24  # four float32 roundings: about what a short sum of products loses
+
+
+@runtime_checkable
+class Splats(Protocol):
+    """Structure of arrays: what `drsplat.kernels.splat_arrays` gives, in any float type.
+
+    means: relative to origin, which is a world position. covariances: rows xx, xy, xz, yy, yz, zz. opacities: in
+    [0, 1]. near: camera z up to which nothing is drawn.
+    """
+
+    @property
+    def means(self) -> Float[np.ndarray, "3 n"]: ...
+    @property
+    def covariances(self) -> Float[np.ndarray, "6 n"]: ...
+    @property
+    def opacities(self) -> Float[np.ndarray, " n"]: ...
+    @property
+    def near(self) -> float: ...
+    @property
+    def origin(self) -> Float64[np.ndarray, " 3"]: ...
+
+
+class Projection(NamedTuple):
+    """Gaussians in front of the camera as image-plane ellipses, front to back, ties by index.
+
+    centers: pixels. depths: camera z. conics: inverse covariances (xx, xy, yy) in 1 / pixel^2.
+    tiles, certain_tiles, possible_tiles: half-open tile rectangles (x0, y0, x1, y1) of the 3-sigma
+    square: in float64, and the least and the most that rounding could make of it.
+    *_error: bounds on the float32 error, in the unit of the quantity (of covariances: per entry).
+    cancellation: by how much the determinant of the covariance magnifies relative rounding.
+    """
+
+    ids: Int[np.ndarray, " n"]
+    opacities: Float64[np.ndarray, " n"]
+    centers: Float64[np.ndarray, "n 2"]
+    center_error: Float64[np.ndarray, "n 2"]
+    depths: Float64[np.ndarray, " n"]
+    depth_error: Float64[np.ndarray, " n"]
+    conics: Float64[np.ndarray, "n 3"]
+    covariance_error: Float64[np.ndarray, " n"]
+    cancellation: Float64[np.ndarray, " n"]
+    tiles: Int[np.ndarray, "n 4"]
+    certain_tiles: Int[np.ndarray, "n 4"]
+    possible_tiles: Int[np.ndarray, "n 4"]
+
+
+def project(splats: Splats, view: View) -> Projection:
+    """Project every Gaussian that is, or by rounding could be, in front of the near plane."""
+    near, view = splats.near, view.relative_to(splats.origin)
+    rotation, translation = view.cam_from_world[:3, :3], view.cam_from_world[:3, 3:]
+    means = splats.means.astype(np.float64)
+    points = (rotation @ means + translation).T
+    error = ROUNDING * (np.abs(rotation) @ np.abs(means) + np.abs(translation)).T
+    visible = (points[:, 2] > near - error[:, 2]) & (splats.opacities >= MIN_ALPHA)
+    # Sorted as float32, so that what is one depth to the native sort is one depth here.
+    order = np.argsort(points[:, 2].astype(np.float32), kind="stable")
+    ids = order[visible[order]]
+    points, error = points[ids], error[ids]
+    depths, depth_error = points[:, 2], error[:, 2]
+
+    focal, principal = view.K[[0, 1], [0, 1]], view.K[:2, 2]
+    slopes = points[:, :2] / depths[:, None]
+    center_error = focal * (error[:, :2] + np.abs(slopes) * error[:, 2:]) / depths[:, None]
+    center_error += ROUNDING * (focal * np.abs(slopes) + np.abs(principal))
+
+    jacobian = _jacobian(slopes, depths, view) @ rotation
+    solid = _symmetric(splats.covariances[:, ids].T.astype(np.float64))
+    covariances = _upper(jacobian @ solid @ jacobian.transpose(0, 2, 1) + BLUR * np.eye(2))
+    sizes = np.abs(jacobian) @ np.abs(solid) @ np.abs(jacobian).transpose(0, 2, 1)
+    covariance_error = np.trace(sizes, axis1=1, axis2=2) + 2 * BLUR
+    covariance_error *= ROUNDING + 2 * depth_error / depths
+
+    a, b, c = covariances.T
+    determinants = a * c - b * b
+    cancellation = (a * c + b * b) / determinants
+    solvable = ROUNDING * cancellation < 0.5  # else float32 may find no positive determinant
+    centers = focal * slopes + principal
+    radius, radius_error = _three_sigma(covariances, covariance_error)
+    margin = center_error.max(axis=1, initial=0.0)
+    return Projection(
+        ids=ids,
+        opacities=splats.opacities[ids].astype(np.float64),
+        centers=centers,
+        center_error=center_error,
+        depths=depths,
+        depth_error=depth_error,
+        conics=np.stack([c, -b, a], axis=1) / determinants[:, None],
+        covariance_error=covariance_error,
+        cancellation=cancellation,
+        tiles=_tile_rectangles(centers, np.ceil(radius), depths > near),
+        certain_tiles=_tile_rectangles(
+            centers,
+            np.ceil(radius - radius_error) - margin,
+            solvable & (depths > near + depth_error),
+        ),
+        possible_tiles=_tile_rectangles(
+            centers, np.ceil(radius + radius_error) + margin, depths > near - depth_error
+        ),
+    )
+
+
+def _jacobian(
+    slopes: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"], view: View
+) -> Float64[np.ndarray, "n 2 3"]:
+    """Derivative of pixel by camera point, at x/z and y/z clamped to +-1.3 tan(fov / 2).
+
+    The clamp is symmetric about the optical axis as in 3DGS, also where the principal point is off
+    centre, and tan(fov / 2) is 0.5 * width / fx.
+    """
+    focal = view.K[[0, 1], [0, 1]]
+    limits = FRUSTUM_MARGIN * 0.5 * np.array([view.width, view.height]) / focal
+    jacobian = np.zeros((len(depths), 2, 3))
+    jacobian[:, [0, 1], [0, 1]] = focal / depths[:, None]
+    jacobian[:, :, 2] = -focal * np.clip(slopes, -limits, limits) / depths[:, None]
+    return jacobian
+
+
+def _three_sigma(
+    covariances: Float64[np.ndarray, "n 3"], error: Float64[np.ndarray, " n"]
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Three standard deviations along the long axis, not yet rounded up, and its error bound.
+
+    The discriminant is floored at 0.1 as in 3DGS. Where it is small (round ellipses) the root
+    magnifies the rounding of mid^2 - det.
+    """
+    a, b, c = covariances.T
+    mid = 0.5 * (a + c)
+    root = np.sqrt(np.maximum(0.1, mid * mid - (a * c - b * b)))
+    radius = 3 * np.sqrt(mid + root)
+    variance_error = 2 * error + ROUNDING * mid * mid / root
+    return radius, 4.5 * variance_error / radius + ROUNDING * radius
+
+
+def _tile_rectangles(
+    centers: Float64[np.ndarray, "n 2"], reach: Float64[np.ndarray, " n"], visible: np.ndarray
+) -> Int[np.ndarray, "n 4"]:
+    """Tiles (x0, y0, x1, y1) of the square of half width `reach`, empty where not visible.
+
+    3DGS counts from pixel centres at integers, hence the half pixel, and rounds up with TILE - 1.
+    """
+    low = np.floor((centers - 0.5 - reach[:, None]) / TILE)
+    high = np.floor((centers - 0.5 + reach[:, None] + TILE - 1) / TILE)
+    high = np.where(visible[:, None], high, low)
+    rectangles = np.clip(np.concatenate([low, high], axis=1), -1, 2**30)  # far ones fit no integer
+    return np.asarray(rectangles, np.int64)
+
+
+def _symmetric(upper: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 3 3"]:
+    return upper[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+
+
+def _upper(matrices: Float64[np.ndarray, "n 2 2"]) -> Float64[np.ndarray, "n 3"]:
+    return matrices[:, [0, 0, 1], [0, 1, 1]]

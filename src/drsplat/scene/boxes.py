@@ -1,0 +1,164 @@
+"""Oriented boxes about sets of Gaussians: upright ones that hold the thing, and free ones."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Float64, Integer
+from scipy.special import ndtr
+
+from ..errors import InputError
+from .gaussians import Gaussians
+from .views import View
+
+BoxKind = Literal["upright", "free"]
+KINDS: tuple[BoxKind, ...] = get_args(BoxKind)
+
+OUTLIERS = 0.003  # of a thing's mass, cut off at each end of each axis
+DEVIATIONS = 6.0  # beyond which a Gaussian has no mass
+STEPS = 30  # of bisection: to a billionth of the range
+LEVEL = 0.1  # least spread of the cameras' horizontals that tells which way is up
+
+
+class Box(NamedTuple):
+    """In world coordinates and scene units.
+
+    axes: row a is the unit direction of the full length extent[a]; right-handed. Upright: the third axis is up,
+    the first the longer of the other two. Free: the longest first.
+    """
+
+    center: Float64[np.ndarray, " 3"]
+    axes: Float64[np.ndarray, "3 3"]
+    extent: Float64[np.ndarray, " 3"]
+
+
+def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
+    """The unit direction that is up in most photos: people hold cameras level, whatever they point them at.
+
+    The direction that is square to the horizontals of all photos, or the mean of their ups where
+    those lie along one line.
+
+    Raises: InputError: no views, or they look up and down alike.
+    """
+    if not views:
+        raise InputError("which way is up is told by the photos, and this scene has none")
+    total = -np.sum([view.cam_from_world[1, :3] for view in views], axis=0)
+    length = float(np.linalg.norm(total))
+    if length < 0.1 * len(views):
+        raise InputError("the photos of this scene do not agree on which way is up")
+    level = np.stack([view.cam_from_world[0, :3] for view in views])
+    spread, directions = np.linalg.eigh(level.T @ level / len(views))
+    square = directions[:, 0] * np.sign(directions[:, 0] @ total)
+    if spread[1] < LEVEL or square @ total < 0.5 * length:
+        return np.asarray(total / length)
+    return np.asarray(square)
+
+
+def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
+    """`upward`, None where the photos do not tell."""
+    try:
+        return upward(views)
+    except InputError:
+        return None
+
+
+def box_of(
+    gaussians: Gaussians,
+    ids: Integer[np.ndarray, " m"],
+    up: Float64[np.ndarray, " 3"] | None = None,
+) -> Box:
+    """The box that holds the Gaussians `ids`, but for the outliers of their mass.
+
+    up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
+    principal axes. Along each axis the Gaussians, weighted by opacity, are a mixture of normal distributions; three
+    thousandths of it lie beyond either side of the box.
+    """
+    part = gaussians.subset(ids)
+    mass = part.opacities.astype(np.float64)
+    mass = mass if mass.sum() > 0 else np.ones(len(part))
+    points = part.means.astype(np.float64)
+    axes = _axes(points, mass, up)
+    low, high = _ends(part, mass, axes)
+    inside = ((points @ axes.T >= low) & (points @ axes.T <= high)).all(axis=1)
+    if mass[inside].sum() > 0:  # strays would turn it
+        axes = _axes(points[inside], mass[inside], up)
+        low, high = _ends(part, mass, axes)
+    axes, low, high = _ordered(axes, low, high, 2 if up is not None else 3)
+    return Box((low + high) / 2 @ axes + gaussians.origin, axes, high - low)
+
+
+def _ends(
+    part: Gaussians, mass: Float64[np.ndarray, " m"], axes: Float64[np.ndarray, "3 3"]
+) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    """Where along each axis the outliers begin."""
+    along, spread = part.means.astype(np.float64) @ axes.T, np.sqrt(_variances(part, axes))
+    shares = mass / mass.sum()
+    return (
+        mixture_quantile(along, spread, shares, OUTLIERS),
+        mixture_quantile(along, spread, shares, 1 - OUTLIERS),
+    )
+
+
+def mixture_quantile(
+    means: Float64[np.ndarray, "m k"],
+    deviations: Float64[np.ndarray, "m k"],
+    mass: Float64[np.ndarray, " m"],
+    share: float,
+) -> Float64[np.ndarray, " k"]:
+    """Per column, below which value `share` of a mixture of normal distributions lies. mass: sums to 1."""
+    low = (means - DEVIATIONS * deviations).min(axis=0)
+    high = (means + DEVIATIONS * deviations).max(axis=0)
+    width = np.maximum(deviations, 1e-12 * (high - low) + np.finfo(np.float64).tiny)
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        below = mass @ ndtr((middle - means) / width) < share
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray((low + high) / 2)
+
+
+def _variances(part: Gaussians, axes: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "m 3"]:
+    """Of each Gaussian along each axis."""
+    a, b = np.triu_indices(3)
+    twice = np.where(a == b, 1.0, 2.0)
+    return np.asarray(np.maximum(part.covariances() @ (twice * axes[:, a] * axes[:, b]).T, 0))
+
+
+def _axes(
+    points: Float64[np.ndarray, "m 3"],
+    mass: Float64[np.ndarray, " m"],
+    up: Float64[np.ndarray, " 3"] | None,
+) -> Float64[np.ndarray, "3 3"]:
+    """The principal axes, or those in the plane, and up."""
+    if up is None:
+        return _principal(points, mass)
+    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    east = east / np.linalg.norm(east)
+    plane = np.stack([east, np.cross(up, east)])
+    return np.concatenate([_principal(points @ plane.T, mass) @ plane, up[None]])
+
+
+def _principal(
+    points: Float64[np.ndarray, "m k"], mass: Float64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "k k"]:
+    offsets = points - mass @ points / mass.sum()
+    return np.asarray(np.linalg.eigh((offsets * mass[:, None]).T @ offsets)[1].T[::-1])
+
+
+def _ordered(
+    axes: Float64[np.ndarray, "3 3"],
+    low: Float64[np.ndarray, " 3"],
+    high: Float64[np.ndarray, " 3"],
+    free: int,
+) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    """The first `free` axes by length, each towards where its largest part is positive; right-handed."""
+    order = [*np.argsort(-(high - low)[:free], kind="stable").tolist(), *range(free, 3)]
+    axes, low, high = axes[order], low[order], high[order]
+    sign = np.sign(axes[np.arange(3), np.abs(axes).argmax(1)])
+    sign[free:] = 1
+    turned = sign[:, None] * axes
+    flip = 1 if free < 3 else 2
+    if np.linalg.det(turned) < 0:
+        sign[flip] = -sign[flip]
+        turned = sign[:, None] * axes
+    ends = np.stack([low * sign, high * sign])
+    return turned, ends.min(axis=0), ends.max(axis=0)

@@ -1,0 +1,135 @@
+"""The scene: a set of 3D Gaussians in post-activation form."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Integer
+
+from ..errors import InputError
+from .placing import FEWEST, local_origin, near_plane
+from .rotations import rotation_matrices
+
+SH_COEFFICIENTS = (1, 4, 9, 16)
+SH_C0 = (
+    0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N anisotropic 3D Gaussians. The row order is their identity and is never changed.
+
+    means: positions relative to `origin`, scene units. quats: rotations, (w, x, y, z), unit norm.
+    scales: standard deviations along the local axes, scene units, > 0. opacities: in [0, 1].
+    sh: spherical-harmonic colour coefficients, degree 0-3 (1, 4, 9 or 16 per channel), RGB last.
+    extra: further per-Gaussian columns of the file it came from, by name, each of length N.
+    origin: in the coordinates of the world, which are those of views and answers; zero unless the scene is far
+    from zero for its size (`placing.local_origin`).
+
+    Raises: InputError: shapes disagree, or an origin that is not finite.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    scales: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n k 3"]
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    origin: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        if self.origin.shape != (3,) or not np.isfinite(self.origin).all():
+            raise InputError(f"origin: expected three finite numbers, got {self.origin}")
+        expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+        for name, shape in expected.items():
+            given = getattr(self, name)
+            if given.shape != shape or given.dtype != np.float32:
+                raise InputError(
+                    f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}"
+                )
+        k = self.sh.shape[1] if self.sh.ndim == 3 else -1
+        if self.sh.shape != (n, k, 3) or k not in SH_COEFFICIENTS or self.sh.dtype != np.float32:
+            raise InputError(
+                f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}"
+            )
+        for name, column in self.extra.items():
+            if len(column) != n:
+                raise InputError(f"extra column '{name}': expected {n} values, got {len(column)}")
+
+    def __repr__(self) -> str:
+        return f"Gaussians({len(self):,}, harmonics of degree {self.sh_degree}, {self.fingerprint})"
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        return SH_COEFFICIENTS.index(self.sh.shape[1])
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Count and position hash: equal for the same Gaussians in the same order, whatever the file.
+
+        Of positions in the world, so that it does not depend on the origin they are counted from.
+        """
+        positions = self.means if not self.origin.any() else _narrowest(self.positions)
+        digest = hashlib.blake2b(np.ascontiguousarray(positions).tobytes(), digest_size=12)
+        return f"{len(self)}-{digest.hexdigest()}"
+
+    @property
+    def positions(self) -> Float64[np.ndarray, "n 3"]:
+        """In the coordinates of the world: `means` counted from zero."""
+        return np.asarray(self.means.astype(np.float64) + self.origin)
+
+    @cached_property
+    def near(self) -> float:
+        """Camera z up to which nothing is drawn, see `placing.near_plane`."""
+        return near_plane(self.means, self.opacities)
+
+    def localized(self) -> "Gaussians":
+        """The same Gaussians counted from a local origin; themselves where they are not far from the one they have.
+
+        Float32 arithmetic on them is then as exact as about zero; what float32 positions have lost stays lost.
+        """
+        by = local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
+        if not by.any():
+            return self
+        means = (self.means.astype(np.float64) - by).astype(np.float32)
+        return replace(self, means=means, origin=self.origin + by)
+
+    def covariances(self) -> Float64[np.ndarray, "n 6"]:
+        """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
+        axes = (
+            rotation_matrices(self.quats.astype(np.float64))
+            * self.scales.astype(np.float64)[:, None, :]
+        )
+        rows, columns = np.triu_indices(3)
+        return np.asarray(np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns]))
+
+    def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
+        """inv(S) R^T: takes an offset from the mean to where the Gaussian is round and of size one."""
+        inverse = self.quats.astype(np.float64) * [1, -1, -1, -1]
+        return np.asarray(rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None])
+
+    def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "Gaussians":
+        """The Gaussians at `index` (integers or a boolean mask), in that order."""
+        extra = {name: column[index] for name, column in self.extra.items()}
+        return Gaussians(
+            self.means[index],
+            self.quats[index],
+            self.scales[index],
+            self.opacities[index],
+            self.sh[index],
+            extra,
+            self.origin,
+        )
+
+
+def _narrowest(positions: Float64[np.ndarray, "n 3"]) -> np.ndarray:
+    """As float32 where that says the same."""
+    narrow = positions.astype(np.float32)
+    return narrow if (narrow == positions).all() else positions

@@ -1,0 +1,196 @@
+"""The pixels of a posed photo, on the raster of its pinhole."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int32, UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ..contents import open_file
+from ..errors import FormatError, InputError
+from .lens import distort_points
+from .picture_costs import check_cost
+from .views import View
+
+PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
+"""Only these decoders are ever started on a file, whatever its name says."""
+
+_OPAQUE = ("1", "L", "RGB")
+_ROWS = 128  # rows remapped at a time: the map of a whole 24 MP photo would take 400 MB
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Width and height of the raster as stored, from the header alone.
+
+    Raises: FormatError: not a photo, or so large that decoding it would be an attack.
+    """
+    with _opened(path) as photo:
+        return photo.size
+
+
+def decoded_picture(
+    source: Path | BytesIO, most_pixels: int | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """RGB of any picture, upright, on black where it is transparent; for queries, which have no camera.
+
+    Raises: InputError: of more pixels, or too costly (`check_cost`), before it is decoded. FormatError: damaged,
+    or not a picture; the message does not name the source.
+    """
+    try:
+        with (
+            open_file(source) if isinstance(source, Path) else nullcontext(source) as file,
+            Image.open(file, formats=PHOTO_FORMATS) as coded,
+        ):
+            check_cost(coded, file, most_pixels)
+            picture = ImageOps.exif_transpose(coded)
+            if picture.mode in _OPAQUE and "transparency" not in picture.info:
+                return np.asarray(picture.convert("RGB"))
+            picture = picture.convert("RGBA")
+    except InputError:
+        raise
+    except Exception as error:  # decoders of damaged files raise anything
+        raise FormatError(
+            f"cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {type(error).__name__}"
+        ) from error
+    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
+    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
+
+
+def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo of a view as RGB, resized to (view.height, view.width) and undistorted.
+
+    The raster is taken as stored: an EXIF orientation is not applied, because poses and intrinsics
+    of COLMAP, nerfstudio and 3DGS are of the stored raster. Transparency is composited on black,
+    the default background of 3DGS. Undistortion keeps K and size: what lies outside the photo is
+    black. 16-bit photos lose their low byte.
+
+    Raises: InputError: the view has no photo. FormatError: the file is damaged, truncated, of
+    another kind, or decodes to more pixels than a photo has.
+    """
+    if view.image_path is None:
+        raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
+    with _opened(view.image_path) as photo:
+        _check_cost(photo, view.image_path)
+        rgb = _rgb(photo, view.image_path)
+        if rgb.size != (view.width, view.height):
+            rgb = rgb.resize((view.width, view.height), Image.Resampling.BICUBIC)
+        pixels = np.asarray(rgb)
+    return pixels if view.distortion is None else _undistort_bilinear(view, pixels)
+
+
+def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
+    """False where the pinhole of a view looks past its photo, and `load_image` is black for want of it."""
+    covered = np.ones((view.height, view.width), bool)
+    if view.distortion is not None:
+        for rows, source in _source_blocks(view):
+            covered[rows] = _inside(source, view.width, view.height)
+    return covered
+
+
+def undistort_ids(view: View, segment_ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+    """A label map made on the photo as stored, brought to the pinhole by nearest pixel.
+
+    The map keeps its own raster, which need not be the view's; -1 outside the photo. Needed for
+    masks computed on a distorted photo, not for masks computed on what `load_image` returned.
+    """
+    if view.distortion is None:
+        return segment_ids
+    height, width = segment_ids.shape
+    undistorted = np.full_like(segment_ids, -1)
+    for rows, source in _source_blocks(view.resized(width, height)):
+        inside = _inside(source, width, height)
+        x, y = source[inside].astype(np.intp).T
+        undistorted[rows][inside] = segment_ids[y, x]
+    return undistorted
+
+
+def _undistort_bilinear(
+    view: View, photo: UInt8[np.ndarray, "h w 3"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    undistorted = np.zeros_like(photo)
+    for rows, source in _source_blocks(view):
+        inside = _inside(source, view.width, view.height)
+        undistorted[rows][inside] = _bilinear(photo, source[inside])
+    return undistorted
+
+
+def _bilinear(
+    photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"]
+) -> UInt8[np.ndarray, "n 3"]:
+    height, width = photo.shape[:2]
+    corner = np.clip(at - 0.5, 0, (width - 1, height - 1))  # pixel centres are at half integers
+    low = corner.astype(np.intp)
+    fraction = (corner - low).astype(np.float32)
+    right = (low[:, 0] < width - 1).astype(np.intp)
+    below = (low[:, 1] < height - 1) * width
+    index, fx, fy = low[:, 1] * width + low[:, 0], fraction[:, :1], fraction[:, 1:]
+    flat = photo.reshape(-1, 3)
+    top = flat[index] * (1 - fx) + flat[index + right] * fx
+    bottom = flat[index + below] * (1 - fx) + flat[index + below + right] * fx
+    blended: np.ndarray = top * (1 - fy) + bottom * fy + 0.5
+    return blended.astype(np.uint8)
+
+
+def _source_blocks(view: View) -> Iterator[tuple[slice, Float64[np.ndarray, "r w 2"]]]:
+    """By blocks of rows: where on the photo each pixel centre of the pinhole lies."""
+    columns = np.arange(view.width) + 0.5
+    for start in range(0, view.height, _ROWS):
+        stop = min(start + _ROWS, view.height)
+        x, y = np.meshgrid(columns, np.arange(start, stop) + 0.5)
+        yield slice(start, stop), distort_points(view, np.stack([x, y], -1))
+
+
+def _inside(
+    points: Float64[np.ndarray, "r w 2"], width: int, height: int
+) -> Bool[np.ndarray, "r w"]:
+    """False for NaN, which stands for no place on the photo."""
+    x, y = points[..., 0], points[..., 1]
+    inside: np.ndarray = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    return inside
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """A photo whose header is read; what a decoder stumbles over in the block is a FormatError."""
+    try:
+        with open_file(path) as file, Image.open(file, formats=PHOTO_FORMATS) as photo:
+            yield photo
+    except (FormatError, InputError):
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such photo") from None
+    except UnidentifiedImageError:  # its message names an open file, not ours
+        raise FormatError(f"{path}: is no photo ({'/'.join(PHOTO_FORMATS)})") from None
+    except (
+        Exception
+    ) as error:  # decoders of damaged files raise anything, from struct.error to KeyError
+        raise FormatError(
+            f"{path}: cannot be read as a photo ({'/'.join(PHOTO_FORMATS)}): {error}"
+        ) from error
+
+
+def _check_cost(photo: Image.Image, path: Path) -> None:
+    try:
+        with open_file(path) as file:
+            check_cost(photo, file)
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from None
+
+
+def _rgb(photo: Image.Image, path: Path) -> Image.Image:
+    if photo.mode.startswith("I;16"):
+        return Image.fromarray((np.asarray(photo) >> 8).astype(np.uint8)).convert("RGB")
+    if photo.mode in ("I", "F"):
+        raise FormatError(
+            f"{path}: expected 8 or 16 bits per channel, got mode {photo.mode}: convert it to "
+            "PNG or JPEG"
+        )
+    if "A" in photo.getbands() or "transparency" in photo.info:
+        rgba = photo.convert("RGBA")
+        return Image.composite(
+            rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A")
+        )
+    return photo.convert("RGB")

@@ -1,0 +1,82 @@
+"""What a picture file would cost to decode, told by its headers before a decoder is started.
+
+A file of some hundred bytes can declare gigabytes, and a progressive JPEG can send its pixels over again as often as
+it has bytes for.
+"""
+
+import re
+from io import BufferedIOBase
+
+from PIL import Image
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.TiffImagePlugin import TiffImageFile
+
+from ..errors import InputError
+
+MOST_SCANS = 32  # of a large JPEG: encoders write 1 to 15
+MORE_SCANS = 500  # of a small one
+SMALL_PIXELS = 1 << 20
+MOST_JPEG_BYTES = 256 << 20
+
+_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)  # what follows no pixels
+_START, _SCAN, _END = 0xD8, 0xDA, 0xD9
+_TILE_WIDTH, _TILE_LENGTH = 322, 323
+
+
+def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | None = None) -> None:
+    """Refuse a picture that takes more time or memory to decode than its pixels deserve.
+
+    picture: opened, not decoded. file: what it was opened from; its position stays.
+
+    Raises: InputError: more pixels than `most_pixels`, a JPEG of too many scans, a TIFF of tiles far larger than
+    itself, a BMP of runs, which is decoded byte by byte in Python and in older Pillow believes their lengths.
+    """
+    pixels, size = picture.width * picture.height, f"{picture.width}x{picture.height}"
+    if most_pixels is not None and pixels > most_pixels:
+        raise InputError(
+            f"a picture of {size} pixels: at most {most_pixels:,} are taken, make it smaller"
+        )
+    if isinstance(picture, JpegImageFile):
+        scans, most = jpeg_scans(_content(file)), most_scans(pixels)
+        if scans > most:
+            raise InputError(
+                f"a JPEG of {size} pixels in {scans} scans: at most {most} are taken, save it anew"
+            )
+    if isinstance(picture, TiffImageFile) and _tile(picture) > 4 * max(pixels, SMALL_PIXELS):
+        raise InputError(f"a TIFF of {size} pixels in far larger tiles: save it as PNG")
+    if isinstance(picture, BmpImageFile) and picture.info.get("compression") in (1, 2):
+        raise InputError("a BMP of runs of pixels (RLE): save it as PNG")
+
+
+def most_scans(pixels: int) -> int:
+    """How many scans a JPEG may have, so that their pixels together are bounded."""
+    return min(MORE_SCANS, MOST_SCANS * max(1, SMALL_PIXELS // max(pixels, 1)))
+
+
+def jpeg_scans(data: bytes) -> int:
+    """How often a JPEG starts to send pixels: its SOS markers, those of previews in segments left out."""
+    scans, at = 0, 0
+    while found := _MARKER.search(data, at):
+        marker, at = found[1][0], found.end()
+        if marker == _END:
+            break
+        scans += marker == _SCAN
+        if marker != _START:
+            at += int.from_bytes(data[at : at + 2], "big")
+    return scans
+
+
+def _content(file: BufferedIOBase) -> bytes:
+    position = file.tell()
+    file.seek(0)
+    content = file.read(MOST_JPEG_BYTES + 1)
+    file.seek(position)
+    if len(content) > MOST_JPEG_BYTES:
+        raise InputError(f"a JPEG of more than {MOST_JPEG_BYTES:,} bytes")
+    return content
+
+
+def _tile(picture: TiffImageFile) -> int:
+    tags = picture.tag_v2
+    return int(tags.get(_TILE_WIDTH, 0)) * int(tags.get(_TILE_LENGTH, 0))

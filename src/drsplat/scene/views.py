@@ -1,0 +1,78 @@
+"""A posed photo."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pinhole camera: x_cam = cam_from_world @ x_world, OpenCV axes (+x right, +y down, +z forward).
+
+    name: image file name relative to the image folder, with suffix; views are matched to features by it.
+    K: 3x3 intrinsics in pixels of (width, height); the centre of pixel (0, 0) is at (0.5, 0.5).
+    image_path: the photo, or None where it is not at hand.
+    distortion: OpenCV coefficients (k1, k2, p1, p2) of the *photo on disk*, or None. K and every
+    kernel are of the undistorted pinhole; `load_image` undoes the distortion.
+
+    Raises: InputError: a singular K, a pose that is no rigid motion, or an empty raster.
+    """
+
+    name: str
+    K: Float64[np.ndarray, "3 3"]
+    cam_from_world: Float64[np.ndarray, "4 4"]
+    width: int
+    height: int
+    image_path: Path | None = None
+    distortion: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"view '{self.name}': empty raster {self.width}x{self.height}")
+        for label, matrix, shape in (
+            ("K", self.K, (3, 3)),
+            ("cam_from_world", self.cam_from_world, (4, 4)),
+        ):
+            if matrix.shape != shape or not np.isfinite(matrix).all():
+                raise InputError(f"view '{self.name}': {label} must be a finite {shape} matrix")
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
+            raise InputError(
+                f"view '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}"
+            )
+        rotation = self.cam_from_world[:3, :3]
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+            raise InputError(
+                f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)"
+            )
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.center)
+        return f"View('{self.name}', {self.width}x{self.height} at ({place}))"
+
+    @property
+    def center(self) -> Float64[np.ndarray, " 3"]:
+        """Camera centre in world coordinates."""
+        return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+
+    def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "View":
+        """The same camera in a world whose zero is at `origin`; itself where that is zero already."""
+        if not origin.any():
+            return self
+        pose = self.cam_from_world.copy()
+        pose[:3, 3] += pose[:3, :3] @ origin
+        return replace(self, cam_from_world=pose)
+
+    def resized(self, width: int, height: int) -> "View":
+        """The same camera on another raster: K and size scale together."""
+        scale = np.diag([width / self.width, height / self.height, 1.0])
+        return replace(self, K=scale @ self.K, width=width, height=height)
+
+
+def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether rasters (width, height) show the same: one is the other scaled, to a whole pixel either way."""
+    (width, height), (wide, high) = sorted((one, other))  # rounding took place on the smaller one
+    return abs(height - high * width / wide) <= 1 or abs(width - wide * height / high) <= 1
