@@ -21,16 +21,9 @@ def shared_weak_symbols(unit: str, level: str, folder: Path) -> list[str]:
     """Weak symbols of a unit, demangled, outside the namespace drsplat::LEVEL."""
     target = folder / f"{level}.o"
     compiler = os.environ.get("CXX", "g++")
-    flags = [
-        "-O1",
-        "-std=c++17",
-        "-fPIC",
-        "-w",
-        *UNITS[unit][level],
-        f"-DDRSPLAT_ISA={level}",
-        f"-I{NATIVE}",
-    ]
-    subprocess.run([compiler, *flags, "-c", NATIVE / unit, "-o", target], check=True)
+    flags = ["-O1", "-std=c++17", "-fPIC", "-w", f"-I{NATIVE}", f"-DDRSPLAT_ISA={level}"]
+    command = [compiler, *flags, *UNITS[unit][level], "-c", NATIVE / unit, "-o", target]
+    subprocess.run(command, check=True)
     listing = subprocess.run(
         ["nm", "-C", target], check=True, capture_output=True, text=True
     ).stdout

@@ -74,11 +74,8 @@ nb::object to_numpy(std::vector<T> &&values) {
   return nb::cast(nb::ndarray<nb::numpy, T>(owned->data(), {owned->size()}, owner));
 }
 
-inline nb::tuple rows_and_scores(const Candidates &found) {
-  std::vector<int64_t> rows(found.size());
-  std::vector<float> scores(found.size());
-  for (size_t i = 0; i < found.size(); i++) rows[i] = found[i].row, scores[i] = found[i].score;
-  return nb::make_tuple(to_numpy(std::move(rows)), to_numpy(std::move(scores)));
+inline nb::tuple rows_and_scores(Found found) {
+  return nb::make_tuple(to_numpy(std::move(found.rows)), to_numpy(std::move(found.scores)));
 }
 
 // CSR: one more start than there are rows, of entries that exist.

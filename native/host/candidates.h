@@ -6,25 +6,37 @@
 
 namespace drsplat {
 
-using Candidates = std::vector<CandidateRow>;
+// Rows to look through at once, at most: their scores stay in the first-level cache.
+constexpr uint32_t kRowsAtOnce = 4096;
 
-// Those of `count` rows from `first` on whose score - floor exceeds the threshold; `floor` may be null.
-void append_above(const ScanKernels &, const float *scores, const float *floor, float threshold, uint64_t first,
-                  uint64_t count, Candidates &out);
+struct Found {
+  std::vector<int64_t> rows;
+  std::vector<float> scores;
+};
 
-Candidates joined(const std::vector<Candidates> &);
+// Adds those of `count` rows from `first` on whose score - floor exceeds the threshold; `floor` may be null.
+void add_above(const ScanKernels &, const float *scores, const float *floor, float threshold, uint64_t first,
+               uint32_t count, Found &out);
+
+Found joined(const std::vector<Found> &);
+
+struct Ranked {
+  float score;
+  int64_t row;
+  bool operator<(const Ranked &o) const { return score > o.score || (score == o.score && row < o.row); }  // comes first
+};
 
 // The `count` best rows, ties to the lower; every thread keeps those of the rows that it scored.
 class BestRows {
  public:
   BestRows(const ScanKernels &, size_t count, int threads);
-  void offer(int thread, const float *scores, uint64_t first, uint64_t rows);
-  Candidates best() const;  // best first
+  void offer(int thread, const float *scores, uint64_t first, uint32_t count);
+  Found best() &&;  // best first
 
  private:
-  struct Seen {  // the best `count_` seen, and some more
-    Candidates found;
-    float cutoff;  // `count_` rows are at least as good
+  struct Seen {
+    std::vector<Ranked> rows;  // the best, and some more
+    float cutoff;              // that many of them reach
   };
 
   const ScanKernels &kernels_;

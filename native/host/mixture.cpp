@@ -13,7 +13,6 @@
 namespace drsplat {
 namespace {
 
-constexpr uint64_t kRowBlock = 4096;    // of a scan: its scores stay in the first-level cache
 constexpr size_t kAddressable = 65536;  // what an id can name; the table answers all of it
 constexpr int16_t kNoQuery = -32768;
 
@@ -73,12 +72,12 @@ class Table {
   int16_t *entries_;
 };
 
-// work(thread, begin, end, scores) with the scores of one query, kRowBlock rows at a time.
+// work(thread, begin, end, scores) with the scores of one query, kRowsAtOnce rows at a time.
 template <class Work>
 void over_scores(const Kernels &kernels, const MixtureCode &code, const float *query, int threads, Work work) {
   const Table table(kernels, code.atoms, {query, 1}, 1, threads);
-  over_rows(code.rows, kRowBlock, threads, [&](int thread, uint64_t begin, uint64_t end) {
-    float scores[kRowBlock];
+  over_rows(code.rows, kRowsAtOnce, threads, [&](int thread, uint64_t begin, uint64_t end) {
+    float scores[kRowsAtOnce];
     kernels.mixture->scores(code.mixtures, table.entries(), begin, end, scores);
     work(thread, begin, end, scores);
   });
@@ -125,30 +124,29 @@ void mixture_scores(const Kernels &kernels, const MixtureCode &code, const Mixtu
   for (uint32_t q = 0; q < queries.count; q++) {
     const Table table(kernels, code.atoms, {queries.values + (size_t)q * code.atoms.dim, 1}, 1, threads);
     float *out = scores + q * code.rows;
-    over_rows(code.rows, 4 * kRowBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+    over_rows(code.rows, 4 * kRowsAtOnce, threads, [&](int, uint64_t begin, uint64_t end) {
       kernels.mixture->scores(code.mixtures, table.entries(), begin, end, out + begin);
     });
   }
 }
 
-Candidates mixture_select(const Kernels &kernels, const MixtureCode &code, const float *query, float threshold,
-                          const float *floor, int threads) {
-  std::vector<Candidates> of_block((code.rows + kRowBlock - 1) / kRowBlock);
+Found mixture_select(const Kernels &kernels, const MixtureCode &code, const float *query, float threshold,
+                     const float *floor, int threads) {
+  std::vector<Found> of_block((code.rows + kRowsAtOnce - 1) / kRowsAtOnce);
   over_scores(kernels, code, query, threads, [&](int, uint64_t begin, uint64_t end, const float *scores) {
-    append_above(*kernels.scan, scores, floor ? floor + begin : nullptr, threshold, begin, end - begin,
-                 of_block[begin / kRowBlock]);
+    add_above(*kernels.scan, scores, floor ? floor + begin : nullptr, threshold, begin, (uint32_t)(end - begin),
+              of_block[begin / kRowsAtOnce]);
   });
   return joined(of_block);
 }
 
-Candidates mixture_top(const Kernels &kernels, const MixtureCode &code, const float *query, uint64_t count,
-                       int threads) {
+Found mixture_top(const Kernels &kernels, const MixtureCode &code, const float *query, uint64_t count, int threads) {
   if (!count) return {};
   BestRows best(*kernels.scan, std::min(count, code.rows), threads);
   over_scores(kernels, code, query, threads, [&](int thread, uint64_t begin, uint64_t end, const float *scores) {
-    best.offer(thread, scores, begin, end - begin);
+    best.offer(thread, scores, begin, (uint32_t)(end - begin));
   });
-  return best.best();
+  return std::move(best).best();
 }
 
 void mixture_best(const Kernels &kernels, const MixtureCode &code, const MixtureQueries &queries, int threads,
@@ -161,7 +159,7 @@ void mixture_best(const Kernels &kernels, const MixtureCode &code, const Mixture
     const Table table(kernels, code.atoms, {queries.values + (size_t)first * code.atoms.dim, count},
                       (count + 31) / 32 * 32, threads);
     const QueryTile tile = {table.entries(), first, table.stride()};
-    over_rows(code.rows, kRowBlock, threads, [&](int, uint64_t row, uint64_t end) {
+    over_rows(code.rows, kRowsAtOnce, threads, [&](int, uint64_t row, uint64_t end) {
       kernels.mixture->best(code.mixtures, tile, row, end, {best.data(), second.data(), out.index});
     });
   }

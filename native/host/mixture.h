@@ -30,11 +30,11 @@ struct MixtureQueries {  // count x dim of the atoms, finite
 void mixture_scores(const Kernels &, const MixtureCode &, const MixtureQueries &, int threads, float *scores);
 
 // Rows with score - floor > threshold, ascending. floor: one per row, or null.
-Candidates mixture_select(const Kernels &, const MixtureCode &, const float *query, float threshold, const float *floor,
-                          int threads);
+Found mixture_select(const Kernels &, const MixtureCode &, const float *query, float threshold, const float *floor,
+                     int threads);
 
 // The `count` best rows, best first, ties to the lower row.
-Candidates mixture_top(const Kernels &, const MixtureCode &, const float *query, uint64_t count, int threads);
+Found mixture_top(const Kernels &, const MixtureCode &, const float *query, uint64_t count, int threads);
 
 struct MixtureBest {  // one per row
   int32_t *index;

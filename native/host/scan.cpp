@@ -83,26 +83,26 @@ void scan_scores(const ScanKernels &kernels, const GroupedRows &rows, const Quer
   });
 }
 
-Candidates scan_above(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables,
-                      Precision precision, const float *floor, float threshold, int threads) {
+Found scan_above(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,
+                 const float *floor, float threshold, int threads) {
   const Scan scan(kernels, rows, tables, precision, threads);
-  std::vector<Candidates> of_block(scan.blocks());
+  std::vector<Found> of_block(scan.blocks());
   scan.run(threads, [&](int, uint64_t block, uint32_t, uint64_t row, uint32_t count, float *sums) {
     scan.finish(0, row, count, sums, sums);
-    append_above(kernels, sums, floor ? floor + row : nullptr, threshold, row, count, of_block[block]);
+    add_above(kernels, sums, floor ? floor + row : nullptr, threshold, row, count, of_block[block]);
   });
   return joined(of_block);
 }
 
-Candidates scan_top(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,
-                    size_t count, int threads) {
+Found scan_top(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,
+               size_t count, int threads) {
   const Scan scan(kernels, rows, tables, precision, threads);
   BestRows best(kernels, count, threads);
   scan.run(threads, [&](int thread, uint64_t, uint32_t, uint64_t row, uint32_t n, float *sums) {
     scan.finish(0, row, n, sums, sums);
     best.offer(thread, sums, row, n);
   });
-  return best.best();
+  return std::move(best).best();
 }
 
 void scan_best(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,

@@ -11,12 +11,11 @@ void lookup_tables(const ScanKernels &, const float *centroids, const float *que
 void scan_scores(const ScanKernels &, const GroupedRows &, const QueryTables &, Precision, int threads, float *scores);
 
 // Of the first query: rows whose score - floor exceeds the threshold, ascending. `floor` may be null.
-Candidates scan_above(const ScanKernels &, const GroupedRows &, const QueryTables &, Precision, const float *floor,
-                      float threshold, int threads);
+Found scan_above(const ScanKernels &, const GroupedRows &, const QueryTables &, Precision, const float *floor,
+                 float threshold, int threads);
 
 // Of the first query: the `count` best rows, best first, ties to the lower row.
-Candidates scan_top(const ScanKernels &, const GroupedRows &, const QueryTables &, Precision, size_t count,
-                    int threads);
+Found scan_top(const ScanKernels &, const GroupedRows &, const QueryTables &, Precision, size_t count, int threads);
 
 // Per row the best query (ties to the earlier), its score and the second best score.
 void scan_best(const ScanKernels &, const GroupedRows &, const QueryTables &, Precision, int threads, int32_t *winner,

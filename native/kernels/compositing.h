@@ -44,16 +44,17 @@ INLINE Pixels pixels_of(const Walk &w, int block) {
           (w.lane_x < splat((float)(w.tile.width - left))) & (w.lane_y < splat((float)(w.tile.height - top)))};
 }
 
-struct Offsets { Floats x, y; };  // from a splat's centre to those of a block's pixels
+struct Points { Floats x, y; };
 
-INLINE Offsets offsets(const Walk &w, int block, const Splat &g) {
-  const Floats x = w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)),
-               y = w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight));
-  return {x - splat(g.x), y - splat(g.y)};
+INLINE Points centres_of(const Walk &w, int block) {  // of its pixels
+  return {w.lane_x + splat(w.left + (float)(block % 2 * kBlockWidth)),
+          w.lane_y + splat(w.top + (float)(block / 2 * kBlockHeight))};
 }
 
+INLINE Points offsets(const Points &pixels, const Splat &g) { return {pixels.x - splat(g.x), pixels.y - splat(g.y)}; }
+
 // 0 where it is less than 1/255.
-INLINE Floats alpha_at(const Splat &g, const Offsets &d) {
+INLINE Floats alpha_at(const Splat &g, const Points &d) {
   const Floats p = (splat(g.xx) * d.x + splat(g.xy) * d.y) * d.x + (splat(g.yy) * d.y * d.y + splat(g.log2_opacity));
   return keep(p >= splat(kLog2MinAlpha), minimum(exp2_of(p), splat(kMaxAlpha)));
 }
@@ -95,6 +96,7 @@ static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint
 template <class Begin, class Visit>
 INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit) {
   const Tile &tile = w.tile;
+  const Points pixels = centres_of(w, block);
   Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
   Ints hits = splat_int(0);
   uint32_t chunk[kChunk];
@@ -105,7 +107,7 @@ INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Be
     begin_chunk(n);
     for (uint32_t j = 0; j < n; j++) {
       const Splat &g = tile.splats[tile.list[chunk[j]]];
-      const Floats alpha = alpha_at(g, offsets(w, block, g));
+      const Floats alpha = alpha_at(g, offsets(pixels, g));
       const Floats weight = transmittance * alpha, after = transmittance - weight;
       Mask live = after >= splat(kMinTransmittance);
       Floats kept = keep(live, weight);

@@ -34,11 +34,6 @@ struct Precision {
   uint32_t wide;
 };
 
-struct CandidateRow {
-  float score;
-  int64_t row;
-};
-
 // One translation unit, compiled once per instruction set (see CMakeLists.txt).
 struct ScanKernels {
   // Bytes that `prepare` writes for `queries` queries at most, and of scratch memory that `sums` needs.
@@ -52,9 +47,8 @@ struct ScanKernels {
   // scores = (sum + coarse term) * inverse norm; `out` may be `sums`.
   void (*finish)(const GroupedRows &, const float *coarse, uint32_t coarse_count, uint64_t first_row, uint32_t count,
                  const float *sums, float *out);
-  // Rows whose score - floor (or score, where floor is null) exceeds the threshold; returns how many.
-  uint32_t (*above)(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count,
-                    CandidateRow *out);
+  // Which scores - floor (or scores, where floor is null) exceed the threshold; returns how many. `out`: count + 16.
+  uint32_t (*above)(const float *scores, const float *floor, float threshold, uint32_t count, uint32_t *out);
   // Let query `index` compete with sum * scale: `best` and `runner_up` are the two highest so far, ties to the earlier.
   void (*compete)(const float *sums, const float *scale, int32_t index, uint32_t count, int32_t *winner, float *best,
                   float *runner_up);

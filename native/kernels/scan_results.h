@@ -19,23 +19,22 @@ static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse
   }
 }
 
-static uint32_t above(const float *scores, const float *floor, float threshold, uint64_t first_row, uint32_t count,
-                      CandidateRow *out) {
-  uint32_t found = 0;
-  for (uint32_t begin = 0; begin < count; begin += 16) {
-    const uint32_t end = begin + 16 < count ? begin + 16 : count;
-    float margins[16];
-    int any = 0;
-    if (end == begin + 16)
-      for (uint32_t i = 0; i < 16; i++)
-        margins[i] = floor ? scores[begin + i] - floor[begin + i] : scores[begin + i], any |= margins[i] > threshold;
-    else
-      for (uint32_t i = begin; i < end; i++) margins[i - begin] = floor ? scores[i] - floor[i] : scores[i], any = 1;
-    if (!any) continue;
-    for (uint32_t i = begin; i < end; i++) {
-      out[found] = {scores[i], (int64_t)(first_row + i)};
-      found += margins[i - begin] > threshold;
-    }
+static uint32_t above(const float *scores, const float *floor, float threshold, uint32_t count, uint32_t *out) {
+  uint32_t found = 0, i = 0;
+#if defined(__AVX512F__)
+  __m512i numbers = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (; i + 16 <= count; i += 16) {
+    __m512 margin = _mm512_loadu_ps(scores + i);
+    if (floor) margin = _mm512_sub_ps(margin, _mm512_loadu_ps(floor + i));
+    const __mmask16 above = _mm512_cmp_ps_mask(margin, _mm512_set1_ps(threshold), _CMP_GT_OQ);
+    _mm512_storeu_si512(out + found, _mm512_maskz_compress_epi32(above, numbers));
+    found += (uint32_t)__builtin_popcount(above);
+    numbers = _mm512_add_epi32(numbers, _mm512_set1_epi32(16));
+  }
+#endif
+  for (; i < count; i++) {  // without a branch: which rows are above is not to be foreseen
+    out[found] = i;
+    found += (floor ? scores[i] - floor[i] : scores[i]) > threshold;
   }
   return found;
 }

@@ -77,7 +77,7 @@ static void tile_backward(const Tile &tile, const float *colors, const float *im
     for (; touched; touched &= touched - 1) {
       const int b = __builtin_ctz(touched);
       BlockState &s = blocks[b];
-      const Offsets d = offsets(walk, b, g);
+      const Points d = offsets(centres_of(walk, b), g);
       const Floats alpha = alpha_at(g, d);
       const Floats weight = s.transmittance * alpha, after = s.transmittance - weight;
       const Mask live = after >= splat(kMinTransmittance);
