@@ -48,7 +48,8 @@ def main() -> None:
     took = time.perf_counter() - clock
     print(
         f"registered {args.views} views, {registration.weights.shape[1]:,} segments: {took:.1f} s, of which "
-        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, peak {peak_mib():,.0f} MiB"
+        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, peak {peak_mib():,.0f} "
+        "MiB"
     )
 
     clock = time.perf_counter()
@@ -67,7 +68,8 @@ def main() -> None:
             f"loaded and scored {len(scores):,} Gaussians: {(time.perf_counter() - clock) * 1e3:.0f} ms"
         )
     print(
-        f"end to end without the masks: {time.perf_counter() - start - features.seconds:.1f} s; peak resident memory {peak_mib():,.0f} MiB"
+        f"end to end without the masks: {time.perf_counter() - start - features.seconds:.1f} s; peak resident memory "
+        f"{peak_mib():,.0f} MiB"
     )
 
 

@@ -110,13 +110,16 @@ def many(
         decoded = (code.decode(np.arange(rows)) @ queries.T).argmax(axis=1)
         agreement[name] = float((index == exact).mean()), float((index == decoded).mean())
         print(
-            f"  {name:<14} the winner of exact features {agreement[name][0]:.2%}, of decoded ones {agreement[name][1]:.2%}"
+            f"  {name:<14} the winner of exact features {agreement[name][0]:.2%}, of decoded ones "
+            f"{agreement[name][1]:.2%}"
         )
     return {"ms": times, "agreement": agreement}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("field", type=Path)
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--threads", type=int, default=1)

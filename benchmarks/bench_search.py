@@ -3,8 +3,8 @@
     python benchmarks/bench_search.py [--points 1000000] [--threads 1] [--rounds 9] [--json out.json]
         [--prototype FOLDER] [--skip single|many|mapped] [--mapped-points 5000000 10000000]
 
-Everything runs in one process and in turns; times are minima of wall time, and hold all that a caller waits for (building
-tables too). Codes are drawn: time does not depend on them. Tables are as unequal as CLIP's: one part of a
+Everything runs in one process and in turns; times are minima of wall time, and hold all that a caller waits for
+(building tables too). Codes are drawn: time does not depend on them. Tables are as unequal as CLIP's: one part of a
 query is far larger than the others. --prototype: a folder with the kernels that these replaced.
 
 single: one query, all scores of all points, for 128, 64 and 32 bytes. many: 20 and 200 queries, the best of them for
@@ -218,7 +218,8 @@ def mapped(args: argparse.Namespace) -> dict[str, object]:
                 "load_ms": 1e3 * min(loads), "first_ms": 1e3 * min(firsts), "warm_ms": 1e3 * min(warm),
             }  # fmt: skip
             print(
-                f"\n{points:,} points, mapped: loaded and checked in {row['load_ms']:.0f} ms, first query {row['first_ms']:.1f} ms, "
+                f"\n{points:,} points, mapped: loaded and checked in {row['load_ms']:.0f} ms, first query "
+                f"{row['first_ms']:.1f} ms, "
                 f"next ones {row['warm_ms']:.1f} ms ({row['first_ms'] / row['warm_ms']:.2f} x); file in the page cache"
             )
             found[str(points)] = row

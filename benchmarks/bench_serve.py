@@ -3,8 +3,8 @@
     python benchmarks/bench_serve.py [--points 1000000] [--workers 2] [--connections 32] [--seconds 60]
 
 A made-up room of things that are called by words, which each worker opens. Each connection asks one question after
-the other: of ten, eight are a text to a selection (one scan of all Gaussians), one finds things (scan, groups, boxes), one
-asks what is at a point. Clients run in this process, on the same cores. Memory is of all processes: resident, and
+the other: of ten, eight are a text to a selection (one scan of all Gaussians), one finds things (scan, groups, boxes),
+one asks what is at a point. Clients run in this process, on the same cores. Memory is of all processes: resident, and
 proportional (what is shared is divided by those who share it), every tenth of the time.
 """
 
@@ -164,7 +164,8 @@ def main() -> None:
         points = write_scene(Path(folder) / "room", given.points)
         size = sum(path.stat().st_size for path in Path(folder).glob("room/room.field/*")) / 2**20
         print(
-            f"{given.points:,} Gaussians, a field of {size:.0f} MiB, {given.workers} workers, {given.connections} connections"
+            f"{given.points:,} Gaussians, a field of {size:.0f} MiB, {given.workers} workers, {given.connections} "
+            "connections"
         )
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))

@@ -18,7 +18,10 @@ def describe() -> str:
     except (OSError, StopIteration):
         pass
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    return f"{model}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}, NumPy {np.__version__}"
+    return (
+        f"{model}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}, NumPy "
+        f"{np.__version__}"
+    )
 
 
 def interleaved(rivals: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:

@@ -110,7 +110,8 @@ class Prototype:
 
         def run() -> np.ndarray:
             self.native.argmax_hyb(
-                *map(_at, arrays), WIDE, *map(_at, (*scales, index, best)), groups, parts, len(queries), 16, self.threads
+                *map(_at, arrays), WIDE, *map(_at, (*scales, index, best)),
+                groups, parts, len(queries), 16, self.threads,
             )  # fmt: skip
             return index
 

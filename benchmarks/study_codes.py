@@ -206,11 +206,18 @@ def study(case: Case, words: Words, threads: int) -> list[dict[str, object]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scenes", nargs="*", type=Path, default=[])
     parser.add_argument("--masks", default="true,graph")
     parser.add_argument("--fields", nargs="*", type=Path, default=[])
-    parser.add_argument("--generic", type=Path, default=Path("world/scenes/table_1"), help="scene whose masks are the generic embeddings of mini")  # fmt: skip
+    parser.add_argument(
+        "--generic",
+        type=Path,
+        default=Path("world/scenes/table_1"),
+        help="scene whose masks are the generic embeddings of mini",
+    )
     parser.add_argument("--statistics", type=Path)
     parser.add_argument("--rows", type=int, default=65_536)
     parser.add_argument("--threads", type=int, default=0)
@@ -219,7 +226,11 @@ def main() -> None:
     print(describe())
     generic = scene_case(args.generic, "graph", 1000, args.threads).evidence.embeddings
     cases = [field_case(path, args.rows) for path in args.fields]
-    cases += [scene_case(f, m, args.rows, args.threads) for f in args.scenes for m in args.masks.split(",")]  # fmt: skip
+    cases += [
+        scene_case(f, m, args.rows, args.threads)
+        for f in args.scenes
+        for m in args.masks.split(",")
+    ]
     found = []
     for case in cases:
         found += study(case, mini_words(generic), args.threads)

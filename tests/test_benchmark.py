@@ -71,7 +71,7 @@ def results() -> dict[str, Any]:
 
 
 def test_a_page_by_hand() -> None:
-    text = page.page(results())
+    text = " ".join(page.page(results()).split())
     low, high = mean_interval([30.0, 35.0, 40.0, 45.0, 50.0])
     assert (
         f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] | 45.0 [{low + 5:.1f}, {high + 5:.1f}] |" in text
@@ -80,16 +80,16 @@ def test_a_page_by_hand() -> None:
     assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
     assert "`robust` minus `mean`.** *more:* selection, fixed +10.0 [+10.0, +10.0];" in text
     assert "Tuning on the test (at 0.40) adds +20.0 [+20.0, +20.0]" in text
-    assert "| Spearman with voxels |  | 1.000 | -1.000 |" in text
+    assert "| Spearman with voxels | | 1.000 | -1.000 |" in text
     assert "| e | `ab12` | `cd` | `ef` |" in text
 
 
 def test_a_page_of_a_run_that_did_not_measure_what_is_seen_says_so() -> None:
     made = results()
-    assert "did not measure" not in page.page(made)
+    assert "did not measure" not in " ".join(page.page(made).split())
     for column in (c for r in made["records"] for c in r["lerf-ovs"]["columns"].values()):
         column.pop("seen", None)
-    text = page.page(made)
+    text = " ".join(page.page(made).split())
     assert "did not measure" in text
     assert "| method | mIoU, fixed | Acc@0.25, fixed |" in text
 
@@ -223,3 +223,8 @@ def test_registration_beats_lookup_of_rendered_features(
     path = tmp_path / "results.json"
     running.write_results(path, running.results_of([SHIPPED[0]], 5, first))
     assert "| `mean` |" in page.page(json.loads(path.read_text(encoding="utf-8")))
+
+
+def test_prose_of_the_page_is_at_most_120_wide() -> None:
+    lines = [line for line in page.page(results()).split("\n") if not line.startswith("|")]
+    assert 80 < max(map(len, lines)) <= 120

@@ -1,4 +1,4 @@
-"""python -m benchmarks.suite [SCENE ...] --output results.json [--masks true graph] [--methods mean robust ...] [--jobs 2]
+"""python -m benchmarks.suite [SCENE ...] --output results.json [--masks true graph] [--methods mean ...] [--jobs 2]
 
 Without scenes, all of world/scenes. A run that was stopped goes on when it is started again.
 Then: python -m benchmarks.suite.page results.json --output docs/evaluation.md

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from drsplat import (
+    PQ,
     Codebook,
     EncoderIdentity,
     Gaussians,
@@ -15,6 +16,7 @@ from drsplat import (
     ViewFeatures,
     register,
 )
+from drsplat.codes import CodeSpecification
 from drsplat.evaluation.scorers import Scorer, cosine_scorer
 from drsplat.evidence.aggregation import Sampling
 
@@ -49,10 +51,10 @@ class Registered:
             self.registrations[sampling] = replace(found, encoder=self.encoder)
         return self.registrations[sampling]
 
-    def field(self, name: str, codebook: Codebook | None, threads: int) -> LanguageField:
+    def field(self, name: str, code: CodeSpecification, threads: int) -> LanguageField:
         how = MEASURED[name]
         found = self.registration(how.sampling or DEFAULT, threads)
-        return found.to_field(codebook, aggregator=how, gaussians=self.gaussians, threads=threads)
+        return found.to_field(code, aggregator=how, gaussians=self.gaussians, threads=threads)
 
 
 class Workshop:
@@ -72,7 +74,7 @@ class Workshop:
 
     @cached_property
     def codebook(self) -> Codebook:
-        return self.volume.field("mean", None, self.threads).codebook
+        return self.volume.field("mean", PQ(), self.threads).codebook
 
     def methods(self, name: str) -> Methods:
         return Methods(self._scorer(self.volume, name), self._scorer(self.points, name))

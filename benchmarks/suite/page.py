@@ -2,8 +2,10 @@
 
 import argparse
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import fill
 
 from drsplat.formats.replacing import replacing
 from drsplat.query.thresholds import CUT
@@ -23,31 +25,36 @@ from .tables import (
 )
 
 _HEAD = """\
-# Evaluation
-
-This page is made from [evaluation.json](evaluation.json) by `python -m benchmarks.suite.page`, and a test holds it to that: no
-number here is typed. Numbers are percent. In brackets is the 95 % interval of the mean over scenes, by bootstrap; scenes are what
-is drawn again, so it says how other scenes of this world would do, and nothing about real photos."""
+This page is made from [evaluation.json](evaluation.json) by `python -m benchmarks.suite.page`, and a test holds it to
+that: no number here is typed. Numbers are percent. In brackets is the 95 % interval of the mean over scenes, by
+bootstrap; scenes are what is drawn again, so it says how other scenes of this world would do, and nothing about real
+photos."""
 _METHODS = """\
-Masks are *true* (each thing and structure of a photo is one mask) or found by the built-in segmenter *graph*; the built-in encoder
-`drsplat-mini` embeds both. It never saw these rooms, their shapes or textures. Photos with labels are left out of registration.
-All methods of a scene share one codebook, that of the mean. Aggregators are those of [aggregators.md](aggregators.md)."""
+Masks are *true* (each thing and structure of a photo is one mask) or found by the built-in segmenter *graph*; the
+built-in encoder `drsplat-mini` embeds both. It never saw these rooms, their shapes or textures. Photos with labels
+are left out of registration. All methods of a scene share one codebook, that of the mean. Aggregators are those of
+[aggregators.md](aggregators.md)."""
 _RENDERED = """\
-`{name}` is no aggregator but the rival: features that are fitted so that their *rendering* matches the embedding of the mask at each
-pixel, as LangSplat and LEGaussians optimise theirs, and then looked up in 3D like all others. It is our own least-squares form of that
-idea ({directions} directions, {steps} steps of conjugate gradients, photos {width} pixels wide, {contributors} Gaussians a pixel), not their code. `{one_step}` is its control: one step from zero is the mean on the same coarse pixels and directions. So
-`mean` minus `{one_step}` is what the coarseness costs, and `{one_step}` minus `{name}` what the fitting does."""
+`{name}` is no aggregator but the rival: features that are fitted so that their *rendering* matches the embedding of
+the mask at each pixel, as LangSplat and LEGaussians optimise theirs, and then looked up in 3D like all others. It is
+our own least-squares form of that idea ({directions} directions, {steps} steps of conjugate gradients, photos {width}
+pixels wide, {contributors} Gaussians a pixel), not their code. `{one_step}` is its control: one step from zero is the
+mean on the same coarse pixels and directions. So `mean` minus `{one_step}` is what the coarseness costs, and
+`{one_step}` minus `{name}` what the fitting does."""
 _PROTOCOLS = """\
-- **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means over pairs of photo and
-  category, then over scenes. *Seen* is the same of where the selection is more than half of the picture of the whole scene: alone, what
-  stands behind something else shows through it and counts as wrong.{missing}
-- **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU; fixed, automatic and tuned are localization,
-  one class at a time by threshold. **Voxel**, `voxel@1`: the same classes compared in voxels of {side:g} m.
-- **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity 0.9, nothing trained; OpenGaussian
-  trains theirs. So these numbers rank methods, and do not compare with papers.
-- Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is that of `drsplat select`: the
-  fixed one, or {cut:g} of the query's 40th highest cosine where that is more ([tasks.md](tasks.md)). *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers report it: never compare it
-  with the other two."""
+- **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means
+  over pairs of photo and category, then over scenes. *Seen* is the same of where the selection is more than half of
+  the picture of the whole scene: alone, what stands behind something else shows through it and counts as
+  wrong.{missing}
+- **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU; fixed, automatic and tuned
+  are localization, one class at a time by threshold. **Voxel**, `voxel@1`: the same classes compared in voxels of
+  {side:g} m.
+- **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity
+  0.9, nothing trained; OpenGaussian trains theirs. So these numbers rank methods, and do not compare with papers.
+- Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is that of
+  `drsplat select`: the fixed one, or {cut:g} of the query's 40th highest cosine where that is more
+  ([tasks.md](tasks.md)). *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers
+  report it: never compare it with the other two."""
 _MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
@@ -60,12 +67,25 @@ drsplat evaluate lerf-ovs world/scenes --name {scene} --scene world/scenes/{scen
 
 
 def page(results: Results) -> str:
-    """The whole page."""
-    return "\n\n".join(_sections(results)) + "\n"
+    """The whole page, in lines of at most 120 characters where they are prose."""
+    return "\n\n".join(map(_wrapped, _sections(results))) + "\n"
+
+
+def _wrapped(section: str) -> str:
+    if section.startswith(("|", "```", "#")):
+        return section
+    items = re.split(r"\n(?=- )", section)
+    return "\n".join(_filled(item, "  " if item.startswith("- ") else "") for item in items)
+
+
+def _filled(text: str, indent: str) -> str:
+    text = " ".join(text.split())
+    return fill(text, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _sections(results: Results) -> Iterator[str]:
     masks, scenes = masks_of(results), results["scenes"]
+    yield "# Evaluation"
     yield _HEAD
     yield "## What the numbers say"
     yield "\n".join(f"- {sentence}" for sentence in reading(results))
@@ -107,7 +127,10 @@ def _of_masks(results: Results, kind: str) -> Iterator[str]:
     yield f"## {kind.capitalize()} masks"
     yield "Selection (`lerf-ovs@1`):"
     yield measures_table(results, kind, SELECTION)
-    yield "Classes (`scannet-volume@1`, `scannet-points@1`, `voxel@1`), and localization by threshold (`scannet-volume@1`):"
+    yield (
+        "Classes (`scannet-volume@1`, `scannet-points@1`, `voxel@1`), and localization by threshold "
+        "(`scannet-volume@1`):"
+    )
     yield measures_table(results, kind, SEGMENTATION)
     if "mean" in methods_of(results, kind):
         yield "Minus `mean`, scene by scene:"
@@ -117,8 +140,8 @@ def _of_masks(results: Results, kind: str) -> Iterator[str]:
 def _versions(results: Results) -> str:
     encoder, segmenter = results["encoder"], results["segmenter"]
     return (
-        f"Made with drsplat {results['drsplat']}, encoder {encoder['name']} (weights `{encoder['weights']}`), segmenter "
-        f"{segmenter['name']} (weights `{segmenter['weights']}`), label set {results['label_set']}. Scenes:"
+        f"Made with drsplat {results['drsplat']}, encoder {encoder['name']} (weights `{encoder['weights']}`), "
+        f"segmenter {segmenter['name']} (weights `{segmenter['weights']}`), label set {results['label_set']}. Scenes:"
     )
 
 

@@ -15,7 +15,16 @@ from .numbers import (
     values,
 )
 
-SELECTION = ("selection", "seen", "acc25", "acc50", "automatic", "seen_automatic", "selection_tuned", "localization")  # fmt: skip
+SELECTION = (
+    "selection",
+    "seen",
+    "acc25",
+    "acc50",
+    "automatic",
+    "seen_automatic",
+    "selection_tuned",
+    "localization",
+)
 SEGMENTATION = ("volume", "points", "voxel", "volume_fixed", "volume_automatic", "volume_tuned")
 COMPARED = ("selection", "seen", "automatic", "selection_tuned", "volume", "points", "voxel")
 WORDS = {key: measure.words for key, measure in MEASURES.items()} | {

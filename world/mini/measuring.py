@@ -80,7 +80,8 @@ def main() -> None:
     colors = confusion(embeddings, labels[:, 1].tolist(), COLORS, painted)
     wrong = [(int(n), NAMES[i], NAMES[j]) for (i, j), n in np.ndenumerate(names) if i != j and n]
     report = {
-        "crops": len(seen), "crops_per_second": round(rate), "left_out": int(things.sum()) - len(seen), "names": len(NAMES),
+        "crops": len(seen), "crops_per_second": round(rate),
+        "left_out": int(things.sum()) - len(seen), "names": len(NAMES),
         "name_top1": right(names), "color_top1": right(colors),
         "worst": [f"{truth} taken for {guess}: {n}" for n, truth, guess in sorted(wrong, reverse=True)[:10]],
     }  # fmt: skip

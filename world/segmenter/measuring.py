@@ -81,7 +81,8 @@ def scored(photo: Photo, labels: Int64[np.ndarray, "h w"]) -> Score:
 
 def header() -> str:
     bands = [f"{low}+" for low in BANDS[:-1]]
-    return "".join(f"{word:>10}" for word in ("mIoU", "IoU>.5", *bands, "structure", "masks", "purity")).rjust(110)  # fmt: skip
+    words = "mIoU", "IoU>.5", *bands, "structure", "masks", "purity"
+    return "".join(f"{word:>10}" for word in words).rjust(110)
 
 
 def row(name: str, scores: Sequence[Score]) -> str:

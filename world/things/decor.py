@@ -189,12 +189,14 @@ def clock(rng: Rng, split: Split) -> Thing:
     )
     face = cylinder(radius * 0.875, 0.003, 0, 48).moved(z=deep - 0.008)
     ticks = [
-        box((radius * (0.2 if k % 3 == 0 else 0.12), radius * 0.05, 0.0012)).moved(x=radius * 0.72).turned("z", 30 * k).moved(z=deep - 0.0052)
+        box((radius * (0.2 if k % 3 == 0 else 0.12), radius * 0.05, 0.0012))
+        .moved(x=radius * 0.72).turned("z", 30 * k).moved(z=deep - 0.0052)
         for k in range(12)
     ]  # fmt: skip
     hour, minute = rng.uniform(0, 360, 2)
     hands = [
-        box((radius * long, radius * wide, 0.0015)).moved(x=radius * long * 0.42).turned("z", turn).moved(z=deep - 0.0045)
+        box((radius * long, radius * wide, 0.0015))
+        .moved(x=radius * long * 0.42).turned("z", turn).moved(z=deep - 0.0045)
         for long, wide, turn in ((0.5, 0.075, hour), (0.7, 0.05, minute))
     ]  # fmt: skip
     hub = cylinder(radius * 0.06, 0.004).moved(z=deep - 0.005)
@@ -264,7 +266,8 @@ def laptop(rng: Rng, split: Split) -> Thing:
     pieces = [
         (look, joined(base, hinged[0])), (dark, joined(*keys, hinged[1])),
         (plain("plastic", shaded(shade.rgb, 0.8)), pad),
-        (plain("screen", color(rng, "blue", "green", "purple", "orange")), hinged[2]), (plain("screen", (0.92, 0.93, 0.95)), hinged[3]),
+        (plain("screen", color(rng, "blue", "green", "purple", "orange")), hinged[2]),
+        (plain("screen", (0.92, 0.93, 0.95)), hinged[3]),
     ]  # fmt: skip
     return build("laptop", shade, "plastic", *pieces)
 
@@ -292,7 +295,10 @@ def carton(rng: Rng, split: Split) -> Thing:
     across = [box((0.022, y + 0.013, z * 1.065)), box((x + 0.013, 0.022, z * 1.065))]
     turns = np.radians(np.linspace(0, 360, 18, endpoint=False))
     loops = [
-        sweep([(s * (0.034 + 0.032 * np.cos(a)), 0, z * 1.065 + 0.016 + 0.017 * np.sin(a)) for a in turns], [(0.002, 0.012)] * 18, 8, 4, loop=True)
+        sweep(
+            [(s * (0.034 + 0.032 * np.cos(a)), 0, z * 1.065 + 0.016 + 0.017 * np.sin(a)) for a in turns],
+            [(0.002, 0.012)] * 18, 8, 4, loop=True,
+        )
         for s in (1, -1)
     ]  # fmt: skip
     bow = joined(*loops, sphere(0.012).moved(z=z * 1.065 + 0.01))

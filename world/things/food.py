@@ -25,7 +25,8 @@ def apple(rng: Rng, split: Split) -> Thing:
     radius, tall = rng.uniform(0.034, 0.042), rng.uniform(0.88, 1.05)
     shade = color(rng, "red", "green", "yellow")
     profile = rounded(
-        [(0.0, 0.16), (0.16, 0.06), (0.42, 0.0), (0.78, 0.35), (1.0, 0.95), (1.0, 1.45), (0.62, 1.86), (0.2, 1.82), (0.0, 1.55)], 3
+        [(0.0, 0.16), (0.16, 0.06), (0.42, 0.0), (0.78, 0.35), (1.0, 0.95), (1.0, 1.45), (0.62, 1.86),
+         (0.2, 1.82), (0.0, 1.55)], 3
     )  # fmt: skip
     body = lathe([(r * radius, z * radius * tall) for r, z in profile])
     top = 1.55 * radius * tall
@@ -103,7 +104,8 @@ def pear(rng: Rng, split: Split) -> Thing:
     radius, tall = rng.uniform(0.033, 0.039), rng.uniform(0.95, 1.1)
     shade = color(rng, "green", "yellow")
     profile = rounded(
-        [(0.0, 0.08), (0.35, 0.0), (0.85, 0.25), (1.08, 0.9), (0.75, 1.6), (0.42, 2.1), (0.36, 2.6), (0.1, 2.75), (0.0, 2.68)], 3
+        [(0.0, 0.08), (0.35, 0.0), (0.85, 0.25), (1.08, 0.9), (0.75, 1.6), (0.42, 2.1), (0.36, 2.6),
+         (0.1, 2.75), (0.0, 2.68)], 3
     )  # fmt: skip
     body = lathe([(r * radius, z * radius * tall) for r, z in profile])
     top = 2.68 * radius * tall

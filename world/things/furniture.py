@@ -165,7 +165,8 @@ def sofa(rng: Rng, split: Split) -> Thing:
     soft = joined(base, back, *arms, *pads, *rests)
     ledge = Ledge(0.44, (0.16, 0), (0.44, wide - 2 * arm - 0.08))
     return build(
-        "sofa", shade, "leather" if leather else "fabric", (look, soft), (plain("wood", (0.22, 0.14, 0.08)), joined(*feet)), ledges=(ledge,)
+        "sofa", shade, "leather" if leather else "fabric", (look, soft),
+        (plain("wood", (0.22, 0.14, 0.08)), joined(*feet)), ledges=(ledge,),
     )  # fmt: skip
 
 

@@ -153,7 +153,8 @@ def car(rng: Rng, split: Split) -> Thing:
         (plain("plastic", shade), joined(body, cabin)),
         (plain("glass", (0.16, 0.20, 0.24)), joined(glass, front)),
         (dark, joined(*(wheel.moved(*p) for p in places))),
-        (bright, joined(*(hub.moved(*p) for p in places), *lamps)), (plain("plastic", (0.7, 0.05, 0.05)), joined(*rear)),
+        (bright, joined(*(hub.moved(*p) for p in places), *lamps)),
+        (plain("plastic", (0.7, 0.05, 0.05)), joined(*rear)),
     ]  # fmt: skip
     return build(
         "toy car",

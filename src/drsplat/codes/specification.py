@@ -29,7 +29,7 @@ class PQ:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Each row a mixture of so many of the scene's masks and typical features: 3 atoms + 2 bytes. See docs/mixture.md."""
+    """Each row a mixture of `atoms` of the scene's masks and typical features, 3 atoms + 2 bytes: docs/mixture.md."""
 
     atoms: int = DEFAULT_ATOMS
 

@@ -13,7 +13,8 @@ EXAMPLES = """\
   drsplat locate drsplat-demo "red vase"        (afterwards)
   drsplat view drsplat-demo                     (afterwards, in a browser)"""
 CAPTION = (
-    "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are built in, "
+    "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are "
+    "built in, "
     "small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
 )
 
@@ -74,7 +75,8 @@ def show(answer: dict[str, Any]) -> None:
     show_table(title, columns, [_row(query) for query in answer["queries"]])
     seconds, memory = answer["seconds"], size_said(answer["peak_memory_bytes"])
     print(
-        f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} photos held out; "
+        f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} "
+        "photos held out; "
         f"{seconds:.1f} s, {memory} at most."
     )
     print(f"Look at {answer['page']} or {answer['overview']}, then ask yourself:")

@@ -23,8 +23,8 @@ PACKAGES = {
     "numpy": "core", "scipy": "core", "pillow": "core", "safetensors": "core", "zstandard": "core",
     "rich": "core", "jaxtyping": "core", "torch": "models, cuda", "transformers": "models",
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1", "torchvision": "not needed",
-    "gsplat": "cuda", "viser": "viewer", "msgspec": "viewer", "websockets": "viewer", "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve",
-    "mcp": "mcp", "faiss-cpu": "not needed",
+    "gsplat": "cuda", "viser": "viewer", "msgspec": "viewer", "websockets": "viewer",
+    "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve", "mcp": "mcp", "faiss-cpu": "not needed",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {

@@ -59,15 +59,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--levels", choices=tuple(_LEVELS),
         help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
-        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four; graph has only these)",
+        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four; graph "
+        "has only these)",
     )  # fmt: skip
     method.add_argument(
         "--points", type=up_to(MOST_POINTS), metavar="N",
-        help="SAM: ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, LangSplat's)",
+        help="SAM: ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, "
+        "LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--crop-layers", type=int, choices=range(3),
-        help="SAM, 1: look at four enlarged crops as well, for small things, which takes five times as long (default: 1, "
+        help="SAM, 1: look at four enlarged crops as well, for small things, which takes five times as long "
+        "(default: 1, "
         "LangSplat's)",
     )  # fmt: skip
     method.add_argument(

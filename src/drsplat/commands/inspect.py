@@ -127,8 +127,8 @@ def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
         "without_photo": [view.name for view in views if view.image_path is None],
         "views": [
             {
-                "name": view.name, "size": [view.width, view.height], "K": view.K, "cam_from_world": view.cam_from_world,
-                "distortion": view.distortion, "photo": view.image_path,
+                "name": view.name, "size": [view.width, view.height], "K": view.K,
+                "cam_from_world": view.cam_from_world, "distortion": view.distortion, "photo": view.image_path,
             }
             for view in views
         ],

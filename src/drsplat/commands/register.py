@@ -87,7 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
-        help="who made embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is the "
+        help="who made embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' "
+        "is the "
         "built-in one. Queries and codebooks of other encoders are then refused (default: what `drsplat embed` noted, "
         "which nothing overrules, else the codebook's, else unknown)",
     )  # fmt: skip

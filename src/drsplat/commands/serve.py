@@ -16,8 +16,8 @@ EXAMPLES = """\
   drsplat serve scenes --host 0.0.0.0 --api-key-file key.txt --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K
   curl -s localhost:8765/scenes/drsplat-demo/locate -H 'content-type: application/json' -d '{"text": "red vase"}'
 
-scenes is a folder with a field and its scene, or with one of these in each subfolder. /docs and /openapi.json describe all
-routes; docs/serve.md has examples."""
+scenes is a folder with a field and its scene, or with one of these in each subfolder. /docs and /openapi.json describe
+all routes; docs/serve.md has examples."""
 MOST_WORKERS = 256  # processes
 
 
@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--allow-origin", action="append", default=[], metavar="ORIGIN",
-        help="let scripts of pages from there read answers, such as https://example.org (default: none); may be repeated",
+        help="let scripts of pages from there read answers, such as https://example.org (default: none); may be "
+        "repeated",
     )  # fmt: skip
     add_query_encoders(parser)
 

@@ -23,7 +23,8 @@ EXAMPLES = """\
   drsplat view scene.ply
 
 Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
-0.0.0.0 it has a token, and who knows that can look, ask and save from elsewhere. A scene without a field can be looked at."""
+0.0.0.0 it has a token, and who knows that can look, ask and save from elsewhere. A scene without a field can be looked
+at."""
 BUDGET = 1_000_000
 
 

@@ -13,7 +13,8 @@ _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1c1e24 }
 .answers { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 1rem; padding: 0 }
 figure { margin: 0; border-top: 4px solid #2a9d55; background: #f6f7f9 } figure.miss { border-color: #c4342b }
-img { width: 100%; display: block } figcaption { padding: .5rem .75rem } code { background: #f0f1f4; padding: .1rem .3rem }
+img { width: 100%; display: block } figcaption { padding: .5rem .75rem }
+code { background: #f0f1f4; padding: .1rem .3rem }
 small { color: #5c6270 }
 """
 
@@ -37,8 +38,8 @@ and what was meant is the same in {len(story.held_out)} photos that neither the 
 or there is no such thing and nothing was found. A red bar is a miss.</p>
 <div class="answers">{"".join(shown)}</div>
 <p>Ask yourself: <code>drsplat locate . "red vase"</code>, or in a browser: <code>drsplat view .</code></p>
-<p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder that
-knows this kind of room only.</small></p>
+<p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder
+that knows this kind of room only.</small></p>
 </html>
 """
     with replacing(folder / PAGE, overwrite) as file:

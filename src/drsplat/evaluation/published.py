@@ -54,8 +54,10 @@ SCANNET_LOCALIZATION = (
 SCANNET_200_LOCALIZATION = (
     Published("LangSplat-m", {"miou": 3.9, "iou>0.15": 7.6, "iou>0.30": 3.5, "iou>0.45": 0.8}, "Dr. Splat, Table S3"),
     Published("LEGaussians-m", {"miou": 4.0, "iou>0.15": 7.4, "iou>0.30": 3.8, "iou>0.45": 1.4}, "Dr. Splat, Table S3"),
-    Published("OpenGaussian", {"miou": 14.7, "iou>0.15": 34.2, "iou>0.30": 18.9, "iou>0.45": 11.0}, "Dr. Splat, Table S3"),
-    Published(DR_SPLAT, {"miou": 14.9, "iou>0.15": 36.0, "iou>0.30": 19.3, "iou>0.45": 14.0}, "Dr. Splat, Table S3, Top-40"),
+    Published("OpenGaussian", {"miou": 14.7, "iou>0.15": 34.2, "iou>0.30": 18.9, "iou>0.45": 11.0}, "Dr. Splat, Table "
+    "S3"),
+    Published(DR_SPLAT, {"miou": 14.9, "iou>0.15": 36.0, "iou>0.30": 19.3, "iou>0.45": 14.0}, "Dr. Splat, Table S3, "
+    "Top-40"),
 )  # fmt: skip
 
 SCANNET_SEGMENTATION = {

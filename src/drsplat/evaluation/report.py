@@ -24,14 +24,17 @@ RESULTS, PAGE = "results.json", "report.html"
 JPEG_QUALITY = 85
 _STYLE = """
 :root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1e24; background: #fff; margin: 2rem auto; max-width: 70rem; padding: 0 1rem; }
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c1e24; background: #fff; margin: 2rem auto;
+  max-width: 70rem; padding: 0 1rem; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
 table { border-collapse: collapse; margin: .5rem 0; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .7rem; border-bottom: 1px solid #e3e5ea; text-align: right; }
 th:first-child, td:first-child { text-align: left; } th { border-bottom: 2px solid #1c1e24; }
 .scroll { overflow-x: auto; } p.note { color: #5a5e68; font-size: .9rem; max-width: 60rem; }
-figure { display: inline-block; margin: .4rem; vertical-align: top; } figcaption { font-size: .85rem; color: #5a5e68; max-width: 22rem; }
-img { max-width: 22rem; height: auto; display: block; } pre { background: #f5f6f8; padding: .8rem; overflow-x: auto; font-size: .8rem; }
+figure { display: inline-block; margin: .4rem; vertical-align: top; }
+figcaption { font-size: .85rem; color: #5a5e68; max-width: 22rem; }
+img { max-width: 22rem; height: auto; display: block; }
+pre { background: #f5f6f8; padding: .8rem; overflow-x: auto; font-size: .8rem; }
 """
 
 
@@ -141,7 +144,8 @@ def _figure(figure: Figure) -> str:
     Image.fromarray(figure.pixels).save(buffer, "JPEG", quality=JPEG_QUALITY)
     data = base64.b64encode(buffer.getvalue()).decode()
     caption = escape(figure.caption)
-    return f'<figure><img alt="{caption}" src="data:image/jpeg;base64,{data}"><figcaption>{caption}</figcaption></figure>'
+    image = f'<img alt="{caption}" src="data:image/jpeg;base64,{data}">'
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
 def _thresholds(result: Mapping[str, Any]) -> str:

@@ -22,8 +22,8 @@ def load_encoder(
 ) -> "WordEncoder | MiniEncoder | TransformersEncoder":
     """A built-in encoder, or a CLIP, SigLIP, SigLIP 2 or DINOv2 of transformers.
 
-    name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging Face hub,
-    which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
+    name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging
+    Face hub, which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
     device: auto, cpu, cuda or mps. dtype of images: auto, float32, bfloat16 or float16; auto is
     float16 on CUDA and bfloat16 on processors that multiply it.
 

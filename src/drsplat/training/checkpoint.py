@@ -130,7 +130,8 @@ def _check_length(path: Path, run: Run, planned: int) -> None:
     if not same_until(replace(run.settings, iterations=planned), run.settings, run.iteration):
         warnings.warn(
             f"{path}: the run was planned for {planned:,} iterations and left out an opacity reset near its end: the "
-            f"scene will not be the one of a run planned for {run.settings.iterations:,}; overwrite=True makes that one",
+            f"scene will not be the one of a run planned for {run.settings.iterations:,}; overwrite=True makes that "
+            "one",
             DrSplatWarning,
             stacklevel=4,
         )

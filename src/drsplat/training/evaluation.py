@@ -52,7 +52,8 @@ def evaluate(
 ) -> Evaluation | None:
     """Render each view, clipped to [0, 1], and compare; None when nothing is held out.
 
-    near: camera z up to which nothing is drawn. pictures: folder for a PNG per view: photo, rendering, and their difference times 4.
+    near: camera z up to which nothing is drawn. pictures: folder for a PNG per view: photo, rendering, and their
+    difference times 4.
     """
     if not views:
         return None

@@ -105,7 +105,10 @@ class Keeper:
         at = f"after iteration {self.run.iteration:,} of {self.run.settings.iterations:,}"
         if self.folder is None:
             return at
-        return f"{at}, which {self.folder.checkpoint} holds: the same command, without overwrite=True, goes on from there"
+        return (
+            f"{at}, which {self.folder.checkpoint} holds: the same command, without overwrite=True, goes on from "
+            "there"
+        )
 
     def _note(self) -> None:
         scores = self._tested(None)

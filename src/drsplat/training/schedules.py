@@ -30,7 +30,8 @@ def refines(settings: TrainingSettings, iteration: int) -> bool:
 
 
 def resets_opacity(settings: TrainingSettings, iteration: int) -> bool:
-    """After this iteration, before the next. Of adaptive density control only; a white background has one more, when refinement starts.
+    """After this iteration, before the next. Of adaptive density control only; a white background has one more, when
+    refinement starts.
 
     Source: 3DGS Sec. 5.2; its published defaults for the white one.
     """

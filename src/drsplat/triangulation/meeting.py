@@ -36,8 +36,9 @@ def meet(
 ) -> Points:
     """Points that `least` observations agree on.
 
-    pixels: of each observation. In each round, of falling tolerance, observations that are off by more than is tolerated leave their
-    track, then the point is where the distances to the rays, each over its depth, are least in squares.
+    pixels: of each observation. In each round, of falling tolerance, observations that are off by more than is
+    tolerated leave their track, then the point is where the distances to the rays, each over its depth, are least in
+    squares.
     Source: the linear-Eigen triangulation's geometric twin, Hartley and Zisserman, Sec. 12.2; weights ours.
     """
     middle = np.mean([view.center for view in views], axis=0)

@@ -60,8 +60,8 @@ def encode_mixture(
     """The code of every row: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
 
     A row is made of the segments in it and of scene atoms near its feature. scene_atoms: those, or how many
-    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those used most are
-    kept and all rows are coded again with them. Equal to the bit for any number of threads.
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those
+    used most are kept and all rows are coded again with them. Equal to the bit for any number of threads.
 
     Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
     """

@@ -89,9 +89,9 @@ ANYTHING = ("object", "thing", "stuff", "texture", "item")
 
 IGNORED = frozenset(
     [
-        "a", "an", "and", "any", "anything", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it", "me", "my",
-        "of", "on", "one", "or", "photo", "show", "some", "something", "that", "the", "this", "to", "up", "used",
-        "where", "which", "with", "you", "your",
+        "a", "an", "and", "any", "anything", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it",
+        "me", "my", "of", "on", "one", "or", "photo", "show", "some", "something", "that", "the", "this", "to", "up",
+        "used", "where", "which", "with", "you", "your",
     ]
 )  # fmt: skip
 
