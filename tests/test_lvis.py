@@ -281,7 +281,7 @@ def test_patches_are_the_things_on_black(tmp_path):
 
 
 def test_photos_are_opened_once(tmp_path, monkeypatch):
-    from drsplat import patches as module
+    from drsplat.embedding import patches as module
 
     opened: list[str] = []
     load = module.load_image

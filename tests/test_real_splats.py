@@ -47,8 +47,9 @@ def field(guitar: ds.Gaussians, capture: Path) -> ds.LanguageField:
 def ask(field: ds.LanguageField, name: str) -> np.ndarray:
     """Of each registered Gaussian: high where the colour fits, and fits better than the others."""
     others = [other for other in COLOURS if other != name]
-    answer = ds.query(field, ColourEncoder(), name, negatives=others)
-    return np.minimum(answer.scores, answer.relevancy)
+    scene = ds.Scene(field, encoder=ColourEncoder())
+    answer = scene.ask(ds.Query(name, negatives=tuple(others)))
+    return np.minimum(answer.scores, answer.values)
 
 
 def test_parts_of_a_real_scene_are_found_again(guitar: ds.Gaussians) -> None:
@@ -90,7 +91,7 @@ def test_what_is_found_has_the_colour_that_was_asked_for(
 ) -> None:
     scores = ask(field, colour)
     chosen = np.zeros((len(guitar), 1), np.float32)
-    chosen[ds.select(field, scores, THRESHOLD)] = 1
+    chosen[field.gaussian_ids[scores > THRESHOLD]] = 1
     pixels = []
     for view in ds.read_views(capture)[::2]:
         share = ds.render(guitar, view, values=chosen).channels[..., 0]
@@ -108,7 +109,7 @@ def test_a_colour_that_is_not_there_is_not_found(
     guitar: ds.Gaussians, field: ds.LanguageField, colour: str
 ) -> None:
     scores = ask(field, colour)
-    assert len(ds.select(field, scores, THRESHOLD)) < 0.001 * len(guitar)
+    assert (scores > THRESHOLD).sum() < 0.001 * len(guitar)
 
 
 def test_one_scene_in_two_formats_looks_the_same() -> None:
