@@ -21,7 +21,7 @@ from drsplat import EncoderIdentity, LanguageField, cli, load_field
 from drsplat.codes.mixture import MixtureCode
 from drsplat.codes.mixture.code import packed
 from drsplat.codes.mixture.dictionary import AtomTable
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.tensors import read_tensors
 from drsplat.kernels.mixture import Dictionary
 
@@ -50,7 +50,7 @@ def large_field(rows: int) -> LanguageField:
     views = np.sort(rng.integers(0, PHOTOS, MASKS)).astype(np.int32)
     names = tuple(f"{number}.jpg" for number in range(PHOTOS))
     evidence = Evidence(
-        weights, Segments(names, views, np.arange(MASKS, dtype=np.int32)), embeddings
+        weights, MaskIds(names, views, np.arange(MASKS, dtype=np.int32)), embeddings
     )
     drawn = EncoderIdentity("drawn", DIM)
     return LanguageField(

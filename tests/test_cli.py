@@ -173,7 +173,7 @@ def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture
     np.testing.assert_allclose(capture["views"][0]["K"], story.views[0].K)
     features = answer_of(capsys, "inspect", room / "language_features")
     assert (features["kind"], features["dim"]) == ("features", 512)
-    assert features["segments"]["large"] == story.num_segments
+    assert features["masks"]["large"] == story.num_masks
     field = answer_of(capsys, "inspect", room / "room.field")
     assert (field["kind"], field["num_registered"]) == ("field", len(story.field))
     assert field["encoder"] == WordEncoder.identity.name
@@ -230,7 +230,7 @@ def test_register_reports_and_refuses_to_overwrite(
     assert report["num_registered"] == len(field)
     assert report["num_views"] == 12
     assert field.evidence is not None
-    assert report["num_segments"] == field.evidence.weights.shape[1]
+    assert report["num_masks"] == field.evidence.weights.shape[1]
     assert report["num_weights"] == field.evidence.weights.nnz
     assert report["field_bytes"] == sum(len(content) for content in files_of(output).values())
     assert report["seconds"] == pytest.approx(sum(report["stage_seconds"].values()))

@@ -72,7 +72,7 @@ def embed_quietly(*arguments, **options):
 
 
 def langsplat_reader(folder: Path, stem: str, level: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Mask and embedding of each segment, after the description of LangSplat's files alone: maps
+    """Mask and embedding of each mask, after the description of LangSplat's files alone: maps
     (4, H, W), -1 for none, ids are rows counted on from default through s, m and l; unit rows."""
     maps, rows = np.load(folder / f"{stem}_s.npy"), np.load(folder / f"{stem}_f.npy")
     assert maps.shape[0] == 4
@@ -174,7 +174,7 @@ def test_a_photo_without_masks_has_files_without_rows(tmp_path):
     assert features["a"].embeddings.shape == (0, DIM)
     assert len(features["b"].embeddings) > 0
     registered = ds.register(random_gaussians(200), views, features)
-    assert len(registered.segments) == len(features["b"].embeddings)
+    assert len(registered.masks) == len(features["b"].embeddings)
 
 
 def test_photos_without_any_mask_are_told_of(tmp_path):

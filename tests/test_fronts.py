@@ -160,7 +160,7 @@ def same_matches(told: list[dict[str, Any]], expected: list[Match], exactly: boo
         for key in ("center", "extent", "axes"):
             np.testing.assert_allclose(one[key], getattr(match, key), rtol=0, atol=off)
         support = [(mask["view"], mask["mask"]) for mask in one["support"]]
-        assert support == [(mask.view_name, mask.segment_id) for mask in match.support]
+        assert support == [(mask.view_name, mask.mask_id) for mask in match.support]
 
 
 @named(GOOD)

@@ -304,7 +304,7 @@ def test_a_click_is_named_and_more_of_it_is_found(session: Session) -> None:
     assert this is not None
     assert this.name == "tall lamp"
     assert this.gaussian_id in rows(2)
-    assert [one.segment_id for one in this.evidence] == [2]
+    assert [one.mask_id for one in this.evidence] == [2]
     session.more_like_this()
     np.testing.assert_array_equal(session.selection, rows(2))
 

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_registered": len(story.field),
         "num_photos": len(story.views),
         "num_held_out": len(story.held_out),
-        "num_segments": story.num_segments,
+        "num_masks": story.num_masks,
         "num_weights": story.num_weights,
         "queries": [
             _query(verdict, path)
@@ -68,7 +68,7 @@ def show(answer: dict[str, Any]) -> None:
 
     from .tables import said, show_table, size_said
 
-    photos, masks = answer["num_photos"], answer["num_segments"]
+    photos, masks = answer["num_photos"], answer["num_masks"]
     title = f"{said(answer['num_gaussians'])} Gaussians, {photos} photos, {said(masks)} masks"
     columns = ("asked for", "", "", "IoU", "Gaussians", "centre (m)", "ms")
     show_table(title, columns, [_row(query) for query in answer["queries"]])

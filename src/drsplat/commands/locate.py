@@ -118,7 +118,7 @@ def _json(match: Match) -> dict[str, Any]:
         "extent": match.extent,
         "axes": match.axes,
         "support": [
-            {"view": one.view_name, "mask": one.segment_id, "share": one.share}
+            {"view": one.view_name, "mask": one.mask_id, "share": one.share}
             for one in match.support
         ],
     }

@@ -31,7 +31,7 @@ def write_page(
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>drsplat: a room, asked in words</title><style>{_STYLE}</style>
 <h1>A room, asked in words</h1>
-<p>{len(story.views)} photos, {len(story.gaussians):,} Gaussians, {story.num_segments:,} masks that no person drew;
+<p>{len(story.views)} photos, {len(story.gaussians):,} Gaussians, {story.num_masks:,} masks that no person drew;
 {right} of {len(story.verdicts)} answers are right. A green bar is a right answer: more than half of what was selected
 and what was meant is the same in {len(story.held_out)} photos that neither the scene nor the answers were made from,
 or there is no such thing and nothing was found. A red bar is a miss.</p>

@@ -165,7 +165,7 @@ def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
             score=round(one.score, 4),
             num_gaussians=len(one),
             support=[
-                Support(view=s.view_name, mask=s.segment_id, share=round(s.share, 4))
+                Support(view=s.view_name, mask=s.mask_id, share=round(s.share, 4))
                 for s in one.support
             ],
         )

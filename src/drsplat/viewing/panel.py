@@ -348,7 +348,7 @@ def said_of_this(this: This) -> str:
     place = ", ".join(f"{x:.2f}" for x in this.point)
     words = [f"{escaped(one.text)} {one.score:.2f}" for one in this.words]
     best = f"<strong>{escaped(this.words[0].text)}</strong> {this.words[0].score:.2f}" if words else "No encoder here has words for it."  # fmt: skip
-    masks = [f"{escaped(one.view_name)}, mask {one.segment_id} ({one.share:.0%})" for one in this.evidence]  # fmt: skip
+    masks = [f"{escaped(one.view_name)}, mask {one.mask_id} ({one.share:.0%})" for one in this.evidence]  # fmt: skip
     others = "or " + ", ".join(words[1:]) if words[1:] else ""
     return paragraphs(best, others, f"at {place}", "Seen in " + "; ".join(masks) if masks else "")
 
