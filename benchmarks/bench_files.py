@@ -97,7 +97,7 @@ def show_features(capture: Path, folder: Path) -> None:
         said = io.StringIO()
         with contextlib.redirect_stdout(said):
             assert cli.main([*command, "--output", str(output), "--json", *options]) == 0
-        masks = json.loads(said.getvalue())["masks"]
+        masks = json.loads(said.getvalue())["num_masks"]
         arrays = "".join(sorted({path.suffix for path in output.rglob("*") if path.is_file()}))
         print(f"  {' '.join(options) or 'compact':12s} {bytes_of(output) / 1e6:8.1f} MB, {masks:,} masks, "
               f"{time.perf_counter() - start:.0f} s, {arrays}")  # fmt: skip

@@ -500,12 +500,16 @@ def test_the_command_reports_and_resumes(three_balls, tmp_path, fake_models, cap
                "--device", "cpu", "--langsplat"]  # fmt: skip
     assert cli.main([*map(str, command), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert (answer["photos"], answer["reused"], answer["redone"]) == (12, 0, 0)
-    assert answer["masks"] == sum(answer["masks_per_level"].values())
+    assert (answer["num_photos"], answer["num_photos_reused"], answer["num_photos_redone"]) == (
+        12,
+        0,
+        0,
+    )
+    assert answer["num_masks"] == sum(answer["masks_per_level"].values())
     assert set(answer["masks_per_level"]) == set(LEVELS)
     assert (answer["encoder"], answer["dim"], answer["output"]) == ("e", DIM, str(out))
     assert answer["photos_per_second"] > 0
-    assert answer["empty_masks"] >= 12
+    assert answer["num_empty_masks"] >= 12
     assert cli.main([*map(str, command), "--levels", "large", "--max-height", "60"]) == 0
     said, told = capsys.readouterr()
     assert "12 over older files" in said

@@ -216,7 +216,7 @@ def test_writing_what_cannot_be_read_back(tmp_path):
         np.full((2, 3), 11, np.int32),
         np.full((2, 3), -2, np.int32),
     ):
-        with pytest.raises(InputError, match="segment_ids"):
+        with pytest.raises(InputError, match="mask_ids"):
             write_features(tmp_path, "a", maps, ROWS)
     for stem in ("../a", "/a", ""):
         with pytest.raises(InputError, match="stem"):

@@ -183,7 +183,7 @@ def test_http(asked: Asked, room: Scene, catalog: Catalog) -> None:
     assert status == 200
     same_numbers(told["measured"], expected, 1e-5)
     np.testing.assert_array_equal(told["gaussian_ids"], expected.gaussian_ids)
-    _, located = over_http(catalog, "locate", {**asked.body, "limit": 100})
+    _, located = over_http(catalog, "locate", {**asked.body, "top": 100})
     same_matches(located["matches"], room.locate(expected), exactly=False)
 
 
