@@ -26,10 +26,12 @@ THEIRS = {
 }  # fmt: skip
 VERB = "segment"  # is no noun: it stands alone
 PROSE = (
-    "speaks for", "speak for", "not meant", "and leave", "say what is in", "if wanted", "thing", "things", "unwanted", "asked for", "instance",
+    "speaks for", "speak for", "not meant", "and leave", "say what is in", "if wanted", "thing", "things", "unwanted",
+    "asked for", "instance",
 )  # fmt: skip
 NO_BEGINNING = (
-    "a", "an", "the", "of", "what", "who", "where", "how", "as", "also", "never", "in", "behind", "this", "these", "it", "they", "things", "for",
+    "a", "an", "the", "of", "what", "who", "where", "how", "as", "also", "never", "in", "behind",
+    "this", "these", "it", "they", "things", "for",
 )  # fmt: skip
 
 

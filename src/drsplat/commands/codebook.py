@@ -45,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--images", metavar="DIR", help="folder of their photos, e.g. that of train2017 and val2017"
     )  # fmt: skip
     source.add_argument(
-        "--encoder-name", type=words, metavar="NAME", help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
+        "--encoder-name", type=words, metavar="NAME",
+        help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
     )  # fmt: skip
     source.add_argument(
         "--limit", type=count_or_all, default=LIMIT, metavar="N",

@@ -64,7 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     method.add_argument(
         "--points", type=up_to(MOST_POINTS), metavar="N",
-        help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared (default: 32, LangSplat's)",
+        help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared (default: 32, "
+        "LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--crop-layers", type=int, choices=range(3),

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="upright: boxes stand on the ground, where the photos told which way is up; free: along the match's own "
         "axes (default: upright)",
     )  # fmt: skip
-    saved = "write the scene with two more columns: relevancy, the measured values; match_id, the number of the match or -1"
+    saved = "write the scene with two more columns: relevancy, the measured values; match_id, the match's number or -1"
     add_output_options(parser, saved)
 
 

@@ -73,7 +73,8 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     cut = parser.add_mutually_exclusive_group()
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
-        help="select Gaussians that score above this (default: auto, which follows the scene: words of CLIP-like encoders "
+        help="select Gaussians that score above this (default: auto, which follows the scene: words of CLIP-like "
+        "encoders "
         "have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for vectors, "
         "pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
     )  # fmt: skip
@@ -83,11 +84,13 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--relevancy", action="store_true",
-        help="measure LERF's relevancy instead of cosine: how much better the query fits than any negative; 0.5 is a tie",
+        help="measure LERF's relevancy instead of cosine: how much better the query fits than any negative; 0.5 is a "
+        "tie",
     )  # fmt: skip
     parser.add_argument(
         "--negatives", type=words, metavar="WORDS|FILE.npy",
-        help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the field, else "
+        help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the "
+        "field, else "
         "object,things,stuff,texture)",
     )  # fmt: skip
 

@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--allow-origin", action="append", default=[], metavar="ORIGIN",
-        help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be repeated",
+        help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be "
+        "repeated",
     )  # fmt: skip
     add_query_encoders(parser)
 

@@ -112,7 +112,8 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     course.add_argument(
         "--save-at", type=count, nargs="*", default=[7000], metavar="N",
-        help="iterations after which the scene is written as well, before an opacity reset that is due then (default: 7000)",
+        help="iterations after which the scene is written as well, before an opacity reset that is due then (default: "
+        "7000)",
     )  # fmt: skip
     course.add_argument(
         "--checkpoint-every", type=count, default=1000, metavar="N",

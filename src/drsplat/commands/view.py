@@ -33,7 +33,8 @@ BUDGET = 1_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
-        help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a trained "
+        help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a "
+        "trained "
         "model, without a field",
     )
     parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")

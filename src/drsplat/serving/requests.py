@@ -73,7 +73,8 @@ class Locate(Query):
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
     box: BoxKind = Field(
         "upright",
-        description="upright: the third axis of boxes is up, where the photos tell it; free: along the match's own axes",
+        description="upright: the third axis of boxes is up, where the photos tell it; free: along the match's own "
+        "axes",
     )
 
 

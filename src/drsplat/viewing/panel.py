@@ -72,7 +72,8 @@ class Panel:
     def _build(self) -> None:
         self._title()
         askable = self.session.is_askable
-        self.text = self._prompt("Query", 'Press enter. Several: "mug; lamp". Exclude: "mug, not red".', self._ask)  # fmt: skip
+        hint = 'Press enter. Several: "mug; lamp". Exclude: "mug, not red".'
+        self.text = self._prompt("Query", hint, self._ask)
         self.asking = self._button("Ask", self._ask)
         self.text.visible = self.asking.visible = askable
         if askable:  # viser shows such a button, visible or not
