@@ -1,6 +1,6 @@
 """Every aggregator beside the mean: time and memory of weighing the votes and of making all features.
 
-    python benchmarks/bench_aggregators.py [--gaussians 300000] [--views 40] [--segments 150] [--dim 512]
+    python benchmarks/bench_aggregators.py [--gaussians 300000] [--views 40] [--masks 150] [--dim 512]
 
 The room and its masks are synthetic and have no meaning: this measures cost, not quality. "peak" is the
 resident memory that an aggregator adds to that of the registration, which is there before (Linux only).
@@ -57,14 +57,14 @@ def main() -> None:
     )
     parser.add_argument("--gaussians", type=int, default=300_000)
     parser.add_argument("--views", type=int, default=40)
-    parser.add_argument("--segments", type=int, default=150, help="per view")
+    parser.add_argument("--masks", type=int, default=150, help="per view")
     parser.add_argument("--dim", type=int, default=512)
     parser.add_argument("--threads", type=int, default=0)
     args = parser.parse_args()
 
     print(describe())
     gaussians, views = room(args.gaussians), room_views(args.views)
-    features = SyntheticFeatures(views, args.segments, args.dim)
+    features = SyntheticFeatures(views, args.masks, args.dim)
     by_sampling: dict[Sampling, Evidence] = {}
     for how in MEASURED.values():
         sampling = how.sampling or Sampling()

@@ -69,7 +69,7 @@ def owners(folder: Path, gaussians: ds.Gaussians, views: list[ds.View], count: i
         path = folder / "ids" / f"{Path(view.name).stem}.png"
         stored = Image.open(path).resize((view.width, view.height), Image.Resampling.NEAREST)
         found = view_weights(splats, view, np.asarray(stored).astype(np.int32) - 1, None)
-        np.add.at(votes, (found.gaussian_ids, found.segment_ids), found.weights)
+        np.add.at(votes, (found.gaussian_ids, found.mask_ids), found.weights)
     return np.where(votes.any(axis=1), votes.argmax(axis=1), -1)
 
 

@@ -21,7 +21,7 @@ from drsplat import EncoderIdentity, LanguageField, cli, load_field
 from drsplat.codes.mixture import MixtureCode
 from drsplat.codes.mixture.code import packed
 from drsplat.codes.mixture.dictionary import AtomTable
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.tensors import read_tensors
 from drsplat.kernels.mixture import Dictionary
 
@@ -50,7 +50,7 @@ def large_field(rows: int) -> LanguageField:
     views = np.sort(rng.integers(0, PHOTOS, MASKS)).astype(np.int32)
     names = tuple(f"{number}.jpg" for number in range(PHOTOS))
     evidence = Evidence(
-        weights, Segments(names, views, np.arange(MASKS, dtype=np.int32)), embeddings
+        weights, MaskIds(names, views, np.arange(MASKS, dtype=np.int32)), embeddings
     )
     drawn = EncoderIdentity("drawn", DIM)
     return LanguageField(
@@ -97,7 +97,7 @@ def show_features(capture: Path, folder: Path) -> None:
         said = io.StringIO()
         with contextlib.redirect_stdout(said):
             assert cli.main([*command, "--output", str(output), "--json", *options]) == 0
-        masks = json.loads(said.getvalue())["masks"]
+        masks = json.loads(said.getvalue())["num_masks"]
         arrays = "".join(sorted({path.suffix for path in output.rglob("*") if path.is_file()}))
         print(f"  {' '.join(options) or 'compact':12s} {bytes_of(output) / 1e6:8.1f} MB, {masks:,} masks, "
               f"{time.perf_counter() - start:.0f} s, {arrays}")  # fmt: skip

@@ -1,6 +1,6 @@
-"""Peak memory and time of a whole registration: a million Gaussians, 200 views, 30,000 segments.
+"""Peak memory and time of a whole registration: a million Gaussians, 200 views, 30,000 masks.
 
-    python benchmarks/bench_memory.py [--gaussians 1000000] [--views 200] [--segments 150] [--dim 512]
+    python benchmarks/bench_memory.py [--gaussians 1000000] [--views 200] [--masks 150] [--dim 512]
 
 Runs in this process from a clean start; the peak is the kernel's own count of resident memory.
 """
@@ -27,7 +27,7 @@ def main() -> None:
     )
     parser.add_argument("--gaussians", type=int, default=1_000_000)
     parser.add_argument("--views", type=int, default=200)
-    parser.add_argument("--segments", type=int, default=150, help="per view")
+    parser.add_argument("--masks", type=int, default=150, help="per view")
     parser.add_argument("--dim", type=int, default=512)
     parser.add_argument("--topk", type=int, default=40)
     parser.add_argument("--threads", type=int, default=0)
@@ -36,7 +36,7 @@ def main() -> None:
 
     print(describe())
     views = room_views(args.views)
-    features = SyntheticFeatures(views, args.segments, args.dim)
+    features = SyntheticFeatures(views, args.masks, args.dim)
     clock = time.perf_counter()
     gaussians = room(args.gaussians)
     print(f"made the scene: {time.perf_counter() - clock:.1f} s, peak {peak_mib():,.0f} MiB")
@@ -47,9 +47,8 @@ def main() -> None:
     )
     took = time.perf_counter() - clock
     print(
-        f"registered {args.views} views, {registration.weights.shape[1]:,} segments: {took:.1f} s, of which "
-        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, peak {peak_mib():,.0f} "
-        "MiB"
+        f"registered {args.views} views, {registration.weights.shape[1]:,} masks: {took:.1f} s, of which "
+        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, peak {peak_mib():,.0f} MiB"
     )
 
     clock = time.perf_counter()

@@ -39,14 +39,14 @@ def with_more_atoms(code: MixtureCode, count: int) -> MixtureCode:
     places = np.sort(rng.choice(count, old, replace=False))
     vectors = rng.standard_normal((count, code.dim), np.float32)
     vectors[places] = code.atoms.vectors(np.arange(old))
-    segments = np.full(count, -1, np.int32)
-    segments[places] = code.atoms.segments
+    masks = np.full(count, -1, np.int32)
+    masks[places] = code.atoms.masks
     ids = places.astype(np.uint16)[code.blocks.ids]
-    return MixtureCode(Blocks(ids, *code.blocks[1:]), AtomTable(quantised(vectors), segments))
+    return MixtureCode(Blocks(ids, *code.blocks[1:]), AtomTable(quantised(vectors), masks))
 
 
 def drawn_queries(evidence: Evidence, count: int) -> np.ndarray:
-    """Segments of the scene, each turned away from itself."""
+    """MaskIds of the scene, each turned away from itself."""
     rng = np.random.default_rng(1)
     drawn = evidence.embeddings[rng.choice(len(evidence.embeddings), count)]
     turned = drawn + 0.05 * rng.standard_normal(drawn.shape)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from machine import describe, interleaved
-from rooms import room, room_views, segment_map
+from rooms import mask_map, room, room_views
 
 from drsplat import _native
 from drsplat.kernels import available_isas, splat_arrays, topk_contributions
@@ -49,12 +49,12 @@ class Rival:
         self.lib.peak_gflops.restype = ctypes.c_double
         self.contexts: dict[int, ctypes.c_void_p] = {}
 
-    def run(self, splats, camera, segment_ids, k, threads, stats=False):
+    def run(self, splats, camera, mask_ids, k, threads, stats=False):
         context = self.contexts.setdefault(threads, ctypes.c_void_p(self.lib.ctx_new(threads)))
         view = RivalView()
         view.R[:], view.t[:] = camera[:9].tolist(), camera[9:12].tolist()
         view.fx, view.fy, view.cx, view.cy = camera[12:].tolist()
-        view.H, view.W = segment_ids.shape
+        view.H, view.W = mask_ids.shape
         times, counts = np.zeros(8), np.zeros(8, np.uint64)
         pointer = lambda a: a.ctypes.data_as(ctypes.c_void_p)  # noqa: E731
         size = self.lib.run_view(
@@ -62,7 +62,7 @@ class Rival:
             len(splats[2]),
             *map(pointer, splats[:3]),
             ctypes.byref(view),
-            pointer(segment_ids),
+            pointer(mask_ids),
             0 if stats else -k,
             2,
             1,
@@ -94,11 +94,11 @@ def compare_tables(ours, theirs) -> str:
 class Contest:
     """One view, everybody who computes its weights, and how long each stage took them."""
 
-    def __init__(self, gaussians: int, segments: int, topk: int) -> None:
+    def __init__(self, gaussians: int, masks: int, topk: int) -> None:
         self.view, self.topk = room_views(8)[1], topk
         self.splats = splat_arrays(room(gaussians))
         self.camera = camera_numbers(self.view, self.splats.near)
-        self.segment_ids = segment_map(self.view.width, self.view.height, segments, seed=1)
+        self.mask_ids = mask_map(self.view.width, self.view.height, masks, seed=1)
         splats = self.splats
         self.rows = tuple(
             np.ascontiguousarray(a)
@@ -109,7 +109,7 @@ class Contest:
     def ours(self, isa: str, threads: int) -> Callable[[], tuple]:
         def run() -> tuple:
             *triples, stages = _native.view_weights(
-                *self.splats[:3], self.camera, self.segment_ids, self.topk, 0, threads, isa
+                *self.splats[:3], self.camera, self.mask_ids, self.topk, 0, threads, isa
             )
             self.stages.setdefault(f"drsplat {isa} {threads}T", []).append(stages)
             return tuple(triples)
@@ -118,7 +118,7 @@ class Contest:
 
     def theirs(self, rival: Rival, level: str, threads: int) -> Callable[[], None]:
         def run() -> None:
-            stages, _ = rival.run(self.rows, self.camera, self.segment_ids, self.topk, threads)
+            stages, _ = rival.run(self.rows, self.camera, self.mask_ids, self.topk, threads)
             self.stages.setdefault(f"rival {level} {threads}T", []).append(stages)
 
         return run
@@ -136,7 +136,7 @@ class Contest:
             print(f"{name:<18}{parts}{total.min() * 1e3:12.1f}{np.median(total) * 1e3:9.1f}")
 
     def print_bound(self, rival: Rival, isa: str) -> None:
-        counts = rival.run(self.rows, self.camera, self.segment_ids, self.topk, 1, stats=True)[1]
+        counts = rival.run(self.rows, self.camera, self.mask_ids, self.topk, 1, stats=True)[1]
         blocks, peak = int(counts[3]), rival.lib.peak_gflops(50_000_000)
         bound = blocks * 16 * 26 / (peak * 1e9)
         share = bound / np.min(self.stages[f"drsplat {isa} 1T"], 0)[3]
@@ -165,14 +165,14 @@ def main() -> None:
     parser.add_argument("--gaussians", type=int, default=500_000)
     parser.add_argument("--topk", type=int, default=40)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--segments", type=int, default=150)
+    parser.add_argument("--masks", type=int, default=150)
     args = parser.parse_args()
 
     print(describe())
-    contest, isas = Contest(args.gaussians, args.segments, args.topk), available_isas()
+    contest, isas = Contest(args.gaussians, args.masks, args.topk), available_isas()
     print(
         f"room of {args.gaussians:,} Gaussians, {contest.view.width}x{contest.view.height}, "
-        f"{args.segments} segments, k = {args.topk}, {contest.contributors():.0f} contributors per pixel"
+        f"{args.masks} masks, k = {args.topk}, {contest.contributors():.0f} contributors per pixel"
     )
     runs = {f"drsplat {isa} {t}T": contest.ours(isa, t) for isa in isas for t in (1, 2)}
     with tempfile.TemporaryDirectory() as folder:

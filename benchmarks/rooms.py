@@ -108,7 +108,7 @@ def room_views(count: int, width: int = 1000, height: int = 730, seed: int = 1) 
     return views
 
 
-def segment_map(
+def mask_map(
     width: int, height: int, count: int, seed: int, hole_share: float = 0.08
 ) -> np.ndarray:
     """Cells of uneven size with wavy borders, as a segmenter leaves them; some of them without a mask."""
@@ -132,16 +132,16 @@ def unit_rows(rng: np.random.Generator, n: int, dim: int) -> np.ndarray:
 class SyntheticFeatures(dict):
     """Segment maps and embeddings made when they are asked for, so that they cost no memory."""
 
-    def __init__(self, views: list[View], segments: int, dim: int) -> None:
+    def __init__(self, views: list[View], masks: int, dim: int) -> None:
         super().__init__({view.name: view for view in views})
-        self.segments, self.dim, self.seconds = segments, dim, 0.0
+        self.masks, self.dim, self.seconds = masks, dim, 0.0
 
     def __getitem__(self, name: str) -> ViewFeatures:
         from time import perf_counter
 
         start, view = perf_counter(), super().__getitem__(name)
         seed = int(name[:5])
-        ids = segment_map(view.width // 2, view.height // 2, self.segments, seed)
-        found = ViewFeatures(ids, unit_rows(np.random.default_rng(seed), self.segments, self.dim))
+        ids = mask_map(view.width // 2, view.height // 2, self.masks, seed)
+        found = ViewFeatures(ids, unit_rows(np.random.default_rng(seed), self.masks, self.dim))
         self.seconds += perf_counter() - start
         return found

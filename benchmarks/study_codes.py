@@ -84,10 +84,10 @@ def true_things(
     scene: BenchScene, features: dict[str, ViewFeatures], evidence: Evidence
 ) -> np.ndarray:
     """What most pixels of each mask show."""
-    segments, views = evidence.segments, {view.name: view for view in scene.views}
+    masks, views = evidence.masks, {view.name: view for view in scene.views}
     of_view = {}
-    for name in segments.view_names:
-        ids, maps = scene.ids(views[name]), features[name].segment_ids
+    for name in masks.view_names:
+        ids, maps = scene.ids(views[name]), features[name].mask_ids
         ids = ids[
             tuple(
                 np.ix_(*(np.arange(m) * i // m for m, i in zip(maps.shape, ids.shape, strict=True)))
@@ -97,10 +97,7 @@ def true_things(
         np.add.at(counts, (maps[maps >= 0], ids[maps >= 0] + 1), 1)
         of_view[name] = counts.argmax(axis=1)
     return np.array(
-        [
-            of_view[segments.view_names[v]][i]
-            for v, i in zip(segments.views, segments.ids, strict=True)
-        ]
+        [of_view[masks.view_names[v]][i] for v, i in zip(masks.views, masks.ids, strict=True)]
     )
 
 

@@ -36,7 +36,7 @@ from drsplat import EncoderIdentity, Gaussians, ViewFeatures, load_image, regist
 from drsplat.codes import read_faiss_codebook
 from drsplat.evidence.evidence import Evidence
 from drsplat.masks.masks import LEVELS
-from drsplat.masks.selection import segment_maps
+from drsplat.masks.selection import mask_maps
 from drsplat.query.contrast import CLEAR, Contrast, _contrast
 from drsplat.query.thresholds import PEAK, automatic_threshold, clear_threshold
 
@@ -87,8 +87,8 @@ class Room:
 def registered(scene: BenchScene, kind: str) -> tuple[Evidence, np.ndarray]:
     features, owners = {}, []
     for view in sorted(scene.views, key=lambda view: view.name):
-        maps = segment_maps(MASKS[kind](scene, view, load_image(view)))
-        ids, truth = maps.segment_ids[LEVELS.index("large")], scene.ids(view)
+        maps = mask_maps(MASKS[kind](scene, view, load_image(view)))
+        ids, truth = maps.mask_ids[LEVELS.index("large")], scene.ids(view)
         embeddings = np.eye(1, 4, dtype=np.float32).repeat(len(maps.masks), 0)
         features[view.name] = ViewFeatures(ids, embeddings)
         for number in range(len(maps.masks)):

@@ -10,7 +10,7 @@ from safetensors.numpy import save
 from scipy.sparse import csr_array, random_array
 
 from drsplat.encoders import EncoderIdentity
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
 from drsplat.formats.checksums import DOCUMENT, TENSORS
 from drsplat.formats.tensors import map_tensors
@@ -37,9 +37,9 @@ def random_evidence(
 ) -> Evidence:
     """Sparse enough that some rows are empty."""
     views = np.sort(rng.integers(0, 3, columns)).astype(np.int32)
-    segments = Segments(("a.jpg", "b.jpg", "c.jpg"), views, np.arange(columns, dtype=np.int32))
+    masks = MaskIds(("a.jpg", "b.jpg", "c.jpg"), views, np.arange(columns, dtype=np.int32))
     weights = random_weights(rng, rows, columns, 2 / columns)
-    return Evidence(weights, segments, unit_rows(rng, columns, dim))
+    return Evidence(weights, masks, unit_rows(rng, columns, dim))
 
 
 @lru_cache

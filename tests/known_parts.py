@@ -59,11 +59,11 @@ def part_masks(
     one_hot = np.eye(len(directions), dtype=np.float32)[parts.labels]
     for view in views:
         seen = render_channels(splats, view, one_hot)
-        segment_ids = np.where(seen.alpha < 0.5, -1, seen.channels.argmax(-1)).astype(np.int32)
+        mask_ids = np.where(seen.alpha < 0.5, -1, seen.channels.argmax(-1)).astype(np.int32)
         noise = rng.standard_normal(directions.shape)
         noisy = directions + NOISE * noise / np.linalg.norm(noise, axis=1, keepdims=True)
         noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-        features[view.name] = ds.ViewFeatures(segment_ids, noisy.astype(np.float32))
+        features[view.name] = ds.ViewFeatures(mask_ids, noisy.astype(np.float32))
     return features
 
 

@@ -97,8 +97,8 @@ def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def weights(rogue: Rogue) -> Call:
     width, height = int(rogue.one(SIDES)), int(rogue.one(SIDES))
-    segments = rogue.whole(-2, int(rogue.one((1, 5, 300))), (height, width), "i4")
-    seen = *scene(rogue), camera(rogue, width, height), segments
+    masks = rogue.whole(-2, int(rogue.one((1, 5, 300))), (height, width), "i4")
+    seen = *scene(rogue), camera(rogue, width, height), masks
     return partial(_native.view_weights, *seen, rogue.one(LIMITS), rogue.one(LIMITS), *rogue.how())
 
 

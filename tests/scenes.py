@@ -1,4 +1,4 @@
-"""Deterministic random scenes, cameras and segment maps for tests.
+"""Deterministic random scenes, cameras and mask maps for tests.
 
 Cameras hold float32 numbers only, so that a float32 kernel and its float64 twin get the same ones.
 """
@@ -59,7 +59,7 @@ def as_float32(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32).astype(np.float64)
 
 
-def random_segment_map(
+def random_mask_map(
     height: int, width: int, num: int, hole_share: float = 0.1, seed: int = 0
 ) -> np.ndarray:
     """Voronoi cells of `num` random sites, int32; about `hole_share` of the area is -1."""
@@ -67,9 +67,9 @@ def random_segment_map(
     sites = rng.uniform(0, 1, (num, 2)) * (height, width)
     rows, columns = np.mgrid[:height, :width] + 0.5
     distance = (rows[..., None] - sites[:, 0]) ** 2 + (columns[..., None] - sites[:, 1]) ** 2
-    segment_ids = distance.argmin(axis=2).astype(np.int32)
+    mask_ids = distance.argmin(axis=2).astype(np.int32)
     order = rng.permutation(num)
-    area = np.cumsum(np.bincount(segment_ids.ravel(), minlength=num)[order])
+    area = np.cumsum(np.bincount(mask_ids.ravel(), minlength=num)[order])
     holes = order[area <= hole_share * height * width]
-    segment_ids[np.isin(segment_ids, holes)] = -1
-    return segment_ids
+    mask_ids[np.isin(mask_ids, holes)] = -1
+    return mask_ids

@@ -150,8 +150,6 @@ def write_capture(folder: Path, gaussians: ds.Gaussians, views: Sequence[ds.View
         seen = ds.render(gaussians, view, splats=splats)
         photo = seen.rgb + (1 - seen.alpha[..., None]) * np.float32(BACKDROP)
         write_picture(folder / "images" / view.name, as_pixels(photo), overwrite=True)
-        segment_ids, lab = colour_patches(seen.rgb, seen.alpha)
+        mask_ids, lab = colour_patches(seen.rgb, seen.alpha)
         stem = Path(view.name).stem
-        write_features(
-            folder / "features", stem, segment_ids, encoder.encode_lab(lab), overwrite=True
-        )
+        write_features(folder / "features", stem, mask_ids, encoder.encode_lab(lab), overwrite=True)

@@ -18,7 +18,7 @@ from drsplat.evidence.aggregation.entries import BLOCK, canonical
 from drsplat.evidence.aggregation.outliers import OutlierRejection
 from drsplat.evidence.aggregation.reliability import reliability, resultant_lengths
 from drsplat.evidence.aggregation.trust import MaskTrust, surpluses
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
@@ -44,7 +44,7 @@ def evidence_of(
     names = tuple(f"{i:02d}.jpg" for i in range(views))
     view = np.repeat(np.arange(views, dtype=np.int32), per_view)
     ids = np.tile(np.arange(per_view, dtype=np.int32), views)
-    return Evidence(matrix, Segments(names, view, ids), embeddings)
+    return Evidence(matrix, MaskIds(names, view, ids), embeddings)
 
 
 def one_row(weights: list[float], embeddings: list[list[float]]) -> Evidence:
@@ -55,8 +55,8 @@ def one_row(weights: list[float], embeddings: list[list[float]]) -> Evidence:
     matrix = csr_array(np.array([weights], np.float32))
     views = np.arange(count, dtype=np.int32)
     names = tuple(f"{i:02d}.jpg" for i in range(count))
-    segments = Segments(names, views, np.zeros(count, np.int32))
-    return Evidence(matrix, segments, rows.astype(np.float32))
+    masks = MaskIds(names, views, np.zeros(count, np.int32))
+    return Evidence(matrix, masks, rows.astype(np.float32))
 
 
 def features(how: Callable[[Evidence, int], Evidence] | Aggregator, evidence: Evidence):
@@ -141,8 +141,8 @@ def slow_trust(evidence: Evidence, sharpness: float) -> np.ndarray:
             trust[j] = np.exp(sharpness * np.average(surplus, weights=weights[held, j]))
     changed = np.zeros(weights.shape)
     for i in range(rows):
-        for view in range(len(evidence.segments.view_names)):
-            of = (evidence.segments.views == view) & (weights[i] > 0)
+        for view in range(len(evidence.masks.view_names)):
+            of = (evidence.masks.views == view) & (weights[i] > 0)
             if of.any():
                 changed[i, of] = weights[i, of] * np.average(trust[of], weights=weights[i, of])
     return changed
@@ -162,8 +162,8 @@ def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewh
     weights = np.ones((4, 4), np.float32)
     weights[3, 2:] = 0
     e = np.eye(4, dtype=np.float32)[[1, 0, 0, 0]]
-    segments = Segments(("a", "b", "c", "d"), np.arange(4, dtype=np.int32), np.zeros(4, np.int32))
-    evidence = Evidence(csr_array(weights), segments, e)
+    masks = MaskIds(("a", "b", "c", "d"), np.arange(4, dtype=np.int32), np.zeros(4, np.int32))
+    evidence = Evidence(csr_array(weights), masks, e)
     assert surpluses(evidence)[0] < -0.3
     assert (surpluses(evidence)[1:] > 0).all()
     mean, trusted = (features(how, evidence) for how in (AGGREGATORS["mean"], MaskTrust()))
@@ -174,7 +174,7 @@ def test_trust_keeps_the_proportions_within_a_photo() -> None:
     evidence = evidence_of(np.random.default_rng(3), per_view=3)
     before, after = evidence.weights.toarray(), MaskTrust()(evidence, 1).weights.toarray()
     for view in range(7):
-        of = evidence.segments.views == view
+        of = evidence.masks.views == view
         seen = before[:, of].sum(1) > 0
         shares = (w[seen][:, of] / w[seen][:, of].sum(1, keepdims=True) for w in (before, after))
         assert_allclose(*shares, atol=1e-6)
@@ -189,9 +189,9 @@ def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_reliability_by_hand() -> None:
     matrix = np.array([[2, 2, 0], [3, 0, 0], [1, 0, 1], [0, 0, 0], [1, 1, 2]], np.float32)
-    segments = Segments(("a", "b"), np.array([0, 0, 1], np.int32), np.array([0, 1, 0], np.int32))
+    masks = MaskIds(("a", "b"), np.array([0, 0, 1], np.int32), np.array([0, 1, 0], np.int32))
     embeddings = np.array([[1, 0], [0, 1], [1, 0]], np.float32)
-    evidence = Evidence(csr_array(matrix), segments, embeddings)
+    evidence = Evidence(csr_array(matrix), masks, embeddings)
     assert_allclose(effective_views(evidence), [1, 1, 2, 0, 2])  # the views see 2 and 2 of the last
     lengths = [0.5**0.5, 1, 1, 0, (9 + 1) ** 0.5 / 4]
     assert_allclose(resultant_lengths(evidence), lengths, atol=1e-6)
@@ -204,7 +204,7 @@ def test_reliability_by_hand() -> None:
 @given(seeds)
 def test_view_sums_are_those_of_the_dense_matrix(seed: int) -> None:
     evidence = evidence_of(np.random.default_rng(seed), per_view=4)
-    sums, views = view_sums(evidence), evidence.segments.views
+    sums, views = view_sums(evidence), evidence.masks.views
     dense = np.zeros((len(evidence), views.max() + 1))
     dense[sums.rows, sums.views] = sums.weights
     expected = [
@@ -238,18 +238,18 @@ def test_of_one_view_and_mask_all_are_the_mean(seed: int) -> None:
 @every_weigher
 def test_the_order_in_which_views_come_does_not_matter(how: Aggregator) -> None:
     evidence, rng = evidence_of(np.random.default_rng(3)), np.random.default_rng(4)
-    order = rng.permutation(len(evidence.segments))
-    renamed = rng.permutation(len(evidence.segments.view_names))
-    names = tuple(evidence.segments.view_names[i] for i in np.argsort(renamed))
-    segments = Segments(
+    order = rng.permutation(len(evidence.masks))
+    renamed = rng.permutation(len(evidence.masks.view_names))
+    names = tuple(evidence.masks.view_names[i] for i in np.argsort(renamed))
+    masks = MaskIds(
         names,
-        renamed[evidence.segments.views[order]].astype(np.int32),
-        evidence.segments.ids[order],
+        renamed[evidence.masks.views[order]].astype(np.int32),
+        evidence.masks.ids[order],
     )
     columns = csr_array(evidence.weights[:, order])
     columns.sort_indices()  # or the entries of a row would still come in the old order
-    shuffled = Evidence(columns, segments, evidence.embeddings[order])
-    assert shuffled.segments.view_names != evidence.segments.view_names
+    shuffled = Evidence(columns, masks, evidence.embeddings[order])
+    assert shuffled.masks.view_names != evidence.masks.view_names
     ours, expected = features(how, shuffled), features(how, evidence)
     if how.steps:
         assert_array_equal(ours, expected)

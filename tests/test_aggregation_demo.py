@@ -24,13 +24,13 @@ def mislabelled(registration: Registration, story, share: float) -> Evidence:
     """A share of the masks says what another thing would say."""
     evidence, rng = registration.evidence, np.random.default_rng(0)
     things = WordEncoder().encode_texts(story.room.names)
-    count = len(evidence.segments)
+    count = len(evidence.masks)
     wrong = things[rng.integers(0, len(things), count)]
     noise = rng.standard_normal(wrong.shape)
     wrong = wrong + NOISE * noise / np.linalg.norm(noise, axis=1, keepdims=True)
     wrong /= np.linalg.norm(wrong, axis=1, keepdims=True)
     swapped = np.where(rng.random((count, 1)) < share, wrong, evidence.embeddings)
-    return Evidence(evidence.weights, evidence.segments, swapped.astype(np.float32))
+    return Evidence(evidence.weights, evidence.masks, swapped.astype(np.float32))
 
 
 def accuracy(features: Aggregated, story) -> float:

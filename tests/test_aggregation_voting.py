@@ -14,7 +14,7 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence.aggregation import Aggregated, Aggregator, aggregator
 from drsplat.evidence.aggregation.reliability import reliability
 from drsplat.evidence.aggregation.voting import ModeVoting
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
 from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
@@ -76,10 +76,10 @@ def two_groups(*, flipped: int) -> tuple[Evidence, Gaussians]:
     says[:flipped] = 1
     weights = np.zeros((80, 4), np.float32)
     weights[np.arange(80), says] = weights[np.arange(80), says + 2] = 1
-    segments = Segments(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
+    masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
     embeddings = np.eye(8, dtype=np.float32)[[0, 1, 0, 1]]
     alike = np.ones((80, 3), np.float32)
-    return Evidence(csr_array(weights), segments, embeddings), replace(
+    return Evidence(csr_array(weights), masks, embeddings), replace(
         gaussians, means=means, scales=alike
     )
 
@@ -164,7 +164,7 @@ def test_a_field_of_donors_keeps_everyones_own_evidence() -> None:
     assert np.shares_memory(field.evidence.weights.data, evidence.weights.data)
     scores = field.scores(np.eye(8, dtype=np.float32)[0])
     assert_allclose(scores, np.repeat([1, 0], 40), atol=1e-3)
-    assert [e.segment_id for e in field.explain(0, np.eye(8, dtype=np.float32)[1])] == [1, 1]
+    assert [e.mask_id for e in field.explain(0, np.eye(8, dtype=np.float32)[1])] == [1, 1]
 
 
 def test_voting_needs_the_gaussians_of_the_rows() -> None:

@@ -20,12 +20,12 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence.aggregation import AggregatorRecord, Sampling, aggregator
 from drsplat.evidence.aggregation.by_view import effective_views
 from drsplat.evidence.aggregation.outliers import OutlierRejection
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import load_field
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.reference import registering as reference
 from drsplat.registration import Registration, register
-from scenes import random_gaussians, random_segment_map
+from scenes import random_gaussians, random_mask_map
 from test_aggregation import evidence_of, features, few, one_row, seeds, unit, votes
 from test_registration import capture, named_view, same
 
@@ -80,8 +80,8 @@ def test_gates_look_at_each_view_alone(seed: int) -> None:
     evidence = evidence_of(np.random.default_rng(seed))
     gates = MassGate(), QuantileGate(0.4)
     kept = Gated(gates)(evidence).weights.toarray()
-    dense, views = evidence.weights.toarray().astype(float), evidence.segments.views
-    for view in range(len(evidence.segments.view_names)):
+    dense, views = evidence.weights.toarray().astype(float), evidence.masks.views
+    for view in range(len(evidence.masks.view_names)):
         mine = dense[:, views == view]
         seen = np.flatnonzero(mine.sum(axis=1))
         totals = mine[seen].sum(axis=1)
@@ -103,8 +103,8 @@ def test_spared_gates_prune_nobody() -> None:
 
 def test_rows_of_hardly_any_weight_are_pruned() -> None:
     matrix = csr_array(np.array([[2, 2], [0.03, 0], [0.05, 0], [4, 1], [0, 0]], np.float32))
-    segments = Segments(("a",), np.zeros(2, np.int32), np.arange(2, dtype=np.int32))
-    evidence = Evidence(matrix, segments, np.eye(2, dtype=np.float32))
+    masks = MaskIds(("a",), np.zeros(2, np.int32), np.arange(2, dtype=np.int32))
+    evidence = Evidence(matrix, masks, np.eye(2, dtype=np.float32))
     pruned = Pruned(share=0.02)(evidence).weights  # the median of 0.03, 0.05, 4 and 5 is 2.025
     assert (np.diff(pruned.indptr) > 0).tolist() == [True, False, True, True, False]
     assert (np.diff(Pruned(1.0, 0.0)(evidence).weights.indptr) > 0).sum() == 2
@@ -162,7 +162,7 @@ def test_the_unit_of_weights_does_not_matter(seed: int, factor: float) -> None:
         assert_allclose(features(how, scaled), features(how, evidence), atol=1e-3)
 
 
-def slow_centre_weights(arrays, view, segment_ids) -> dict[int, tuple[int, float]]:
+def slow_centre_weights(arrays, view, mask_ids) -> dict[int, tuple[int, float]]:
     """Segment and weight of each Gaussian, from the twin's list of all contributors of each pixel."""
     contributions = reference.topk_contributions(arrays, view, len(arrays.opacities))
     found = {}
@@ -175,9 +175,9 @@ def slow_centre_weights(arrays, view, segment_ids) -> dict[int, tuple[int, float
         if not (0 <= column < view.width and 0 <= row < view.height):
             continue
         here = np.flatnonzero(contributions.ids[row, column] == i)
-        if len(here) and segment_ids[row, column] >= 0:
+        if len(here) and mask_ids[row, column] >= 0:
             weight = float(contributions.weights[row, column, here[0]])
-            found[i] = int(segment_ids[row, column]), weight
+            found[i] = int(mask_ids[row, column]), weight
     return found
 
 
@@ -185,12 +185,12 @@ def slow_centre_weights(arrays, view, segment_ids) -> dict[int, tuple[int, float
 @given(st.integers(0, 10**6))
 def test_centre_weights_are_those_of_the_twin(seed: int) -> None:
     arrays, view = splat_arrays(random_gaussians(250, seed=seed)), named_view(seed % 7)
-    segment_ids = random_segment_map(view.height, view.width, 6, seed=seed)
-    expected = slow_centre_weights(arrays, view, segment_ids)
-    ours = centre_weights(arrays, view, segment_ids)
+    mask_ids = random_mask_map(view.height, view.width, 6, seed=seed)
+    expected = slow_centre_weights(arrays, view, mask_ids)
+    ours = centre_weights(arrays, view, mask_ids)
     assert_array_equal(ours.gaussian_ids, sorted(expected))
     assert len(expected) > 10
-    assert_array_equal(ours.segment_ids, [expected[i][0] for i in ours.gaussian_ids])
+    assert_array_equal(ours.mask_ids, [expected[i][0] for i in ours.gaussian_ids])
     assert_allclose(ours.weights, [expected[i][1] for i in ours.gaussian_ids], atol=2e-5)
 
 
@@ -198,20 +198,18 @@ def test_centre_weights_do_not_depend_on_how_many_pixels_are_looked_at_at_once(
     gaussians, monkeypatch
 ) -> None:
     arrays, view = splat_arrays(gaussians), named_view(1)
-    segment_ids = random_segment_map(view.height, view.width, 6, seed=0)
-    whole = centre_weights(arrays, view, segment_ids)
+    mask_ids = random_mask_map(view.height, view.width, 6, seed=0)
+    whole = centre_weights(arrays, view, mask_ids)
     monkeypatch.setattr(centres, "PIXELS_AT_ONCE", 7)
-    for a, b in zip(whole, centre_weights(arrays, view, segment_ids, threads=3), strict=True):
+    for a, b in zip(whole, centre_weights(arrays, view, mask_ids, threads=3), strict=True):
         assert_array_equal(a, b)
 
 
 def test_a_centre_adds_no_more_than_its_mask_sees_of_it(gaussians) -> None:
     arrays, view = splat_arrays(gaussians), named_view(2)
-    segment_ids = random_segment_map(view.height, view.width, 6, seed=1)
-    total = {
-        (i, s): w for i, s, w in zip(*view_weights(arrays, view, segment_ids, None), strict=True)
-    }
-    for i, s, w in zip(*centre_weights(arrays, view, segment_ids), strict=True):
+    mask_ids = random_mask_map(view.height, view.width, 6, seed=1)
+    total = {(i, s): w for i, s, w in zip(*view_weights(arrays, view, mask_ids, None), strict=True)}
+    for i, s, w in zip(*centre_weights(arrays, view, mask_ids), strict=True):
         assert w <= total[i, s] * (1 + 1e-5)
         assert w <= arrays.opacities[i]
 
@@ -225,7 +223,7 @@ def test_what_is_behind_or_outside_has_no_pixel(gaussians) -> None:
     assert (centre_pixels(arrays, replace(view, cam_from_world=turned)) == -1).all()
 
 
-def test_a_map_without_segments_gives_no_centre(gaussians) -> None:
+def test_a_map_without_masks_gives_no_centre(gaussians) -> None:
     view = named_view(0)
     nothing = np.full((view.height, view.width), -1, np.int32)
     assert not len(centre_weights(splat_arrays(gaussians), view, nothing).weights)
@@ -236,11 +234,11 @@ def test_registering_centres(gaussians) -> None:
     ours = register(gaussians, views, features, sampling=CentrePixels())
     arrays = splat_arrays(gaussians)
     for i, view in enumerate(views):
-        mine = ours.weights[:, ours.segments.views == i].tocoo()
-        expected = centre_weights(arrays, view, features[f"{i:03d}"].segment_ids)
+        mine = ours.weights[:, ours.masks.views == i].tocoo()
+        expected = centre_weights(arrays, view, features[f"{i:03d}"].mask_ids)
         assert mine.nnz == len(expected.weights)
         assert_array_equal(
-            mine.toarray()[expected.gaussian_ids, expected.segment_ids], expected.weights
+            mine.toarray()[expected.gaussian_ids, expected.mask_ids], expected.weights
         )
     assert (ours.weights > 0).sum(axis=1).max() <= len(views)
     field = ours.to_field(aggregator=MEASURED["centre-pixel"])

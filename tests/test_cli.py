@@ -173,7 +173,7 @@ def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture
     np.testing.assert_allclose(capture["views"][0]["K"], story.views[0].K)
     features = answer_of(capsys, "inspect", room / "language_features")
     assert (features["kind"], features["dim"]) == ("features", 512)
-    assert features["segments"]["large"] == story.num_segments
+    assert features["masks_per_level"]["large"] == story.num_masks
     field = answer_of(capsys, "inspect", room / "room.field")
     assert (field["kind"], field["num_registered"]) == ("field", len(story.field))
     assert field["encoder"] == WordEncoder.identity.name
@@ -230,7 +230,7 @@ def test_register_reports_and_refuses_to_overwrite(
     assert report["num_registered"] == len(field)
     assert report["num_views"] == 12
     assert field.evidence is not None
-    assert report["num_segments"] == field.evidence.weights.shape[1]
+    assert report["num_masks"] == field.evidence.weights.shape[1]
     assert report["num_weights"] == field.evidence.weights.nnz
     assert report["field_bytes"] == sum(len(content) for content in files_of(output).values())
     assert report["seconds"] == pytest.approx(sum(report["stage_seconds"].values()))
@@ -329,7 +329,7 @@ def test_parts_of_other_settings_are_not_used(
 def test_query_in_words(room: Path, story: Story, capsys: Capture) -> None:
     scene = ["--scene", room / "scene.ply"]
     answer = answer_of(capsys, "locate", room / "room.field", "blue cup", *scene)
-    assert (answer["found"], answer["measure"]) == (True, "cosine")
+    assert (answer["num_matches"], answer["measure"]) == (1, "cosine")
     assert answer["threshold"] == WordEncoder.threshold
     truth = story.gaussians.means[story.room.members("blue mug")]
     thing = answer["matches"][0]
@@ -338,15 +338,15 @@ def test_query_in_words(room: Path, story: Story, capsys: Capture) -> None:
     assert 0 < thing["support"][0]["share"] <= 1
     assert answer["score_range"][0] < answer["score_p99"] <= answer["score_range"][1] <= 1
     out = text_of(capsys, "locate", room / "room.field", "blue cup", *scene)
-    assert "1 found for 'blue cup'" in out
+    assert "1 match of 'blue cup'" in out
     assert "threshold 0.6" in out
 
 
 def test_query_that_finds_nothing_says_so(room: Path, capsys: Capture) -> None:
     argv = ["locate", room / "room.field", "elephant", "--scene", room / "scene.ply"]
     answer = answer_of(capsys, *argv)
-    assert (answer["found"], answer["matches"], answer["num_selected"]) == (False, [], 0)
-    assert text_of(capsys, *argv).startswith("Nothing found for 'elephant'.")
+    assert (answer["num_matches"], answer["matches"], answer["num_selected"]) == (0, [], 0)
+    assert text_of(capsys, *argv).startswith("No match for 'elephant'.")
 
 
 def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:
@@ -458,9 +458,9 @@ def test_query_writes_columns_and_a_picture(
     field = load_field(room / "room.field")
     scores = field.dense(field.scores(WordEncoder().encode_texts(["mug"])[0]))
     np.testing.assert_array_equal(saved.extra["relevancy"], scores)
-    sizes = [(saved.extra["object_id"] == number).sum() for number in range(2)]
+    sizes = [(saved.extra["match_id"] == number).sum() for number in range(2)]
     assert sizes == [thing["num_gaussians"] for thing in answer["matches"]]
-    assert set(np.unique(saved.extra["object_id"])) == {-1, 0, 1}
+    assert set(np.unique(saved.extra["match_id"])) == {-1, 0, 1}
     assert answer["view"] in {view.name for view in story.views}
     pixels = pixels_of(picture)
     assert pixels.shape[1] == 320
@@ -507,7 +507,7 @@ def test_render_keeps_in_colour_what_a_query_finds(
     assert 0.01 < coloured.mean() < 0.4
     assert report["num_selected"] > 100
     absent = text_of(capsys, *argv, "--query", room / "room.field", "elephant", "--overwrite")
-    assert "Nothing was found" in absent
+    assert "No match to highlight" in absent
 
 
 def test_demo_verb_tells_its_story(
@@ -523,10 +523,10 @@ def test_demo_verb_tells_its_story(
     monkeypatch.setattr("drsplat.demo.album.write_album", lambda *_args, **_options: pictures)
     answer = answer_of(capsys, "demo", "--output-dir", tmp_path)
     assert [query["text"] for query in answer["queries"]] == [q.text for q in PROBES]
-    wanted = {"text", "found", "is_right", "iou", "num_selected", "center", "seconds"}
+    wanted = {"text", "num_matches", "is_right", "iou", "num_selected", "center", "seconds"}
     assert all(wanted <= query.keys() for query in answer["queries"])
     last = answer["queries"][-1]
-    assert (last["found"], last["iou"], last["center"]) == (False, None, None)
+    assert (last["num_matches"], last["iou"], last["center"]) == (0, None, None)
     assert answer["num_right"] == sum(a.is_right for a in household_story.verdicts)
     assert (answer["overview"], answer["page"]) == (str(pictures[0]), str(tmp_path / "index.html"))
     printed = text_of(capsys, "demo", "--output-dir", tmp_path, "--overwrite")

@@ -59,7 +59,7 @@ def test_both_forms_hold_the_same_and_turn_into_each_other(
     assert ours.dim == theirs.dim == 16
     for level in LEVELS:
         one, other = (read_features(tmp_path / n, level)["cam0/a"] for n in ("ours", "theirs"))
-        assert_array_equal(one.segment_ids, other.segment_ids)
+        assert_array_equal(one.mask_ids, other.mask_ids)
         assert_array_equal(one.embeddings, other.embeddings)
         assert_array_equal(one.file_rows, other.file_rows)
     write_features(tmp_path / "back", "cam0/a", *ours.stored("cam0/a.jpg"))

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array, eye_array
 
 from drsplat import EncoderIdentity, LanguageField, Scene, load_field
 from drsplat.codes import Mixture
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.models.mini import MiniEncoder
@@ -52,8 +52,8 @@ def evidence_of(pictures: np.ndarray) -> Evidence:
     """A mask for every Gaussian."""
     count = len(pictures)
     weights = csr_array(eye_array(count, dtype=np.float32, format="csr"))
-    segments = Segments(("a.jpg",), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
-    return Evidence(weights, segments, pictures)
+    masks = MaskIds(("a.jpg",), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
+    return Evidence(weights, masks, pictures)
 
 
 def words_of(world: World) -> VocabularyEncoder:

@@ -49,11 +49,11 @@ def answers(field: LanguageField) -> list[object]:
     assert field.negatives is not None
     arrays = (
         field.gaussian_ids, field.scores(queries), field.relevancy(queries[0]), evidence.weights.data,
-        evidence.weights.indptr, evidence.weights.indices, evidence.embeddings, evidence.segments.views,
-        evidence.segments.ids, field.negatives.embeddings,
+        evidence.weights.indptr, evidence.weights.indices, evidence.embeddings, evidence.masks.views,
+        evidence.masks.ids, field.negatives.embeddings,
     )  # fmt: skip
     said = (field.encoder, field.scene, field.num_gaussians, field.aggregator)
-    names = evidence.segments.view_names, field.negatives.texts
+    names = evidence.masks.view_names, field.negatives.texts
     return [array.tobytes() for array in arrays] + [said, names]
 
 

@@ -83,7 +83,7 @@ def test_held_out_photos_were_not_registered(
     assert len(held_out) == 6
     evidence = household_story.field.evidence
     assert evidence is not None
-    assert not held_out & set(evidence.segments.view_names)
+    assert not held_out & set(evidence.masks.view_names)
     assert len(household_story.views) + len(held_out) == len(read_views(household_folder))
     masked = set(read_features(household_folder / "language_features"))
     assert not masked & {Path(name).stem for name in held_out}
@@ -109,15 +109,15 @@ def test_misses_are_told_as_misses(household_story: Story) -> None:
     present, absent = household_story.verdicts[0], household_story.verdicts[-1]
     assert (made_up(present, 0.8, 1).is_right, note(made_up(present, 0.8, 1))) == (
         True,
-        "found, IoU 0.80",
+        "1 match, IoU 0.80",
     )
-    assert note(made_up(present, 0.2, 2)) == "miss: found in 2 places, IoU 0.20"
+    assert note(made_up(present, 0.2, 2)) == "miss: 2 matches, IoU 0.20"
     assert not made_up(present, 0.0, 0).is_right
-    assert note(made_up(present, 0.0, 0)).startswith("miss: not found")
+    assert note(made_up(present, 0.0, 0)).startswith("miss: no match")
     assert made_up(absent, None, 0).is_right
-    assert note(made_up(absent, None, 0)).startswith("rightly not found")
+    assert note(made_up(absent, None, 0)).startswith("rightly no match")
     assert not made_up(absent, None, 1).is_right
-    assert note(made_up(absent, None, 1)) == "wrong: found, but there is none"
+    assert note(made_up(absent, None, 1)) == "wrong: 1 match, but there is none"
 
 
 class Sources(HTMLParser):

@@ -19,7 +19,7 @@ from drsplat.formats.tensors import map_tensors
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "world/README.md"])
 WITH_SNIPPETS = ["README.md", "docs/api.md"]
 CODE_FOLDERS = ("", "src/drsplat", "native")
 
@@ -102,6 +102,16 @@ def test_links_lead_somewhere(document):
         target = (document.parent / path) if path else document
         assert target.exists(), f"{link} in {document.name}"
         assert not anchor or anchor in anchors(target), f"{link} in {document.name}"
+
+
+@every_document
+def test_lines_are_of_at_most_120_characters(document):
+    """But rows of tables and what has no space to break at, such as an address."""
+    lines = document.read_text(encoding="utf-8").splitlines()
+    too_long = [line for line in lines if len(line) > 120 and not line.startswith("|")]
+    assert document.name == "README.md" or not [
+        line for line in too_long if " " in line.strip("-* ")
+    ]
 
 
 def references(document: Path) -> list[tuple[str, str]]:

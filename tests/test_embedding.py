@@ -72,7 +72,7 @@ def embed_quietly(*arguments, **options):
 
 
 def langsplat_reader(folder: Path, stem: str, level: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Mask and embedding of each segment, after the description of LangSplat's files alone: maps
+    """Mask and embedding of each mask, after the description of LangSplat's files alone: maps
     (4, H, W), -1 for none, ids are rows counted on from default through s, m and l; unit rows."""
     maps, rows = np.load(folder / f"{stem}_s.npy"), np.load(folder / f"{stem}_f.npy")
     assert maps.shape[0] == 4
@@ -174,7 +174,7 @@ def test_a_photo_without_masks_has_files_without_rows(tmp_path):
     assert features["a"].embeddings.shape == (0, DIM)
     assert len(features["b"].embeddings) > 0
     registered = ds.register(random_gaussians(200), views, features)
-    assert len(registered.segments) == len(features["b"].embeddings)
+    assert len(registered.masks) == len(features["b"].embeddings)
 
 
 def test_photos_without_any_mask_are_told_of(tmp_path):
@@ -500,12 +500,16 @@ def test_the_command_reports_and_resumes(three_balls, tmp_path, fake_models, cap
                "--device", "cpu", "--langsplat"]  # fmt: skip
     assert cli.main([*map(str, command), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert (answer["photos"], answer["reused"], answer["redone"]) == (12, 0, 0)
-    assert answer["masks"] == sum(answer["masks_per_level"].values())
+    assert (answer["num_photos"], answer["num_photos_reused"], answer["num_photos_redone"]) == (
+        12,
+        0,
+        0,
+    )
+    assert answer["num_masks"] == sum(answer["masks_per_level"].values())
     assert set(answer["masks_per_level"]) == set(LEVELS)
     assert (answer["encoder"], answer["dim"], answer["output"]) == ("e", DIM, str(out))
     assert answer["photos_per_second"] > 0
-    assert answer["empty_masks"] >= 12
+    assert answer["num_empty_masks"] >= 12
     assert cli.main([*map(str, command), "--levels", "large", "--max-height", "60"]) == 0
     said, told = capsys.readouterr()
     assert "12 over older files" in said

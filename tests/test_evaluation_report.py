@@ -261,7 +261,7 @@ def test_command_needs_to_know_which_scenes(judged: dict[str, str], capsys) -> N
         assert message in capsys.readouterr().err
     Path(judged["data"], "label", "other").mkdir()
     assert evaluate(judged) == 1
-    assert "say with --name which scenes" in capsys.readouterr().err
+    assert "name the scenes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("protocol", ["scannet-volume", "voxel"])

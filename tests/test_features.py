@@ -51,9 +51,9 @@ def test_each_level_by_name_and_number(folder, level):
         used = np.unique(MAPS[level][MAPS[level] >= 0])
         np.testing.assert_array_equal(features.file_rows, used)
         np.testing.assert_allclose(features.embeddings, ROWS[used], atol=1e-7)
-        background = features.segment_ids < 0
+        background = features.mask_ids < 0
         np.testing.assert_array_equal(background, MAPS[level] < 0)
-        original = features.file_rows[features.segment_ids[~background]]
+        original = features.file_rows[features.mask_ids[~background]]
         np.testing.assert_array_equal(original, MAPS[level][~background])
 
 
@@ -71,8 +71,8 @@ def test_other_levels_do_not_exist(folder, level):
 @pytest.mark.parametrize("precision", [np.float16, np.float32, np.float64])
 def test_types_of_files(tmp_path, dtype, precision):
     features = raw(tmp_path, MAPS.astype(dtype), ROWS.astype(precision))["a"]
-    assert (features.segment_ids.dtype, features.embeddings.dtype) == (np.int32, np.float32)
-    np.testing.assert_array_equal(features.segment_ids, [[0, 0, 1], [0, -1, 1]])
+    assert (features.mask_ids.dtype, features.embeddings.dtype) == (np.int32, np.float32)
+    np.testing.assert_array_equal(features.mask_ids, [[0, 0, 1], [0, -1, 1]])
     np.testing.assert_allclose(features.embeddings, ROWS[9:], atol=1e-3)
     np.testing.assert_allclose(np.linalg.norm(features.embeddings, axis=1), 1, atol=1e-6)
 
@@ -80,7 +80,7 @@ def test_types_of_files(tmp_path, dtype, precision):
 def test_byte_order_and_memory_order(tmp_path):
     maps, rows = np.asfortranarray(MAPS.astype(">i4")), np.asfortranarray(ROWS.astype(">f4"))
     features = raw(tmp_path, maps, rows)["a"]
-    np.testing.assert_array_equal(features.segment_ids, [[0, 0, 1], [0, -1, 1]])
+    np.testing.assert_array_equal(features.mask_ids, [[0, 0, 1], [0, -1, 1]])
     np.testing.assert_allclose(features.embeddings, ROWS[9:], atol=1e-7)
 
 
@@ -95,10 +95,10 @@ def test_rows_are_brought_to_unit_length(tmp_path):
     np.testing.assert_allclose(features.embeddings, ROWS[9:], atol=1e-6)
 
 
-def test_a_photo_without_segments(tmp_path):
+def test_a_photo_without_masks(tmp_path):
     features = raw(tmp_path, np.full((4, 2, 3), -1), np.zeros((0, 8), np.float32))["a"]
     assert features.embeddings.shape == (0, 8)
-    assert (features.segment_ids == -1).all()
+    assert (features.mask_ids == -1).all()
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
@@ -107,10 +107,10 @@ def test_round_trip(tmp_path_factory, maps, level):
     folder = tmp_path_factory.mktemp("features")
     write_features(folder, "a", maps, ROWS)
     features = read_features(folder, level)["a"]
-    restored = np.append(features.file_rows, -1)[features.segment_ids]
+    restored = np.append(features.file_rows, -1)[features.mask_ids]
     np.testing.assert_array_equal(restored, maps[level])
     np.testing.assert_allclose(features.embeddings, ROWS[features.file_rows], atol=1e-7)
-    assert set(np.unique(features.segment_ids)) - {-1} == set(range(len(features.embeddings)))
+    assert set(np.unique(features.mask_ids)) - {-1} == set(range(len(features.embeddings)))
 
 
 # What is wrong
@@ -216,7 +216,7 @@ def test_writing_what_cannot_be_read_back(tmp_path):
         np.full((2, 3), 11, np.int32),
         np.full((2, 3), -2, np.int32),
     ):
-        with pytest.raises(InputError, match="segment_ids"):
+        with pytest.raises(InputError, match="mask_ids"):
             write_features(tmp_path, "a", maps, ROWS)
     for stem in ("../a", "/a", ""):
         with pytest.raises(InputError, match="stem"):

@@ -23,7 +23,7 @@ from drsplat.codes.mixture import MixtureCode
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evidence.aggregation import Aggregated
-from drsplat.evidence.evidence import Evidence, Explanation, Segments
+from drsplat.evidence.evidence import Evidence, Explanation, MaskIds
 from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
 from drsplat.formats.checksums import sealed
 from drsplat.formats.tensors import map_tensors, write_tensors
@@ -123,9 +123,9 @@ def test_dense_scores_have_a_fill_where_nothing_is_known() -> None:
 
 def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() -> None:
     embeddings = np.eye(4, dtype=np.float32)[[0, 0, 1, 0]]
-    segments = Segments(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
+    masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
     weights = csr_array(np.array([[1, 3, 5, 0], [0, 0, 0, 2], [0] * 4, [0, 0, 1, 0]], np.float32))
-    field = build_field(Evidence(weights, segments, embeddings), SCENE, EncoderIdentity("e", 4))
+    field = build_field(Evidence(weights, masks, embeddings), SCENE, EncoderIdentity("e", 4))
     query = np.array([2, 0, 0, 0], np.float32)
     assert field.explain(0, query) == [Explanation("a", 1, 0.75), Explanation("a", 0, 0.25)]
     assert field.explain(0, query, top=1) == [Explanation("a", 1, 0.75)]
@@ -138,9 +138,9 @@ def test_an_explanation_names_the_photos_and_masks_with_the_largest_support() ->
 
 def test_rows_whose_embeddings_cancel_have_no_feature() -> None:
     embeddings = np.array([[1, 0], [-1, 0], [0, 1]], np.float32)
-    segments = Segments(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
+    masks = MaskIds(("a",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
     weights = csr_array(np.array([[2, 2, 0], [0, 0, 1], [0, 0, 0], [1, 0, 0]], np.float32))
-    field = build_field(Evidence(weights, segments, embeddings), SCENE, EncoderIdentity("e", 2))
+    field = build_field(Evidence(weights, masks, embeddings), SCENE, EncoderIdentity("e", 2))
     assert_array_equal(field.gaussian_ids, [1, 3])
     assert_allclose(field.scores(np.array([1, 0], np.float32)), [0, 1], atol=1e-5)
     assert field.evidence is not None
@@ -174,21 +174,21 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     rng = np.random.default_rng(8)
     evidence = random_evidence(rng)
     shuffled = rng.permutation(40)
-    segments = Segments(
-        evidence.segments.view_names,
-        evidence.segments.views[shuffled],
-        evidence.segments.ids[shuffled],
+    masks = MaskIds(
+        evidence.masks.view_names,
+        evidence.masks.views[shuffled],
+        evidence.masks.ids[shuffled],
     )
     mixed_up = Evidence(
-        csr_array(evidence.weights[:, shuffled]), segments, evidence.embeddings[shuffled]
+        csr_array(evidence.weights[:, shuffled]), masks, evidence.embeddings[shuffled]
     )
     field = build_field(mixed_up, SCENE, TOY, Mixture(16))
     code = field.code
     assert isinstance(code, MixtureCode)
     assert field.evidence is not None
-    named = np.flatnonzero(code.atoms.segments >= 0)
+    named = np.flatnonzero(code.atoms.masks >= 0)
     vectors = code.atoms.vectors(named)
-    theirs = field.evidence.embeddings[code.atoms.segments[named]]
+    theirs = field.evidence.embeddings[code.atoms.masks[named]]
     assert_allclose(vectors, theirs, atol=0.02)
     donors = rng.permutation(600).astype(np.int32)
     lent = build_field(mixed_up, SCENE, TOY, Mixture(16), aggregated=Aggregated(mixed_up, donors))
@@ -220,7 +220,7 @@ def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(  # type: ignore[no-
     assert_array_equal(again.negatives.maxima, field.negatives.maxima)
     assert again.negatives.texts == ("this", "that")
     assert_array_equal(again.evidence.weights.toarray(), field.evidence.weights.toarray())
-    assert again.evidence.segments.view_names == field.evidence.segments.view_names
+    assert again.evidence.masks.view_names == field.evidence.masks.view_names
     query = negatives[0] + negatives[1]
     assert_array_equal(again.relevancy(query), field.relevancy(query))
     explained = [again.explain(int(i), query) for i in field.gaussian_ids[:20]]
@@ -378,17 +378,17 @@ def test_no_evidence_at_all_is_refused() -> None:
     evidence = random_evidence(np.random.default_rng(10))
     empty = csr_array((600, 40), dtype=np.float32)
     with pytest.raises(InputError, match="no Gaussian is under any mask"):
-        build_field(Evidence(empty, evidence.segments, evidence.embeddings), SCENE, TOY)
+        build_field(Evidence(empty, evidence.masks, evidence.embeddings), SCENE, TOY)
 
 
 def test_evidence_that_does_not_fit_is_refused() -> None:
     good = random_evidence(np.random.default_rng(11))
     with pytest.raises(InputError, match="unit vectors"):
-        Evidence(good.weights, good.segments, 2 * good.embeddings)
+        Evidence(good.weights, good.masks, 2 * good.embeddings)
     with pytest.raises(InputError, match="per column"):
-        Evidence(good.weights, good.segments, good.embeddings[:-1])
+        Evidence(good.weights, good.masks, good.embeddings[:-1])
     with pytest.raises(InputError, match="view"):
-        Segments(("a",), np.ones(3, np.int32), np.zeros(3, np.int32))
+        MaskIds(("a",), np.ones(3, np.int32), np.zeros(3, np.int32))
 
 
 @pytest.mark.parametrize("make", [toy_field, residual_field, mixed_field])

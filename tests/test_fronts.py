@@ -160,7 +160,7 @@ def same_matches(told: list[dict[str, Any]], expected: list[Match], exactly: boo
         for key in ("center", "extent", "axes"):
             np.testing.assert_allclose(one[key], getattr(match, key), rtol=0, atol=off)
         support = [(mask["view"], mask["mask"]) for mask in one["support"]]
-        assert support == [(mask.view_name, mask.segment_id) for mask in match.support]
+        assert support == [(mask.view_name, mask.mask_id) for mask in match.support]
 
 
 @named(GOOD)
@@ -183,7 +183,7 @@ def test_http(asked: Asked, room: Scene, catalog: Catalog) -> None:
     assert status == 200
     same_numbers(told["measured"], expected, 1e-5)
     np.testing.assert_array_equal(told["gaussian_ids"], expected.gaussian_ids)
-    _, located = over_http(catalog, "locate", {**asked.body, "limit": 100})
+    _, located = over_http(catalog, "locate", {**asked.body, "top": 100})
     same_matches(located["matches"], room.locate(expected), exactly=False)
 
 

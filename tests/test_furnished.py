@@ -114,10 +114,10 @@ def test_labels_are_those_of_the_largest_share() -> None:
 def test_masks_lie_within_their_thing_and_leave_its_border_out() -> None:
     labels = np.full((60, 80), -1, np.int32)
     labels[10:30, 10:40], labels[10:30, 40:70], labels[40:44, 5:9] = 0, 1, 2
-    segment_ids, things = perturbed(labels, np.random.default_rng(1))
-    for segment, thing in enumerate(things):
-        assert (labels[segment_ids == segment] == thing).all()
-    assert (segment_ids[:, [10, 39, 40, 69]] == -1).all()
+    mask_ids, things = perturbed(labels, np.random.default_rng(1))
+    for mask, thing in enumerate(things):
+        assert (labels[mask_ids == mask] == thing).all()
+    assert (mask_ids[:, [10, 39, 40, 69]] == -1).all()
     assert 2 not in things  # 4 x 4 pixels are too few
 
 

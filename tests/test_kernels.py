@@ -1,6 +1,6 @@
 """The native kernels against their float64 twin, on scenes where every rule is at work.
 
-Outside the boundary band the same Gaussians must contribute to the same segments, and the weights
+Outside the boundary band the same Gaussians must contribute to the same masks, and the weights
 must agree in sum to 1e-6. Inside it, differences are counted and bounded.
 """
 
@@ -24,7 +24,7 @@ from drsplat.kernels import (
 )
 from drsplat.reference import registering as reference
 from drsplat.scene.views import View
-from scenes import look_at_view, random_gaussians, random_segment_map
+from scenes import look_at_view, random_gaussians, random_mask_map
 
 WIDTH, HEIGHT = 128, 96
 SCENES = {
@@ -51,7 +51,7 @@ def view_of(scene: str) -> View:
 
 @lru_cache
 def segments_of(scene: str) -> np.ndarray:
-    return random_segment_map(HEIGHT, WIDTH, 40, 0.1, SCENES[scene][0])
+    return random_mask_map(HEIGHT, WIDTH, 40, 0.1, SCENES[scene][0])
 
 
 @lru_cache
@@ -63,26 +63,26 @@ def twin_of(scene: str, first_hits: int | None = None) -> reference.Contributors
 def without_boundary(
     scene: str, k: int | None, first_hits: int | None = None
 ) -> tuple[np.ndarray, reference.Triples]:
-    """The scene's segment map less the boundary pixels, and the twin's weights on it."""
+    """The scene's mask map less the boundary pixels, and the twin's weights on it."""
     return masked(twin_of(scene, first_hits), segments_of(scene), k)
 
 
 def masked(
-    twin: reference.Contributors, segment_ids: np.ndarray, k: int | None
+    twin: reference.Contributors, mask_ids: np.ndarray, k: int | None
 ) -> tuple[np.ndarray, reference.Triples]:
-    sure = np.where(reference.on_boundary(twin, k), np.int32(-1), segment_ids)
-    return sure, reference.segment_sums(reference.largest(twin, k), sure)
+    sure = np.where(reference.on_boundary(twin, k), np.int32(-1), mask_ids)
+    return sure, reference.mask_sums(reference.largest(twin, k), sure)
 
 
 def table(triples: Triples | reference.Triples) -> dict[tuple[int, int], float]:
-    keys = zip(triples.gaussian_ids.tolist(), triples.segment_ids.tolist(), strict=True)
+    keys = zip(triples.gaussian_ids.tolist(), triples.mask_ids.tolist(), strict=True)
     return dict(zip(keys, triples.weights.tolist(), strict=True))
 
 
 def assert_same_triples(native: Triples, twin: reference.Triples, tolerance: float = 1e-6) -> None:
     """Same keys in the same order; sum |error| / sum <= tolerance; no entry is wrong by much."""
     assert_array_equal(native.gaussian_ids, twin.gaussian_ids)
-    assert_array_equal(native.segment_ids, twin.segment_ids)
+    assert_array_equal(native.mask_ids, twin.mask_ids)
     error = np.abs(native.weights - twin.weights)
     assert error.sum() <= tolerance * twin.weights.sum()
     assert_allclose(native.weights, twin.weights, rtol=1e-3, atol=1e-6)
@@ -92,19 +92,19 @@ def assert_same_triples(native: Triples, twin: reference.Triples, tolerance: flo
 @every_isa
 @every_scene
 def test_weights_are_those_of_the_twin(scene, isa, k):
-    segment_ids, expected = without_boundary(scene, k)
-    native = view_weights(arrays_of(scene), view_of(scene), segment_ids, k, isa=isa)
+    mask_ids, expected = without_boundary(scene, k)
+    native = view_weights(arrays_of(scene), view_of(scene), mask_ids, k, isa=isa)
     assert_same_triples(native, expected)
 
 
 @pytest.mark.parametrize("k", [10, 40, None])
 @every_scene
 def test_differences_in_the_boundary_band_are_few_and_small(scene, k):
-    twin, segment_ids = twin_of(scene), segments_of(scene)
+    twin, mask_ids = twin_of(scene), segments_of(scene)
     boundary = reference.on_boundary(twin, k)
     assert boundary.mean() < 0.03
-    native = table(view_weights(arrays_of(scene), view_of(scene), segment_ids, k))
-    expected = table(reference.segment_sums(reference.largest(twin, k), segment_ids))
+    native = table(view_weights(arrays_of(scene), view_of(scene), mask_ids, k))
+    expected = table(reference.mask_sums(reference.largest(twin, k), mask_ids))
     different = native.keys() ^ expected.keys()
     # A pixel that decides otherwise swaps, drops or adds about one contributor.
     assert len(different) <= 2 * boundary.sum()
@@ -118,9 +118,9 @@ def test_differences_in_the_boundary_band_are_few_and_small(scene, k):
 @every_isa
 def test_first_hits_cuts_before_the_top_k(first_hits, k, isa):
     scene = "off-centre"
-    segment_ids, expected = without_boundary(scene, k, first_hits)
+    mask_ids, expected = without_boundary(scene, k, first_hits)
     native = view_weights(
-        arrays_of(scene), view_of(scene), segment_ids, k, first_hits=first_hits, isa=isa
+        arrays_of(scene), view_of(scene), mask_ids, k, first_hits=first_hits, isa=isa
     )
     assert_same_triples(native, expected)
 
@@ -142,11 +142,11 @@ def test_as_many_first_hits_as_there_can_be_are_all(most, isa):
 @every_isa
 def test_threads_change_no_bit(isa):
     scene, values = "inside", np.random.default_rng(0).normal(size=(3000, 5)).astype(np.float32)
-    arrays, view, segment_ids = arrays_of(scene), view_of(scene), segments_of(scene)
+    arrays, view, mask_ids = arrays_of(scene), view_of(scene), segments_of(scene)
 
     def everything(threads: int) -> list[np.ndarray]:
         return [
-            *view_weights(arrays, view, segment_ids, 20, threads=threads, isa=isa),
+            *view_weights(arrays, view, mask_ids, 20, threads=threads, isa=isa),
             *topk_contributions(arrays, view, 7, threads=threads, isa=isa),
             *render_channels(arrays, view, values, threads=threads, isa=isa),
         ]
@@ -164,7 +164,7 @@ def test_instruction_sets_agree(scene):
     arguments = (arrays_of(scene), view_of(scene), segments_of(scene), 40)
     wide, narrow = (view_weights(*arguments, isa=isa) for isa in ("v4", "v3"))
     assert_array_equal(wide.gaussian_ids, narrow.gaussian_ids)
-    assert_array_equal(wide.segment_ids, narrow.segment_ids)
+    assert_array_equal(wide.mask_ids, narrow.mask_ids)
     assert np.abs(wide.weights - narrow.weights).sum() <= 1e-6 * narrow.weights.sum()
 
 
@@ -175,9 +175,9 @@ def test_instruction_sets_agree(scene):
 def test_rasters_that_fill_no_whole_tiles(width, height, isa):
     arrays, view = arrays_of("outside"), look_at_view((0, -5, 1), width=width, height=height)
     twin = reference.contributors(arrays, view)
-    segment_ids, expected = masked(twin, random_segment_map(height, width, 5, 0.0), 20)
+    mask_ids, expected = masked(twin, random_mask_map(height, width, 5, 0.0), 20)
     assert len(expected.weights) > 0
-    assert_same_triples(view_weights(arrays, view, segment_ids, 20, isa=isa), expected)
+    assert_same_triples(view_weights(arrays, view, mask_ids, 20, isa=isa), expected)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -196,13 +196,13 @@ def test_any_camera_sees_what_the_twin_sees(seed):
     gaussians = random_gaussians(1000, seed, extent=float(rng.uniform(1, 3)))
     arrays, topk = splat_arrays(gaussians), int(rng.integers(1, 50))
     twin = reference.contributors(arrays, view)
-    segment_ids, expected = masked(twin, random_segment_map(view.height, view.width, 20), topk)
+    mask_ids, expected = masked(twin, random_mask_map(view.height, view.width, 20), topk)
     for isa in available_isas():
-        native = view_weights(arrays, view, segment_ids, topk, isa=isa)
+        native = view_weights(arrays, view, mask_ids, topk, isa=isa)
         assert_same_triples(native, expected, tolerance=2e-5)
 
 
-def test_a_map_without_segments_gives_nothing():
+def test_a_map_without_masks_gives_nothing():
     empty = view_weights(
         arrays_of("outside"), view_of("outside"), np.full((HEIGHT, WIDTH), -1, np.int32)
     )
@@ -226,11 +226,11 @@ def test_nothing_in_front_of_the_camera(n):
 
 
 @every_isa
-def test_every_pixel_its_own_segment(isa):
-    """256 segments in each tile, thousands in the view, and ids that leave gaps."""
+def test_every_pixel_its_own_mask(isa):
+    """256 masks in each tile, thousands in the view, and ids that leave gaps."""
     crowded = (np.arange(HEIGHT * WIDTH, dtype=np.int32) * 7 + 3).reshape(HEIGHT, WIDTH)
-    segment_ids, expected = masked(twin_of("oblique"), crowded, 20)
-    native = view_weights(arrays_of("oblique"), view_of("oblique"), segment_ids, 20, isa=isa)
+    mask_ids, expected = masked(twin_of("oblique"), crowded, 20)
+    native = view_weights(arrays_of("oblique"), view_of("oblique"), mask_ids, 20, isa=isa)
     assert_same_triples(native, expected)
 
 
@@ -248,8 +248,8 @@ def overcast() -> tuple[SplatArrays, np.ndarray, reference.Triples]:
 
 @every_isa
 def test_gaussians_that_cover_the_screen(isa):
-    arrays, segment_ids, expected = overcast()
-    native = view_weights(arrays, view_of("outside"), segment_ids, 45, isa=isa)
+    arrays, mask_ids, expected = overcast()
+    native = view_weights(arrays, view_of("outside"), mask_ids, 45, isa=isa)
     assert_same_triples(native, expected)
 
 
@@ -286,19 +286,19 @@ def test_contributions_are_those_of_the_twin(scene, isa, k):
 
 @pytest.mark.parametrize("first_hits", [None, 12])
 def test_contributions_sum_to_the_weights(first_hits):
-    arrays, view, segment_ids = arrays_of("inside"), view_of("inside"), segments_of("inside")
+    arrays, view, mask_ids = arrays_of("inside"), view_of("inside"), segments_of("inside")
     per_pixel = topk_contributions(arrays, view, 20, first_hits=first_hits)
-    owned = (per_pixel.ids >= 0) & (segment_ids >= 0)[..., None]
+    owned = (per_pixel.ids >= 0) & (mask_ids >= 0)[..., None]
     sums: dict[tuple[int, int], float] = {}
-    owners = np.broadcast_to(segment_ids[..., None], owned.shape)[owned]
-    for gaussian, segment, weight in zip(
+    owners = np.broadcast_to(mask_ids[..., None], owned.shape)[owned]
+    for gaussian, mask, weight in zip(
         per_pixel.ids[owned].tolist(),
         owners.tolist(),
         per_pixel.weights[owned].tolist(),
         strict=True,
     ):
-        sums[gaussian, segment] = sums.get((gaussian, segment), 0.0) + weight
-    native = table(view_weights(arrays, view, segment_ids, 20, first_hits=first_hits))
+        sums[gaussian, mask] = sums.get((gaussian, mask), 0.0) + weight
+    native = table(view_weights(arrays, view, mask_ids, 20, first_hits=first_hits))
     assert native.keys() == sums.keys()
     assert_allclose([native[key] for key in sums], list(sums.values()), rtol=1e-5)
 
@@ -355,15 +355,15 @@ def test_colors_are_those_of_the_twin(degree, isa):
 
 def test_wrong_arguments_say_so():
     arrays, view = arrays_of("outside"), view_of("outside")
-    segment_ids = segments_of("outside")
+    mask_ids = segments_of("outside")
     with pytest.raises(InputError, match="topk"):
-        view_weights(arrays, view, segment_ids, 0)
+        view_weights(arrays, view, mask_ids, 0)
     with pytest.raises(InputError, match="first_hits"):
-        view_weights(arrays, view, segment_ids, first_hits=-1)
+        view_weights(arrays, view, mask_ids, first_hits=-1)
     with pytest.raises(InputError, match="resize"):
-        view_weights(arrays, view, segment_ids[1:])
+        view_weights(arrays, view, mask_ids[1:])
     with pytest.raises(InputError, match="instruction set"):
-        view_weights(arrays, view, segment_ids, isa="v9")
+        view_weights(arrays, view, mask_ids, isa="v9")
     with pytest.raises(InputError, match="k: expected"):
         topk_contributions(arrays, view, 0)
     with pytest.raises(InputError, match="values"):

@@ -58,10 +58,10 @@ def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Ca
     assert (answer["num_views"], answer["num_views_reused"]) == (2, 2)
     field = ds.load_field(output)
     assert field.evidence is not None
-    assert field.evidence.segments.view_names == ("photo_1.png", "photo_3.png")
+    assert field.evidence.masks.view_names == ("photo_1.png", "photo_3.png")
     models = ["--segmenter", "graph", "--encoder", "drsplat-mini", "--output", room / "made"]
     answer = answer_of(capsys, "embed", capture, *models, "--without", "every:3")
-    assert (answer["photos"], answer["left_out"]) == (2, ["photo_0.png", "photo_3.png"])
+    assert (answer["num_photos"], answer["left_out"]) == (2, ["photo_0.png", "photo_3.png"])
     assert sorted(ds.read_features(room / "made")) == ["photo_1", "photo_2"]
     assert "no photo has" in error_of(
         capsys, *register, "-o", room / "b.field", "--without", _names(room)

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from drsplat.errors import InputError
 from drsplat.formats.langsplat import read_features, write_features
 from drsplat.masks.masks import LEVELS, Masks, cut_masks
-from drsplat.masks.selection import mask_nms, overlaps, paint, segment_maps
+from drsplat.masks.selection import mask_maps, mask_nms, overlaps, paint
 
 
 def of(*drawings: str, scores: list[float] | None = None) -> Masks:
@@ -187,18 +187,18 @@ def test_ids_count_on_from_level_to_level():
         "small": of("##.", "..#"), "default": of("#..", ".#."), "large": of("###"),
         "medium": of("#..", "##."),
     }  # fmt: skip
-    maps = segment_maps(levels)
+    maps = mask_maps(levels)
     expected = [[[0, 1, -1]], [[2, 2, 3]], [[4, 4, -1]], [[5, 5, 5]]]  # medium's first is hidden
-    np.testing.assert_array_equal(maps.segment_ids, expected)
+    np.testing.assert_array_equal(maps.mask_ids, expected)
     np.testing.assert_array_equal(maps.masks.areas, [1, 1, 2, 1, 2, 3])
 
 
 def test_large_masks_alone_serve_as_all_levels(tmp_path):
-    maps = segment_maps({"large": of("#.../....", "##../....", "...#/...#")})
+    maps = mask_maps({"large": of("#.../....", "##../....", "...#/...#")})
     assert len(maps.masks) == 2
-    for level in maps.segment_ids:
+    for level in maps.mask_ids:
         np.testing.assert_array_equal(level, [[0, 0, -1, 1], [-1, -1, -1, 1]])
-    write_features(tmp_path, "a", maps.segment_ids, np.eye(2, dtype=np.float32))
+    write_features(tmp_path, "a", maps.mask_ids, np.eye(2, dtype=np.float32))
     for level in LEVELS:
         assert read_features(tmp_path, level)["a"].file_rows.tolist() == [0, 1]
 
@@ -208,11 +208,11 @@ def test_every_row_has_a_pixel_and_every_pixel_its_mask(data):
     full, scores = data.draw(many_masks())
     shuffled = {level: data.draw(st.permutations(range(len(full)))) for level in LEVELS}
     levels = {name: cut_masks(full[order], scores[order]) for name, order in shuffled.items()}
-    maps = segment_maps(levels)
-    assert maps.segment_ids.dtype == np.int32
-    used = np.unique(maps.segment_ids)
+    maps = mask_maps(levels)
+    assert maps.mask_ids.dtype == np.int32
+    used = np.unique(maps.mask_ids)
     np.testing.assert_array_equal(used[used >= 0], np.arange(len(maps.masks)))
-    for level, ids in zip(LEVELS, maps.segment_ids, strict=True):
+    for level, ids in zip(LEVELS, maps.mask_ids, strict=True):
         painted = paint(levels[level])
         np.testing.assert_array_equal(ids < 0, painted < 0)
         for i in np.unique(ids[ids >= 0]):
@@ -223,9 +223,9 @@ def test_every_row_has_a_pixel_and_every_pixel_its_mask(data):
 @pytest.mark.parametrize("names", [(), ("small",), ("default", "large"), ("large", "huge")])
 def test_other_levels_are_refused(names):
     with pytest.raises(InputError, match="expected default, small, medium, large or large alone"):
-        segment_maps({name: of("#") for name in names})
+        mask_maps({name: of("#") for name in names})
 
 
 def test_levels_of_two_images_are_refused():
     with pytest.raises(InputError, match="masks of one image"):
-        segment_maps({name: of("#" if name == "small" else "##") for name in LEVELS})
+        mask_maps({name: of("#" if name == "small" else "##") for name in LEVELS})

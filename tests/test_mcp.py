@@ -146,7 +146,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
             assert len(tool.description) < 200
             assert tool.output_schema
         absent = await told(client, "where_is", text="laptop")
-        assert not absent["found"]
+        assert absent["best"] is None
         assert "synonym" in absent["advice"]
         assert (await told(client, "count", text="laptop"))["count"] == 0
         assert "It knows apple" in await refused(client, "locate", text="zeppelin")
@@ -154,10 +154,10 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
             assert f"there are: {room.name!r}" in await refused(
                 client, "locate", text="toy", scene=name
             )
-        assert "nothing found for 'laptop'" in await refused(
+        assert "no match for 'laptop'" in await refused(
             client, "how_far_apart", first="laptop", second="candle"
         )
-        assert "same thing" in await refused(
+        assert "same place" in await refused(
             client, "how_far_apart", first="candle", second="candles"
         )
         far = await refused(client, "what_is_at", point=[50.0, 0.0, 0.0])
@@ -173,7 +173,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         assert "none on the sofa" in none_on["advice"]
         assert "nearest Gaussian" in await refused(client, "what_is_at", point=[1e300, 0.0, 0.0])
         for name, arguments, said in (
-            ("locate", {"text": "toy", "limit": 21}, "locate: limit: Input should be less than"),
+            ("locate", {"text": "toy", "top": 21}, "locate: top: Input should be less than"),
             ("locate", {"text": 5}, "locate: text: Input should be a valid string"),
             ("locate", {}, "locate: text: Field required"),
             (
@@ -264,7 +264,7 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
         async with Client(url) as client:
             scenes = (await told(client, "list_scenes"))["scenes"]
             assert [scene["name"] for scene in scenes] == ["a room", "another"]
-            assert "say which scene" in await refused(client, "locate", text="candle")
+            assert "name a scene" in await refused(client, "locate", text="candle")
             found = await told(client, "locate", text="candle", scene="a room")
             pixel = {"view": "frame_00008", "x": 10.0, "y": 10.0}
             here = await told(

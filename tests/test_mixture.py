@@ -72,7 +72,7 @@ def test_quantised_vectors_have_unit_length_and_hardly_turn() -> None:
         quantised(np.full((1, 2), np.inf, np.float32))
 
 
-def test_rows_of_up_to_four_segments_are_kept() -> None:
+def test_rows_of_up_to_four_masks_are_kept() -> None:
     lengths = np.diff(evidence().weights.indptr)
     short = (lengths > 0) & (lengths <= 4)
     features = evidence().features(0, 900)[short]
@@ -112,14 +112,14 @@ def test_all_ways_to_search_agree() -> None:
     assert_array_equal(best.runner_up, np.sort(scores, axis=0)[-2])
 
 
-def test_rows_are_made_of_their_own_segments_and_of_scene_atoms() -> None:
+def test_rows_are_made_of_their_own_masks_and_of_scene_atoms() -> None:
     ids, weights = rows_of(code())
-    segments, w = code().atoms.segments, evidence().weights
+    masks, w = code().atoms.masks, evidence().weights
     for i in range(900):
         own = set(w.indices[w.indptr[i] : w.indptr[i + 1]])
-        assert set(segments[ids[i][weights[i] > 0]]) <= own | {-1}
-    assert (segments == -1).sum() <= 20
-    assert len(np.unique(segments[segments >= 0])) == (segments >= 0).sum()
+        assert set(masks[ids[i][weights[i] > 0]]) <= own | {-1}
+    assert (masks == -1).sum() <= 20
+    assert len(np.unique(masks[masks >= 0])) == (masks >= 0).sum()
 
 
 def test_atoms_that_no_row_uses_are_left_out() -> None:
@@ -167,13 +167,13 @@ def test_threads_change_no_bit() -> None:
         assert_array_equal(array, three.tensors()[name])
 
 
-def test_more_segments_than_ids_keep_those_used_most(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_masks_than_ids_keep_those_used_most(monkeypatch: pytest.MonkeyPatch) -> None:
     """65,536 is far more than a test wants; the rule is the same."""
     full = encode_mixture(evidence(), scene_atoms=5)
     monkeypatch.setattr(encoding, "ADDRESSABLE", 25)
     fewer = encode_mixture(evidence(), scene_atoms=5)
     assert len(fewer.atoms) <= 25 < len(full.atoms)
-    kept = fewer.atoms.segments[fewer.atoms.segments >= 0]
+    kept = fewer.atoms.masks[fewer.atoms.masks >= 0]
     assert len(kept) == len(set(kept))
     features = evidence().features(0, 900)
     fits = [np.einsum("nd,nd->n", c.decode(slice(None)), features).mean() for c in (fewer, full)]
@@ -192,7 +192,7 @@ def test_what_cannot_be_coded_is_refused() -> None:
             encode_mixture(evidence(), scene_atoms=atoms)
 
 
-def test_rows_without_any_segment_are_zero() -> None:
+def test_rows_without_any_mask_are_zero() -> None:
     empty = evidence().rows(np.flatnonzero(np.diff(evidence().weights.indptr) == 0))
     found = encode_mixture(empty, scene_atoms=3)
     assert len(found) == len(empty) > 0
@@ -200,7 +200,7 @@ def test_rows_without_any_segment_are_zero() -> None:
     assert not found.scores(unit_rows(np.random.default_rng(6), 2, 32)).any()
 
 
-def test_the_segments_behind_a_score_are_named() -> None:
+def test_the_masks_behind_a_score_are_named() -> None:
     query = unit_rows(np.random.default_rng(7), 1, 32)[0]
     row = int(code().top(query, 1).rows[0])
     parts = code().parts(row, query, top=10)
@@ -208,7 +208,7 @@ def test_the_segments_behind_a_score_are_named() -> None:
     assert sum(part.share for part in parts) == pytest.approx(1)
     assert [p.share for p in parts] == sorted((p.share for p in parts), reverse=True)
     own = evidence().weights[[row]].indices
-    assert {part.segment for part in parts} <= {*own, -1}
+    assert {part.mask for part in parts} <= {*own, -1}
     one = encode_mixture(evidence(), 1, scene_atoms=0)
     strongest = one.top(query, 1).rows[0]
     assert one.parts(int(strongest), query)[0].share == 1

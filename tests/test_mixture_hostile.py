@@ -62,7 +62,7 @@ def replaced(name: str, make: Callable[[np.ndarray], np.ndarray]) -> Callable[[A
         (put("atom_scales", 0, np.nan), "between 0 and 1"),
         (put("atom_scales", 0, -0.1), "between 0 and 1"),
         (put("atom_scales", 0, 1.5), "between 0 and 1"),
-        (put("atom_segments", 0, -2), "segment -2"),
+        (put("atom_segments", 0, -2), "mask -2"),
         (replaced("mixture_ids", lambda a: a[:1]), "mixture_weights"),
         (replaced("mixture_scales", lambda a: a[:60]), "for 60 rows"),
         (replaced("mixture_scales", lambda a: np.ones(10**6, a.dtype)), "for 1000000 rows"),
@@ -70,7 +70,7 @@ def replaced(name: str, make: Callable[[np.ndarray], np.ndarray]) -> Callable[[A
         (replaced("mixture_weights", lambda a: a[:, :2]), "mixture_weights"),
         (replaced("atoms", lambda a: a[:2]), "atom_scales"),
         (replaced("atoms", lambda a: a.astype(np.int16)), "int8"),
-        (replaced("atoms", lambda a: a[:, :0]), "one scale and one segment"),
+        (replaced("atoms", lambda a: a[:, :0]), "one scale and one mask"),
     ],
 )
 def test_what_does_not_fit_is_refused(change: Callable[[Arrays], None], complaint: str) -> None:

@@ -18,7 +18,7 @@ from drsplat.reference.projection import project
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.placing import PUBLISHED_NEAR
 from drsplat.scene.views import View
-from scenes import look_at_view, random_gaussians, random_segment_map
+from scenes import look_at_view, random_gaussians, random_mask_map
 
 FOCAL, WIDTH, HEIGHT = 32.0, 48, 32
 AXIS_PIXEL = (16, 24)  # row, column whose centre is the principal point
@@ -253,22 +253,22 @@ def test_ties_keep_the_nearer():
     assert_array_equal(reference.on_boundary(seen, 1), [[False, True]])
     assert_array_equal(reference.on_boundary(seen, 2), [[True, False]])
     assert_array_equal(reference.on_boundary(seen, None), [[False, False]])
-    triples = reference.segment_sums(seen, np.array([[5, 5]], np.int32))
+    triples = reference.mask_sums(seen, np.array([[5, 5]], np.int32))
     assert_array_equal(triples.gaussian_ids, [1, 2, 4, 7, 9])
 
 
-def test_segments_split_the_weights():
+def test_masks_split_the_weights():
     arrays = splat_arrays(random_gaussians(800, 7, size=0.25))
     view = look_at_view((0, -6, 1), width=WIDTH, height=HEIGHT)
-    segment_ids = random_segment_map(HEIGHT, WIDTH, 9, 0.3, 1)
-    assert (segment_ids == -1).any()
-    triples = reference.view_weights(arrays, view, segment_ids, None)
+    mask_ids = random_mask_map(HEIGHT, WIDTH, 9, 0.3, 1)
+    assert (mask_ids == -1).any()
+    triples = reference.view_weights(arrays, view, mask_ids, None)
     images = weight_images(arrays, view)
     dense = np.zeros((800, 9))
-    dense[triples.gaussian_ids, triples.segment_ids] = triples.weights
-    for segment in range(9):
-        assert_allclose(dense[:, segment], images[:, segment_ids == segment].sum(1), rtol=1e-9)
-    keys = triples.gaussian_ids * 9 + triples.segment_ids
+    dense[triples.gaussian_ids, triples.mask_ids] = triples.weights
+    for mask in range(9):
+        assert_allclose(dense[:, mask], images[:, mask_ids == mask].sum(1), rtol=1e-9)
+    keys = triples.gaussian_ids * 9 + triples.mask_ids
     assert (np.diff(keys) > 0).all()
     assert (triples.weights > 0).all()
 

@@ -18,7 +18,7 @@ from drsplat.reference import registering as reference
 from drsplat.registration import Registration, register
 from drsplat.scene.lens import distort_points
 from drsplat.scene.views import View, same_aspect
-from scenes import look_at_view, random_gaussians, random_segment_map
+from scenes import look_at_view, random_gaussians, random_mask_map
 
 DIM = 32
 
@@ -34,11 +34,11 @@ def unit_rows(count: int, seed: int, dim: int = DIM) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def capture(count: int = 4, segments: int = 5) -> tuple[list[View], dict[str, ViewFeatures]]:
+def capture(count: int = 4, masks: int = 5) -> tuple[list[View], dict[str, ViewFeatures]]:
     views = [named_view(i) for i in range(count)]
     features = {
         view.name.removesuffix(".png"): ViewFeatures(
-            random_segment_map(view.height, view.width, segments, seed=i), unit_rows(segments, i)
+            random_mask_map(view.height, view.width, masks, seed=i), unit_rows(masks, i)
         )
         for i, view in enumerate(views)
     }
@@ -59,12 +59,12 @@ def registration(gaussians):
 def same(a: Registration, b: Registration) -> bool:
     left, right = a.weights, b.weights
     return (
-        a.segments.view_names == b.segments.view_names
+        a.masks.view_names == b.masks.view_names
         and np.array_equal(left.indptr, right.indptr)
         and np.array_equal(left.indices, right.indices)
         and np.array_equal(left.data, right.data)
         and np.array_equal(a.embeddings, b.embeddings)
-        and np.array_equal(a.segments.ids, b.segments.ids)
+        and np.array_equal(a.masks.ids, b.masks.ids)
     )
 
 
@@ -73,11 +73,11 @@ def test_columns_are_those_of_the_twin(gaussians, registration):
     dense = registration.weights.toarray()
     for i, view in enumerate(views):
         twin = reference.view_weights(
-            splat_arrays(gaussians), view, features[f"{i:03d}"].segment_ids, 10
+            splat_arrays(gaussians), view, features[f"{i:03d}"].mask_ids, 10
         )
         expected = np.zeros((len(gaussians), 5))
-        expected[twin.gaussian_ids, twin.segment_ids] = twin.weights
-        ours = dense[:, registration.segments.views == i]
+        expected[twin.gaussian_ids, twin.mask_ids] = twin.weights
+        ours = dense[:, registration.masks.views == i]
         assert np.abs(ours - expected).sum() <= 1e-4 * expected.sum()
 
 
@@ -156,7 +156,7 @@ def test_parts_of_other_settings_are_not_used(change: str, tmp_path: Path, gauss
     if change == "camera":
         views = [View("000.png", views[0].K, named_view(2).cam_from_world, 64, 48)]
     if change == "mask":
-        features = {"000": ViewFeatures(random_segment_map(48, 64, 5, seed=9), unit_rows(5, 0))}
+        features = {"000": ViewFeatures(random_mask_map(48, 64, 5, seed=9), unit_rows(5, 0))}
     resumed = register(gaussians, views, features, parts=tmp_path, sampling=settings_)
     assert same(resumed, register(gaussians, views, features, sampling=settings_))
 
@@ -170,14 +170,14 @@ def test_another_encoder_needs_no_photo(gaussians, registration):
         gaussians,
         views,
         {
-            k: ViewFeatures(f.segment_ids, unit_rows(5, 100 + i, 16))
+            k: ViewFeatures(f.mask_ids, unit_rows(5, 100 + i, 16))
             for i, (k, f) in enumerate(features.items())
         },
         sampling=Sampling(10),
     )
     assert same(swapped, fresh)
     assert swapped.encoder == other
-    with pytest.raises(InputError, match="one per segment"):
+    with pytest.raises(InputError, match="one per mask"):
         registration.with_embeddings(wide[1:], other)
 
 
@@ -202,7 +202,7 @@ def test_only_unseen_gaussians_are_pruned(registration):
 
 def test_masks_are_resized_to_the_view_by_nearest_pixel(gaussians):
     view = named_view(0)
-    small = random_segment_map(24, 32, 5, seed=1)
+    small = random_mask_map(24, 32, 5, seed=1)
     large = np.repeat(np.repeat(small, 2, 0), 2, 1)
     a = register(gaussians, [view], {"000": ViewFeatures(small, unit_rows(5, 0))})
     b = register(gaussians, [view], {"000": ViewFeatures(large, unit_rows(5, 0))})
@@ -214,7 +214,7 @@ def test_views_without_features_are_named(gaussians):
     del features["001"]
     with pytest.warns(DrSplatWarning, match=r"1 of 3 views have no features: 001\.png"):
         partial = register(gaussians, views, features)
-    assert partial.segments.view_names == ("000.png", "002.png")
+    assert partial.masks.view_names == ("000.png", "002.png")
 
 
 def test_what_does_not_belong_together_is_refused(gaussians, registration):
@@ -223,7 +223,7 @@ def test_what_does_not_belong_together_is_refused(gaussians, registration):
         InputError, match=r"views are named like '000\.png', features like 'elsewhere'"
     ):
         register(gaussians, views, {"elsewhere": features["000"]})
-    mixed = features | {"001": ViewFeatures(features["001"].segment_ids, unit_rows(5, 0, 8))}
+    mixed = features | {"001": ViewFeatures(features["001"].mask_ids, unit_rows(5, 0, 8))}
     with pytest.raises(InputError, match=r"different sizes: 32 .*8 "):
         register(gaussians, views, mixed)
     with pytest.raises(InputError, match="4 views are in both"):
@@ -264,7 +264,7 @@ def test_two_views_may_not_share_a_file_of_features(gaussians, tmp_path):
     """A folder finds its files by several names; that must not hide that they are the same."""
     view, features = named_view(0), capture(1)[1]["000"]
     nested = [View(f"{c}/000.png", view.K, view.cam_from_world, 64, 48) for c in ("left", "right")]
-    write_features(tmp_path, "000", features.segment_ids, features.embeddings)
+    write_features(tmp_path, "000", features.mask_ids, features.embeddings)
     assert register(gaussians, nested[:1], read_features(tmp_path)).num_registered > 0
     with pytest.raises(InputError, match=r"'left/000\.png' and 'right/000\.png' both find"):
         register(gaussians, nested, read_features(tmp_path))
@@ -309,10 +309,10 @@ def test_a_view_that_sees_nothing_adds_empty_columns(gaussians):
 
 
 def test_first_hits_can_lose_weight_that_topk_keeps(gaussians):
-    view, segments = named_view(0), random_segment_map(48, 64, 5, seed=0)
+    view, masks = named_view(0), random_mask_map(48, 64, 5, seed=0)
     arrays = splat_arrays(gaussians)
-    exact = view_weights(arrays, view, segments, 5).weights.sum(dtype=float)
-    capped = view_weights(arrays, view, segments, 5, first_hits=5).weights.sum(dtype=float)
+    exact = view_weights(arrays, view, masks, 5).weights.sum(dtype=float)
+    capped = view_weights(arrays, view, masks, 5, first_hits=5).weights.sum(dtype=float)
     assert capped < exact
 
 
@@ -321,7 +321,7 @@ def test_masks_of_another_shape_are_refused(gaussians):
     name = views[0].name
     turned, stem = dict(features), name.removesuffix(".png")
     kept = features[stem]
-    turned[stem] = ViewFeatures(np.ascontiguousarray(np.rot90(kept.segment_ids)), kept.embeddings)
+    turned[stem] = ViewFeatures(np.ascontiguousarray(np.rot90(kept.mask_ids)), kept.embeddings)
     with pytest.raises(MismatchError, match=rf"masks of '{name}' are .* another aspect ratio"):
         register(gaussians, views, turned)
 

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
 from drsplat.masks.masks import LEVELS, Segmenter, cut_masks
-from drsplat.masks.selection import segment_maps
+from drsplat.masks.selection import mask_maps
 from drsplat.models import sam
 from drsplat.models.mask_geometry import (
     box_nms,
@@ -192,10 +192,10 @@ def test_things_apart_stay_apart():
     shapes = [(5, 5, 45, 45), (60, 5, 110, 100), (130, 40, 190, 110)]
     levels = PointSegmenter(Drawn(*shapes), NO_CROPS).segment(placed(120, 200))
     assert boxes_of(levels) == dict.fromkeys(LEVELS, sorted(shapes))
-    maps = segment_maps(levels)
+    maps = mask_maps(levels)
     assert len(maps.masks) == 12
-    assert maps.segment_ids[3, 50, 80] >= 9
-    assert maps.segment_ids[3, 0, 0] == -1
+    assert maps.mask_ids[3, 50, 80] >= 9
+    assert maps.mask_ids[3, 0, 0] == -1
 
 
 def test_what_no_level_needs_is_not_used():
@@ -242,7 +242,7 @@ def test_masks_are_painted_from_sure_to_unsure():
 
     levels = PointSegmenter(Two(), NO_CROPS).segment(placed(120, 200))
     np.testing.assert_allclose(levels["large"].scores, [0.95, 0.8])
-    ids = segment_maps({"large": levels["large"]}).segment_ids[0]
+    ids = mask_maps({"large": levels["large"]}).mask_ids[0]
     assert (ids[50, 70], ids[50, 100], ids[50, 30]) == (1, 0, 1)
 
 

@@ -128,7 +128,7 @@ def test_answers_are_those_of_the_library(service: Service, folder: Path) -> Non
         same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
     )
     assert same["gaussian_ids"]
-    located = told(service("POST", "/scenes/room/locate", json={"text": "toys", "limit": 2}))
+    located = told(service("POST", "/scenes/room/locate", json={"text": "toys", "top": 2}))
     found = scene.locate("toys")
     assert (located["num_matches"], len(located["matches"])) == (len(found), 2)
     np.testing.assert_allclose(located["matches"][0]["center"], found[0].center, atol=1e-4)
@@ -245,8 +245,8 @@ WRONG: list[tuple[str, Any, str]] = [
     ("select", {"click": {"view": "frame_00001", "x": 1e5, "y": 1}}, "640x480"),
     ("select", {"image": "not base64!"}, "base64"),
     ("select", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
-    ("locate", {"text": "mug", "limit": 0}, "limit"),
-    ("locate", {"text": "mug", "limit": 10**9}, "limit"),
+    ("locate", {"text": "mug", "top": 0}, "top"),
+    ("locate", {"text": "mug", "top": 10**9}, "top"),
     ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),
     ("segment", {"classes": []}, "classes"),
     ("segment", {"classes": ["mug", "mug"]}, "different classes"),

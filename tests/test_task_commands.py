@@ -103,7 +103,7 @@ def test_the_automatic_threshold_finds_what_is_there(
     assert intersection_over_union(found, truth_of(story, *things)) > 0.85
     if not things:
         nothing = ["locate", *argv[1:5], "--scene", room / "scene.ply"]
-        assert text_of(capsys, *nothing).startswith("Nothing found")
+        assert text_of(capsys, *nothing).startswith("No match")
 
 
 @pytest.mark.parametrize("threshold", [[], ["--threshold", "auto"]])
@@ -304,8 +304,8 @@ def test_the_commands_of_the_document_run(
     for command in commands:
         if command[1] != "demo":
             printed += text_of(capsys, *command[1:])
-    assert "Nothing found for 'laptop'" in printed
-    assert "found for 'blue candle'" in printed
+    assert "No match for 'laptop'" in printed
+    assert "of 'blue candle'" in printed
     written = {path.name for path in tmp_path.iterdir()} - {"drsplat-demo"}
     assert written == {
         "vase.ply",

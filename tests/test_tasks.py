@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from drsplat.codes import Codebook
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
 from drsplat.query import Answer
 from drsplat.query.tasks import NO_CLASS, locate, segment
@@ -49,10 +49,10 @@ def field_of(scene: Gaussians, labels: np.ndarray):
         (np.ones(len(scene), np.float32), labels.astype(np.int32), np.arange(len(scene) + 1)),
         shape=(len(scene), count),
     )
-    segments = Segments(("a.png",), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
+    masks = MaskIds(("a.png",), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
     embeddings = np.eye(count, 8, dtype=np.float32)
     return build_field(
-        Evidence(weights, segments, embeddings), scene.fingerprint, EncoderIdentity("test", 8)
+        Evidence(weights, masks, embeddings), scene.fingerprint, EncoderIdentity("test", 8)
     )
 
 
@@ -190,8 +190,8 @@ def class_scores(table: list[list[int]]) -> tuple[LanguageField, np.ndarray]:
     ids = np.flatnonzero(np.arange(2 * rows) % 3 != 2)[:rows]
     weights = np.zeros((int(ids[-1]) + 2, 1), np.float32)
     weights[ids] = 1
-    segments = Segments(("a.png",), np.zeros(1, np.int32), np.zeros(1, np.int32))
-    evidence = Evidence(csr_array(weights), segments, np.eye(1, 8, dtype=np.float32))
+    masks = MaskIds(("a.png",), np.zeros(1, np.int32), np.zeros(1, np.int32))
+    evidence = Evidence(csr_array(weights), masks, np.eye(1, 8, dtype=np.float32))
     field = build_field(evidence, "any", EncoderIdentity("test", 8), CODEBOOK)
     return field, np.ascontiguousarray(np.array(table, np.float32).T / 4)
 

@@ -92,7 +92,7 @@ def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> N
     text_of(capsys, *argv, "--encoder-name", "drsplat-words", "-o", room / "room.field")
     said = text_of(capsys, "locate", room, "red mug")
     assert re.search(
-        r"^match 0 is seen in photo_\d.png, photo_\d.png, photo_\d.png$", said, re.MULTILINE
+        r"^match 0 is supported by photo_\d.png, photo_\d.png, photo_\d.png$", said, re.MULTILINE
     )
     answer = answer_of(capsys, "locate", room, "red mug")
     assert answer["field"] == str(room)

@@ -256,7 +256,7 @@ def test_an_answer_is_shown_and_said(session: Session) -> None:
     said = session.ask("tall lamp")
     np.testing.assert_array_equal(session.selection, rows(2))
     assert session.mode is Mode.ANSWER
-    assert said == f"tall lamp: one thing, {EACH} Gaussians"
+    assert said == f"tall lamp: 1 match, {EACH} Gaussians"
 
 
 def test_several_queries_and_a_negative_one(session: Session) -> None:
@@ -271,7 +271,7 @@ def test_several_queries_and_a_negative_one(session: Session) -> None:
 
 
 def test_nothing_found_is_said(session: Session) -> None:
-    assert session.ask("elephant") == "Nothing found for 'elephant'."
+    assert session.ask("elephant") == "No match for 'elephant'."
     assert not len(session.selection)
 
 
@@ -304,7 +304,7 @@ def test_a_click_is_named_and_more_of_it_is_found(session: Session) -> None:
     assert this is not None
     assert this.name == "tall lamp"
     assert this.gaussian_id in rows(2)
-    assert [one.segment_id for one in this.evidence] == [2]
+    assert [one.mask_id for one in this.evidence] == [2]
     session.more_like_this()
     np.testing.assert_array_equal(session.selection, rows(2))
 
@@ -376,7 +376,7 @@ def test_a_saved_scene_has_its_columns_and_stays_the_scene(
     saving.save_scene(tmp_path / "found.ply", session)
     saved = read_gaussians(tmp_path / "found.ply")
     assert saved.fingerprint == session.scene.gaussians.fingerprint
-    ids = saved.extra["object_id"]
+    ids = saved.extra["match_id"]
     assert set(ids[rows(0)]) == {0}
     assert set(ids[rows(2)]) == {1}
     assert set(ids[rows(1)]) == {-1}

@@ -410,4 +410,4 @@ def test_errors_go_away_with_the_next_press(panel: Any) -> None:
     assert panel.actions.settled(60.0)
     assert not panel.fault.visible
     assert panel.fault.content == ""
-    assert "tall lamp: one thing" in panel.told.content
+    assert "tall lamp: 1 match" in panel.told.content

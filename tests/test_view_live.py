@@ -74,7 +74,7 @@ def live(
     try:
         with a_page(chromium) as page:
             page.goto(f"http://127.0.0.1:{window.server.get_port()}")
-            page.get_by_text("Look for a picture").wait_for()
+            page.get_by_text("Query by picture").wait_for()
             eventually(lambda: len(window.server.get_clients()) == 1)
             one = Live(page, panel)
             eventually(lambda: np.ptp(one.pixels()) > 0.5)
@@ -164,14 +164,14 @@ def test_saving_writes_a_scene_that_opens(live: Live) -> None:
     path = live.panel.saves.folder / "found.ply"
     eventually(path.exists)
     saved = read_gaussians(path)
-    found = saved.extra["object_id"] == 0
+    found = saved.extra["match_id"] == 0
     assert found.sum() == len(live.session.results[0].gaussian_ids)
     assert saved.extra["relevancy"][found].min() >= live.session.results[0].threshold
 
 
 def test_what_is_not_there_and_what_is_not_known_is_said(live: Live) -> None:
     live.ask("laptop")
-    live.page.get_by_text("Nothing found for 'laptop'").wait_for()
+    live.page.get_by_text("No match for 'laptop'").wait_for()
     live.box.fill("xylophone")
     live.box.press("Enter")
     live.page.get_by_text("was not taught").wait_for()

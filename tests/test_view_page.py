@@ -103,7 +103,7 @@ def test_a_click_in_the_page_names_the_thing(page: Any) -> None:
     press(page, "modes", "answer")
     page.mouse.click(*place_of_thing(page))
     eventually(lambda: "vase" in page.locator("#what b").inner_text())
-    assert "found for: red vase" in page.locator("#what p").inner_text()
+    assert "match of: red vase" in page.locator("#what p").inner_text()
 
 
 def test_the_page_flies_to_a_thing(page: Any) -> None:
@@ -119,7 +119,7 @@ def test_the_page_flies_to_a_thing(page: Any) -> None:
 
 def test_the_page_says_that_nothing_was_found(page: Any) -> None:
     press(page, "queries", "laptop")
-    assert 'Nothing found for "laptop".' in page.locator("#matches").inner_text()
+    assert 'No match for "laptop".' in page.locator("#matches").inner_text()
 
 
 def test_the_page_draws_without_webgl(exported: Path, chromium: Any) -> None:

@@ -156,7 +156,7 @@ def test_feature_files(memory_path, bounded_memory):
 
     def read() -> None:
         features = FeatureFolder(memory_path, LEVELS.index("small"))["a"]
-        ViewFeatures(features.segment_ids, features.embeddings)  # says so if they are not sound
+        ViewFeatures(features.mask_ids, features.embeddings)  # says so if they are not sound
         assert len(features.file_rows) == len(features.embeddings)
 
     survive([memory_path / "a_s.npy", memory_path / "a_f.npy"], read)

@@ -44,5 +44,5 @@ def test_a_vector_is_the_same_everywhere() -> None:
 
 @pytest.mark.parametrize("text", ["", "the", "?!"])
 def test_a_text_without_words_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="name a thing"):
+    with pytest.raises(InputError, match="name an object"):
         WordEncoder().encode_texts([text])

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from drsplat.evidence.evidence import Evidence, Segments
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
 from drsplat.models.words import WordEncoder
 from drsplat.query import Scene
@@ -43,8 +43,8 @@ def boxes_scene() -> Scene:
         (np.ones(found.sum(), np.float32), labels[found].astype(np.int32), indptr),
         shape=(len(scene), 3),
     )
-    segments = Segments(("view.png",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
-    evidence = Evidence(weights, segments, words.encode_texts(THINGS))
+    masks = MaskIds(("view.png",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
+    evidence = Evidence(weights, masks, words.encode_texts(THINGS))
     field = build_field(evidence, scene.fingerprint, words.identity)
     views = (look_at_view((0.0, -3.0, 1.0)), look_at_view((0.5, -3.0, 1.2)))
     return Scene(field, scene, views, WordEncoder, name="boxes", threads=1)

@@ -79,9 +79,9 @@ def scene_of(folder: Path, views: list[View]) -> tuple[Gaussians, np.ndarray]:
 
 @dataclass(frozen=True)
 class Masks:
-    """The true masks of a view: segment_ids as in `ViewFeatures`, the id and the crop of each."""
+    """The true masks of a view: mask_ids as in `ViewFeatures`, the id and the crop of each."""
 
-    segment_ids: np.ndarray
+    mask_ids: np.ndarray
     ids: list[int]
     crops: list[np.ndarray]
 
@@ -95,7 +95,7 @@ def masks_of(folder: Path, view: View) -> Masks:
             continue
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
         box = [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]
-        masks.segment_ids[mask] = len(masks.ids)
+        masks.mask_ids[mask] = len(masks.ids)
         masks.ids.append(int(thing))
         masks.crops.append(crop(photo, mask[box[1] : box[3], box[0] : box[2]], box))
     return masks
@@ -105,14 +105,14 @@ def features_of(folder: Path, view: View, things: dict[int, dict], encoder: Any)
     """True masks and what the encoder takes them for."""
     masks = masks_of(folder, view)
     if isinstance(encoder, MiniEncoder):
-        return ViewFeatures(masks.segment_ids, encoder.encode_images(masks.crops))
+        return ViewFeatures(masks.mask_ids, encoder.encode_images(masks.crops))
     embeddings = [
         encoder.encode_thing(
             f"{folder.name} {i}", view.name, *(things[i][key] for key in ("name", "color", "material"))
         )
         for i in masks.ids
     ]  # fmt: skip
-    return ViewFeatures(masks.segment_ids, np.stack(embeddings))
+    return ViewFeatures(masks.mask_ids, np.stack(embeddings))
 
 
 def prepare(folder: Path, output: Path, encoder: Any) -> None:

@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from drsplat import GraphSegmenter, MiniEncoder, View, ViewFeatures, load_image
 from drsplat.masks.crops import crops
 from drsplat.masks.masks import LEVELS, Masks, cut_masks
-from drsplat.masks.selection import segment_maps
+from drsplat.masks.selection import mask_maps
 
 from .scenes import BenchScene
 
@@ -41,6 +41,6 @@ def features_of(scene: BenchScene, kind: str, encoder: MiniEncoder) -> dict[str,
 
 def _features(scene: BenchScene, view: View, cut: Cut, encoder: MiniEncoder) -> ViewFeatures:
     image = load_image(view)
-    maps = segment_maps(cut(scene, view, image))
+    maps = mask_maps(cut(scene, view, image))
     embeddings = encoder.encode_images(crops(image, maps.masks))
-    return ViewFeatures(maps.segment_ids[LEVELS.index("large")], embeddings)
+    return ViewFeatures(maps.mask_ids[LEVELS.index("large")], embeddings)

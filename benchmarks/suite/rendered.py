@@ -33,7 +33,7 @@ class _Part(NamedTuple):
     """One view: blending weights of its pixels that a mask covers, and the row of each one's embedding."""
 
     weights: csr_array
-    segments: np.ndarray
+    masks: np.ndarray
 
 
 def rendered_scorer(
@@ -48,7 +48,7 @@ def rendered_scorer(
     parts = []
     for view, features in seen.items():
         parts.append(_part(splats, view, features, threads))
-        embeddings.append(features.embeddings[parts[-1].segments])
+        embeddings.append(features.embeddings[parts[-1].masks])
     weights = csr_array(vstack([part.weights for part in parts], format="csr"))
     targets, basis = _leading(np.concatenate(embeddings))
     fitted = least_squares(weights, targets, STEPS[name])
@@ -93,15 +93,15 @@ def least_squares(
 
 def _part(splats: SplatArrays, view: View, features: ViewFeatures, threads: int) -> _Part:
     small = view.resized(WIDTH, round(WIDTH * view.height / view.width))
-    segments = features.resized(small.width, small.height).segment_ids.ravel()
+    masks = features.resized(small.width, small.height).mask_ids.ravel()
     found = topk_contributions(splats, small, CONTRIBUTORS, threads=threads)
     ids, values = (array.reshape(-1, CONTRIBUTORS) for array in found)
-    covered = segments >= 0
+    covered = masks >= 0
     ids, values = ids[covered], values[covered]
     starts = np.append(0, np.cumsum((ids >= 0).sum(1)))
     shape = (len(ids), len(splats.opacities))
     weights = csr_array((values[ids >= 0], ids[ids >= 0], starts), shape=shape)
-    return _Part(weights, segments[covered])
+    return _Part(weights, masks[covered])
 
 
 def _leading(

@@ -1,8 +1,8 @@
 """Language features registered straight onto Gaussians: the paper's method on one screen.
 
-`register` streams the views. Each gives the columns of its segments in the sparse matrix W
-(Gaussians x segments): W[i, j] = sum over pixels p of mask j of the blending weight of Gaussian i at p,
-where i is among the top k of p. Everything after that is algebra on W and the segments' embeddings.
+`register` streams the views. Each gives the columns of its masks in the sparse matrix W
+(Gaussians x masks): W[i, j] = sum over pixels p of mask j of the blending weight of Gaussian i at p,
+where i is among the top k of p. Everything after that is algebra on W and the masks' embeddings.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ from .errors import DrSplatWarning, InputError, MismatchError
 from .evidence.aggregation import Aggregator, Sampling
 from .evidence.aggregation import aggregator as named
 from .evidence.columns import ColumnMaker, Columns, stack_columns
-from .evidence.evidence import Evidence, Segments
+from .evidence.evidence import Evidence, MaskIds
 from .field import LanguageField, build_field
 from .kernels import splat_arrays
 from .masks.features import ViewFeatures
@@ -39,7 +39,7 @@ UNKNOWN_ENCODER = "unknown"
 class Registration:
     """W, its columns and their embeddings: all that was learnt from the photos.
 
-    evidence: the weights (N, M), the view and segment behind each column, one embedding per column.
+    evidence: the weights (N, M), the view and mask behind each column, one embedding per column.
     scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
     looked at; None: unknown. up: the direction that is up in the photos (`boxes.upward`); None: they do not tell.
     """
@@ -52,7 +52,7 @@ class Registration:
 
     def __repr__(self) -> str:
         count, masks = self.weights.shape
-        views = counted(len(self.segments.view_names), "view")
+        views = counted(len(self.masks.view_names), "view")
         return (
             f"Registration({counted(count, 'Gaussian')} x {counted(masks, 'mask')} of {views}, "
             f"{counted(self.weights.nnz, 'weight')}, {self.encoder.dim}-d by {self.encoder.name})"
@@ -77,12 +77,12 @@ class Registration:
 
     @property
     def weights(self) -> csr_array:
-        """W, (N, M) float32: row i of Gaussian i, columns ordered by view name, then segment id."""
+        """W, (N, M) float32: row i of Gaussian i, columns ordered by view name, then mask id."""
         return self.evidence.weights
 
     @property
-    def segments(self) -> Segments:
-        return self.evidence.segments
+    def masks(self) -> MaskIds:
+        return self.evidence.masks
 
     @property
     def embeddings(self) -> Float32[np.ndarray, "m d"]:
@@ -141,11 +141,11 @@ class Registration:
     ) -> "Registration":
         """The same weights with another encoder's embeddings: no photo is looked at again.
 
-        Raises: InputError: not one unit vector per segment.
+        Raises: InputError: not one unit vector per mask.
         """
         if len(embeddings) != len(self.embeddings):
             raise InputError(
-                f"expected {len(self.embeddings)} embeddings, one per segment; got {len(embeddings)}"
+                f"expected {len(self.embeddings)} embeddings, one per mask; got {len(embeddings)}"
             )
         return replace(
             self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder
@@ -165,7 +165,7 @@ class Registration:
                 f"cannot merge: one is of scene {self.scene} with {self.encoder.name}, the other of "
                 f"{other.scene} with {other.encoder.name}: register both on the same file with the same encoder"
             )
-        twice = sorted(set(self.segments.view_names) & set(other.segments.view_names))
+        twice = sorted(set(self.masks.view_names) & set(other.masks.view_names))
         if twice:
             raise InputError(
                 f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one"
@@ -184,7 +184,7 @@ def register(
     threads: int = 0,
     track: Track = untracked,
 ) -> Registration:
-    """Register the segments of every view onto the Gaussians.
+    """Register the masks of every view onto the Gaussians.
 
     features: by view name, with or without suffix; views without features are left out with a warning.
     Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
@@ -210,7 +210,7 @@ def register(
         _check_one_size(columns)
         weights = stack_columns(columns, len(gaussians))
     evidence = Evidence(
-        weights, _segments_of(columns), np.concatenate([c.embeddings for c in columns])
+        weights, _masks_of(columns), np.concatenate([c.embeddings for c in columns])
     )
     encoder = _encoder_of(features, evidence.embeddings.shape[1])
     return Registration(
@@ -271,9 +271,9 @@ def _check_one_size(columns: Sequence[Columns]) -> None:
         )
 
 
-def _segments_of(columns: Sequence[Columns]) -> Segments:
+def _masks_of(columns: Sequence[Columns]) -> MaskIds:
     counts = [len(c.embeddings) for c in columns]
-    return Segments(
+    return MaskIds(
         view_names=tuple(c.view_name for c in columns),
         views=np.repeat(np.arange(len(columns), dtype=np.int32), counts),
         ids=np.concatenate([np.arange(n, dtype=np.int32) for n in counts]),
@@ -299,14 +299,14 @@ def _between(
 
 
 def _merge(a: Evidence, b: Evidence) -> Evidence:
-    names = sorted(a.segments.view_names + b.segments.view_names)
+    names = sorted(a.masks.view_names + b.masks.view_names)
     rank = {name: i for i, name in enumerate(names)}
     views = np.concatenate(
-        [[rank[s.view_names[v]] for v in s.views] for s in (a.segments, b.segments)]
+        [[rank[s.view_names[v]] for v in s.views] for s in (a.masks, b.masks)]
     ).astype(np.int32)
-    ids = np.concatenate([a.segments.ids, b.segments.ids])
+    ids = np.concatenate([a.masks.ids, b.masks.ids])
     order = np.lexsort((ids, views))
     weights = csr_array(hstack([a.weights, b.weights], format="csr")[:, order])
     weights.sort_indices()
     embeddings = np.concatenate([a.embeddings, b.embeddings])[order]
-    return Evidence(weights, Segments(tuple(names), views[order], ids[order]), embeddings)
+    return Evidence(weights, MaskIds(tuple(names), views[order], ids[order]), embeddings)

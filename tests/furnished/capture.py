@@ -38,7 +38,7 @@ def write_capture(
         seen = masks.features(view)
         stem = Path(view.name).stem
         write_features(
-            folder / "language_features", stem, seen.segment_ids, seen.embeddings, overwrite
+            folder / "language_features", stem, seen.mask_ids, seen.embeddings, overwrite
         )
 
 

@@ -38,15 +38,15 @@ class MaskMaker:
         return splat_arrays(self.room.gaussians)
 
     def features(self, view: View) -> ViewFeatures:
-        """Segments with noisy embeddings."""
+        """MaskIds with noisy embeddings."""
         rng = np.random.default_rng([self.seed, *view.name.encode()])
         labels = exact_labels(self.room, view, splats=self._splats)
-        segment_ids, things = perturbed(labels, rng)
+        mask_ids, things = perturbed(labels, rng)
         clean = self.encoder.encode_texts(self.room.names)[things]
         noise = rng.standard_normal(clean.shape)
         noisy = clean + NOISE * noise / np.linalg.norm(noise, axis=1, keepdims=True)
         noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-        return ViewFeatures(segment_ids, noisy.astype(np.float32))
+        return ViewFeatures(mask_ids, noisy.astype(np.float32))
 
 
 def exact_labels(
@@ -61,8 +61,8 @@ def exact_labels(
 def perturbed(
     labels: Int32[np.ndarray, "h w"], rng: np.random.Generator
 ) -> tuple[Int32[np.ndarray, "h w"], Int32[np.ndarray, " s"]]:
-    """Segment map with ids from 0, and the thing behind each segment."""
-    segment_ids = np.full(labels.shape, -1, np.int32)
+    """Mask map with ids from 0, and the thing behind each mask."""
+    mask_ids = np.full(labels.shape, -1, np.int32)
     things: list[int] = []
     inner = labels == ndimage.minimum_filter(labels, 3)
     inner &= labels == ndimage.maximum_filter(labels, 3)
@@ -73,6 +73,6 @@ def perturbed(
         sizes = np.bincount(pieces.ravel(), minlength=num + 1) if num else np.zeros(1)
         for piece in np.flatnonzero(sizes[1:] >= MIN_PIXELS) + 1:
             if rng.random() >= MISSED_SHARE:
-                segment_ids[window][pieces == piece] = len(things)
+                mask_ids[window][pieces == piece] = len(things)
                 things.append(label)
-    return segment_ids, np.array(things, np.int32)
+    return mask_ids, np.array(things, np.int32)

@@ -49,7 +49,7 @@ class Story:
     field: LanguageField
     verdicts: list[Verdict]
     seconds: dict[str, float]
-    num_segments: int
+    num_masks: int
     num_weights: int
 
 

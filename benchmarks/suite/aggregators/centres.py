@@ -35,20 +35,20 @@ class CentrePixels(Sampling):
         self,
         splats: SplatArrays,
         view: View,
-        segment_ids: Int32[np.ndarray, "h w"],
+        mask_ids: Int32[np.ndarray, "h w"],
         threads: int = 0,
     ) -> Triples:
-        return centre_weights(splats, view, segment_ids, threads=threads)
+        return centre_weights(splats, view, mask_ids, threads=threads)
 
 
 def centre_weights(
     splats: SplatArrays,
     view: View,
-    segment_ids: Int32[np.ndarray, "h w"],
+    mask_ids: Int32[np.ndarray, "h w"],
     *,
     threads: int = 0,
 ) -> Triples:
-    """Per Gaussian its blending weight alpha T at the pixel of its centre, and the segment there.
+    """Per Gaussian its blending weight alpha T at the pixel of its centre, and the mask there.
 
     At most one entry per Gaussian; none where it adds nothing there, or where no mask is.
 
@@ -56,7 +56,7 @@ def centre_weights(
     """
     pixels = centre_pixels(splats, view)
     wanted = np.unique(pixels[pixels >= 0])
-    wanted = wanted[segment_ids.ravel()[wanted] >= 0]
+    wanted = wanted[mask_ids.ravel()[wanted] >= 0]
     chunks = [
         _weights_at(splats, view, pixels, wanted[begin : begin + PIXELS_AT_ONCE], threads)
         for begin in range(0, len(wanted), PIXELS_AT_ONCE)
@@ -65,7 +65,7 @@ def centre_weights(
     weights = np.concatenate([chunk[1] for chunk in chunks] or [np.empty(0, np.float32)])
     order = np.argsort(ids, kind="stable")
     ids = ids[order]
-    return Triples(ids, segment_ids.ravel()[pixels[ids]], weights[order])
+    return Triples(ids, mask_ids.ravel()[pixels[ids]], weights[order])
 
 
 def centre_pixels(splats: SplatArrays, view: View) -> Int64[np.ndarray, " n"]:
@@ -88,9 +88,9 @@ def _weights_at(
     threads: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gaussians whose centre is in one of the chosen pixels, and their weights there."""
-    # Every pixel is a segment of its own, so that W has its contributors one by one.
+    # Every pixel is a mask of its own, so that W has its contributors one by one.
     own = np.full(view.width * view.height, -1, np.int32)
     own[chosen] = np.arange(len(chosen), dtype=np.int32)
     found = view_weights(splats, view, own.reshape(view.height, view.width), None, threads=threads)
-    at_centre = pixels[found.gaussian_ids] == chosen[found.segment_ids]
+    at_centre = pixels[found.gaussian_ids] == chosen[found.mask_ids]
     return found.gaussian_ids[at_centre], found.weights[at_centre]

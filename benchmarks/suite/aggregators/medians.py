@@ -13,7 +13,7 @@ from drsplat.evidence.evidence import Evidence
 class CosineMedian:
     """z <- normalise(z + eta (f - <f, z> z)) with eta = w / (w + weight so far), vote by vote.
 
-    Votes come by view name, then segment id, and the first is the first z. What comes out is a sum of the
+    Votes come by view name, then mask id, and the first is the first z. What comes out is a sum of the
     votes with positive factors: those are the new weights, scaled to the row's old sum.
 
     Source: VALA (3DV 2026), streaming cosine median.  Twin: tests/test_benchmark_aggregators.py::slow_median.

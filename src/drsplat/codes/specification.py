@@ -11,7 +11,7 @@ from .mixture.encoding import DEFAULT_ATOMS, MOST_SCENE_ATOMS, ROWS_PER_SCENE_AT
 
 SUBVECTORS = 128
 _NORM = 4  # bytes of a PQ row's inverse norm
-_ATOM = 8  # bytes of an atom beside its numbers: scale and segment
+_ATOM = 8  # bytes of an atom beside its numbers: scale and mask
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Smaller:
 
     atoms: int = DEFAULT_ATOMS
 
-    def chosen(self, rows: int, segments: int, dim: int) -> PQ | Mixture:
-        smaller = choose_code(rows, segments, dim, self.atoms).name
+    def chosen(self, rows: int, masks: int, dim: int) -> PQ | Mixture:
+        smaller = choose_code(rows, masks, dim, self.atoms).name
         return Mixture(self.atoms) if smaller == "mixture" else PQ()
 
 
@@ -56,18 +56,16 @@ class Choice(NamedTuple):
     mixture_bytes: int
 
 
-def choose_code(
-    n_rows: int, n_segments: int, dim: int, atoms_per_row: int = DEFAULT_ATOMS
-) -> Choice:
-    """Mixture where it takes fewer bytes in all, as if every segment were used; else PQ of 128 bytes per row.
+def choose_code(n_rows: int, n_masks: int, dim: int, atoms_per_row: int = DEFAULT_ATOMS) -> Choice:
+    """Mixture where it takes fewer bytes in all, as if every mask were used; else PQ of 128 bytes per row.
 
-    With 512 numbers and 4 atoms per row that is from about 5 rows per segment on.
+    With 512 numbers and 4 atoms per row that is from about 5 rows per mask on.
 
-    Raises: InputError: a number of rows, segments or numbers that cannot be.
+    Raises: InputError: a number of rows, masks or numbers that cannot be.
     """
-    if n_rows < 0 or n_segments < 0 or dim < 1:
-        raise InputError(f"{n_rows} rows, {n_segments} segments, {dim} numbers: expected counts")
+    if n_rows < 0 or n_masks < 0 or dim < 1:
+        raise InputError(f"{n_rows} rows, {n_masks} masks, {dim} numbers: expected counts")
     pq = n_rows * (SUBVECTORS + _NORM) + CENTROIDS * dim * 4
-    atoms = n_segments + min(MOST_SCENE_ATOMS, n_rows // ROWS_PER_SCENE_ATOM)
+    atoms = n_masks + min(MOST_SCENE_ATOMS, n_rows // ROWS_PER_SCENE_ATOM)
     mixture = n_rows * (3 * atoms_per_row + 2) + atoms * (dim + _ATOM)
     return Choice("mixture" if mixture < pq else "pq", pq, mixture)

@@ -23,13 +23,13 @@ EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --codebook clip.safetensors \\
       --output scene.field
 
-A run that was stopped goes on where it was when the same command is given again; drsplat inspect shows a codebook."""
+A stopped run resumes when the same command is given again; drsplat inspect describes a codebook."""
 LIMIT = 17_500  # 64 for each of 256 centroids, which is what is trained on, and 5 % held out
 HELD_OUT_SHARE, MOST_HELD_OUT = 0.05, 10_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=("train",), help="what to do")
+    parser.add_argument("action", choices=("train",), help="action; there is one")
     parser.add_argument(
         "features", nargs="?", metavar="FEATURES.npy", help="embeddings (N, D) to train on, instead of --lvis"
     )  # fmt: skip
@@ -39,28 +39,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     source = parser.add_argument_group("source")
     source.add_argument(
-        "--lvis", metavar="FILE", help="annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
+        "--lvis", metavar="FILE", help="file of annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
     )  # fmt: skip
     source.add_argument(
-        "--images", metavar="DIR", help="where their photos are, e.g. the folder of train2017 and val2017"
+        "--images", metavar="DIR", help="folder of their photos, e.g. that of train2017 and val2017"
     )  # fmt: skip
     source.add_argument(
-        "--encoder-name", type=words, metavar="NAME", help="who made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
+        "--encoder-name", type=words, metavar="NAME",
+        help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
     )  # fmt: skip
     source.add_argument(
         "--limit", type=count_or_all, default=LIMIT, metavar="N",
         help="embed at most N patches, drawn at random, or 'all'. Training takes 16,384 of them in any case, all "
-        f"others only cost time (default: {LIMIT}; things under 100 pixels are left out)",
+        f"others only cost time (default: {LIMIT}; patches under 100 pixels are left out)",
     )  # fmt: skip
     source.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(source)
     method = parser.add_argument_group("method")
     method.add_argument(
         "--subvectors", type=count, default=128, metavar="L",
-        help="bytes of a code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)",
+        help="bytes per code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)",
     )  # fmt: skip
     method.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="of what is drawn (default: 0)"
+        "--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)"
     )
 
 
@@ -118,7 +119,7 @@ def show(answer: dict[str, Any]) -> None:
         facts["photos"] = (
             f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
         )
-        facts["left out"] = counted(answer["num_left_out"], "thing")
+        facts["left out"] = counted(answer["num_left_out"], "patch", "patches")
     show_facts(f"trained: {answer['codebook']}", facts)
 
 
@@ -152,7 +153,7 @@ def _given(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, 
 
     if arguments.encoder_name is None:
         raise InputError(
-            f"{arguments.features}: the file does not say who made it: pass --encoder-name NAME"
+            f"{arguments.features}: the file does not name its encoder: pass --encoder-name NAME"
         )
     rows = map_npy(Path(arguments.features))
     if rows.ndim != 2 or 0 in rows.shape or rows.dtype.kind != "f":

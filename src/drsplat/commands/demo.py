@@ -6,7 +6,7 @@ from typing import Any
 
 from .options import add_overwrite, tracker
 
-SUMMARY = "search a small scene that ships: mask its photos, embed, register, ask, check against the truth"
+SUMMARY = "search a small scene that ships: mask its photos, embed, register, query, check against the truth"
 EXAMPLES = """\
   drsplat demo
   drsplat demo --output-dir room --overwrite --json
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_registered": len(story.field),
         "num_photos": len(story.views),
         "num_held_out": len(story.held_out),
-        "num_segments": story.num_segments,
+        "num_masks": story.num_masks,
         "num_weights": story.num_weights,
         "queries": [
             _query(verdict, path)
@@ -69,9 +69,9 @@ def show(answer: dict[str, Any]) -> None:
 
     from .tables import said, show_table, size_said
 
-    photos, masks = answer["num_photos"], answer["num_segments"]
+    photos, masks = answer["num_photos"], answer["num_masks"]
     title = f"{said(answer['num_gaussians'])} Gaussians, {photos} photos, {said(masks)} masks"
-    columns = ("asked for", "", "", "IoU", "Gaussians", "centre (m)", "ms")
+    columns = ("query", "", "", "IoU", "Gaussians", "centre (m)", "ms")
     show_table(title, columns, [_row(query) for query in answer["queries"]])
     seconds, memory = answer["seconds"], size_said(answer["peak_memory_bytes"])
     print(
@@ -79,18 +79,20 @@ def show(answer: dict[str, Any]) -> None:
         "photos held out; "
         f"{seconds:.1f} s, {memory} at most."
     )
-    print(f"Look at {answer['page']} or {answer['overview']}, then ask yourself:")
+    print(f"Look at {answer['page']} or {answer['overview']}, then try your own query:")
     print(f'  drsplat locate {answer["output_dir"]} "red vase"')
     print(f"  drsplat view {answer['output_dir']}        (in a browser)")
     Console(highlight=False, markup=False).print(f"\n{answer['caption']}", style="dim")
 
 
 def _row(query: dict[str, Any]) -> tuple[str, ...]:
-    found = f"found in {query['num_matches']} places" if query["num_matches"] > 1 else "found"
+    from ..terminal import counted
+
+    matches = counted(query["num_matches"], "match", "matches")
     iou = "" if query["iou"] is None else f"{query['iou']:.2f}"
     center = "" if query["center"] is None else " ".join(f"{x:.2f}" for x in query["center"])
     return (
-        query["text"], "right" if query["is_right"] else "MISS", found if query["found"] else "not found", iou,
+        query["text"], "right" if query["is_right"] else "MISS", matches, iou,
         f"{query['num_selected']:,}", center, f"{1000 * query['seconds']:.0f}",
     )  # fmt: skip
 
@@ -98,8 +100,7 @@ def _row(query: dict[str, Any]) -> tuple[str, ...]:
 def _query(verdict: Any, picture: Path) -> dict[str, Any]:
     return {
         "text": verdict.probe.text,
-        "meant": list(verdict.probe.meant),
-        "found": verdict.found,
+        "expected": list(verdict.probe.meant),
         "is_right": verdict.is_right,
         "iou": verdict.iou,
         "num_selected": len(verdict.gaussian_ids),

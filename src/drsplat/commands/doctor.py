@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
 
-SUMMARY = "say what is installed, what can run on this machine and what is missing"
+SUMMARY = "report what is installed, what can run on this machine and what is missing"
 EXAMPLES = """\
   drsplat doctor
   drsplat doctor --json
@@ -28,7 +28,7 @@ PACKAGES = {
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
-    "see and ask scenes in a browser (drsplat view)": (
+    "show and search scenes in a browser (drsplat view)": (
         "viewer",
         ("viser", "msgspec", "websockets"),
     ),
@@ -104,7 +104,7 @@ def abilities(facts: dict[str, Any]) -> dict[str, dict[str, Any]]:
     facts: as `probe` gives them; empty where torch is not installed.
     """
     return {
-        "register, query, render, train on the CPU": _ability(None, None),
+        "register, locate, render, train on the CPU": _ability(None, None),
         "train on a CUDA GPU": _ability(_no_cuda_training(facts), None),
         "masks and embeddings of real models (SAM, CLIP)": _ability(*_no_models(facts)),
         **{name: _ability(*_no_extra(*needed)) for name, needed in SERVERS.items()},

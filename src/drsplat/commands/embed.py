@@ -21,12 +21,12 @@ EXAMPLES = """\
   drsplat embed capture --segmenter graph --encoder drsplat-mini
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
 
-A run that was stopped goes on where it was when the same command is given again, without --overwrite."""
+A stopped run resumes when the same command is given again, without --overwrite."""
 SEGMENTER = "facebook/sam-vit-huge"
 ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
     f"model that embeds, an id of the Hugging Face hub or a folder: CLIP, SigLIP or SigLIP 2, or DINOv2, which knows "
-    f"no words; or drsplat-mini, built in, which knows 37 household things (default: {ENCODER}, the paper's)"
+    f"no words; or drsplat-mini, built in, which knows 37 household objects (default: {ENCODER}, the paper's)"
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 MOST_POINTS = 1024  # on a side
@@ -34,7 +34,8 @@ MOST_POINTS = 1024  # on a side
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "capture", help="the photos: a folder with a COLMAP model, transforms.json or cameras.json"
+        "capture",
+        help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json",
     )
     parser.add_argument(
         "--output", "-o", metavar="DIR",
@@ -64,18 +65,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     method.add_argument(
         "--points", type=up_to(MOST_POINTS), metavar="N",
-        help="SAM: ask N x N points of each photo, and as many of each crop; time goes with N squared (default: 32, "
+        help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared (default: 32, "
         "LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--crop-layers", type=int, choices=range(3),
-        help="SAM, 1: look at four enlarged crops as well, for small things, which takes five times as long "
-        "(default: 1, "
+        help="SAM: 1 also searches four enlarged crops, for small objects, and takes five times as long (default: 1, "
         "LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--max-height", type=count, default=1080, metavar="PIXELS",
-        help="scale taller photos down to this, as LangSplat does (default: 1080)",
+        help="greatest height of a photo; taller ones are scaled down, as LangSplat does (default: 1080)",
     )  # fmt: skip
     add_capture_options(parser)
     add_without(parser)
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_device(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
-        help="where the models run; auto is a GPU where there is one (default: auto)",
+        help="device of the models; auto is a GPU where there is one (default: auto)",
     )  # fmt: skip
 
 
@@ -109,14 +109,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     made = report.photos - report.reused
     return {
         "output": str(output),
-        "photos": report.photos,
+        "num_photos": report.photos,
         "left_out": sorted(without),
-        "reused": report.reused,
-        "redone": report.redone,
+        "num_photos_reused": report.reused,
+        "num_photos_redone": report.redone,
         "changes": list(report.changes),
-        "masks": sum(report.masks.values()),
+        "num_masks": sum(report.masks.values()),
         "masks_per_level": dict(report.masks),
-        "empty_masks": report.empty_masks,
+        "num_empty_masks": report.empty_masks,
         "encoder": encoder.identity.name,
         "dim": encoder.identity.dim,
         "seconds": sum(watch.seconds.values()),
@@ -129,14 +129,18 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import said, show_facts, size_said
 
-    made = answer["photos"] - answer["reused"]
-    anew = f", {said(answer['redone'])} over older files" if answer["redone"] else ""
+    made = answer["num_photos"] - answer["num_photos_reused"]
+    anew = (
+        f", {said(answer['num_photos_redone'])} over older files"
+        if answer["num_photos_redone"]
+        else ""
+    )
     show_facts(
         f"embedded: {answer['output']}",
         {
-            "photos": f"{said(answer['photos'])} ({said(answer['reused'])} from an earlier run{anew})",
-            "masks": f"{said(answer['masks'])} ({said(answer['masks_per_level'])})",
-            "empty masks": said(answer["empty_masks"]),
+            "photos": f"{said(answer['num_photos'])} ({said(answer['num_photos_reused'])} from an earlier run{anew})",
+            "masks": f"{said(answer['num_masks'])} ({said(answer['masks_per_level'])})",
+            "empty masks": said(answer["num_empty_masks"]),
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
             "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
             "peak memory": size_said(answer["peak_memory_bytes"]),
@@ -182,7 +186,7 @@ def _point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
         return PointMaskSettings(**given, levels=_LEVELS[arguments.levels or "four"])
     if given or arguments.levels == "four":
         raise InputError(
-            "--segmenter graph has masks of one level and asks no points: leave out --points, "
+            "--segmenter graph has masks of one level and no point grid: leave out --points, "
             "--crop-layers and --levels four"
         )
     return None

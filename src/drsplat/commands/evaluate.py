@@ -41,27 +41,30 @@ tuned on them, as the papers have it: never compare the one with the other."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("protocol", choices=PROTOCOLS, help="what is measured, and how")
+    parser.add_argument("protocol", choices=PROTOCOLS, help="protocol to score by")
     parser.add_argument(
         "data",
-        help="lerf-ovs: the folder with label/ and a folder per scene; the others: one with a folder per scene",
+        help="folder with a folder per scene; of lerf-ovs also with label/",
     )
     each = parser.add_argument_group("for each scene, in the same order")
     each.add_argument(
         "--name", type=words, action="append", help="folder in DATA (default: the only one there)"
     )
-    each.add_argument("--scene", action="append", required=True, help="the Gaussians")
-    each.add_argument("--field", action="append", help="what `drsplat register` wrote")
+    each.add_argument("--scene", action="append", required=True, help="scene that was registered")
+    each.add_argument("--field", action="append", help="field that `drsplat register` wrote")
     each.add_argument(
         "--features", action="append", metavar="FILE.npy",
-        help="instead of --field, features of any system: (N, D) float16 or float32, a row per Gaussian, zeros where "
+        help="features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros where "
         "there is none; with --vocabulary or --encoder for the texts",
     )  # fmt: skip
     parser.add_argument(
-        "--report", required=True, metavar="DIR", help="folder for all that is written"
+        "--report", required=True, metavar="DIR", help="folder for the report and the predictions"
     )
     parser.add_argument(
-        "--method", type=words, metavar="NAME", help="name in the tables (default: the measure)"
+        "--method",
+        type=words,
+        metavar="NAME",
+        help="name of the method in the tables (default: the measure)",
     )
     parser.add_argument(
         "--relevancy", action="store_true",
@@ -69,36 +72,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--threshold", type=finite, metavar="T",
-        help="the fixed one (default: the encoder's own, else 0.5)",
+        help="fixed threshold (default: the encoder's own, else 0.5)",
     )  # fmt: skip
     parser.add_argument(
-        "--automatic", action="store_true", help="also thresholds per query, found in its scores"
+        "--automatic",
+        action="store_true",
+        help="score with a threshold per query as well, chosen from its scores",
     )
     parser.add_argument(
         "--label-set", type=words, default="scannet19", metavar="SET",
-        help="scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt with tabs "
-        "between (default: scannet19)",
+        help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "
+        "with "
+        "tabs between (default: scannet19)",
     )  # fmt: skip
     parser.add_argument(
         "--label-table",
         metavar="FILE",
-        help="scannetv2-labels.combined.tsv, for scannet200 (default: in DATA)",
+        help="file scannetv2-labels.combined.tsv, for scannet200 (default: the one in DATA)",
     )
     parser.add_argument(
         "--prompt",
         type=words,
         metavar="TEXT",
-        help='how classes are asked for, e.g. "a photo of a {}" (default: the name)',
+        help='template of the query for a class, e.g. "a photo of a {}" (default: its name)',
     )
     parser.add_argument(
         "--voxel-side",
         type=length,
         default=0.05,
         metavar="LENGTH",
-        help="in scene units (default: 0.05)",
+        help="side of a voxel in scene units (default: 0.05)",
     )
     parser.add_argument(
-        "--figures", type=whole, default=6, metavar="N", help="pictures a scene (default: 6)"
+        "--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)"
     )
     parser.add_argument(
         "--score-only", action="store_true", help="score the predictions that are in REPORT already"
@@ -242,7 +248,7 @@ def _names(arguments: argparse.Namespace, inside: str) -> list[str]:
     found = sorted(path.name for path in place.iterdir() if path.is_dir()) if place.is_dir() else []
     if len(found) != 1 or len(arguments.scene) != 1:
         listed = ", ".join(found[:6]) or "none"
-        raise InputError(f"say with --name which scenes of {place} these are (there: {listed})")
+        raise InputError(f"name the scenes of {place} that these are with --name (there: {listed})")
     return found
 
 

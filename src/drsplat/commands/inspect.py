@@ -1,4 +1,4 @@
-"""drsplat inspect: what is in a file or folder."""
+"""drsplat inspect: a file or folder -> what it holds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .options import add_capture_options, views_of
 if TYPE_CHECKING:
     import numpy as np
 
-SUMMARY = "say what is in a scene, a capture, a feature folder, a field, a codebook or a vocabulary"
+SUMMARY = "describe a scene, a capture, a feature folder, a field, a codebook or a vocabulary"
 EXAMPLES = """\
   drsplat inspect scene.ply
   drsplat inspect capture
@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", help="file or folder of any of these")
     parser.add_argument(
         "--verify", action="store_true",
-        help="compare all that is in a field with its checksums, which other verbs do for what they use; the other "
-        "kinds are read whole anyway",
+        help="check everything in a field against its checksums; other verbs check what they use, and the other kinds "
+        "are read whole anyway",
     )  # fmt: skip
     add_capture_options(parser)
 
@@ -148,8 +148,8 @@ def _features(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "num_photos": len(folder),
         "dim": folder.dim,
-        "segments": {level: sum(photo[level] for photo in photos) for level in LEVELS},
-        "map_sizes": sorted({"{1}x{0}".format(*folder[key].segment_ids.shape) for key in folder}),
+        "masks_per_level": {level: sum(photo[level] for photo in photos) for level in LEVELS},
+        "map_sizes": sorted({"{1}x{0}".format(*folder[key].mask_ids.shape) for key in folder}),
         "first": photos[0]["name"],
         "last": photos[-1]["name"],
         "photos": photos,
@@ -173,8 +173,8 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         **code_facts(field.code),
         "scene": field.scene,
         "aggregator": field.aggregator.name,
-        "num_views": None if evidence is None else len(evidence.segments.view_names),
-        "num_segments": None if evidence is None else len(evidence.segments),
+        "num_views": None if evidence is None else len(evidence.masks.view_names),
+        "num_masks": None if evidence is None else len(evidence.masks),
         "num_weights": None if evidence is None else int(evidence.weights.nnz),
         "negatives": list(field.negatives.texts) if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},

@@ -14,8 +14,8 @@ EVERY = "every:"
 def add_without(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--without", type=words, metavar="FILE|every:N",
-        help="leave these photos out: a file with a name on each line, or every Nth by name from the first on, as "
-        "`drsplat train` holds them out (default: take all)",
+        help="photos to leave out: a file with a name on each line, or every Nth by name from the first on, as "
+        "`drsplat train` holds them out (default: none)",
     )  # fmt: skip
 
 

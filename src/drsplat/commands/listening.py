@@ -14,13 +14,15 @@ def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: 127.0.0.1, this machine only); others need --api-key-file",
     )  # fmt: skip
-    parser.add_argument("--port", type=PORT, default=port, metavar="N", help=f"(default: {port})")
+    parser.add_argument(
+        "--port", type=PORT, default=port, metavar="N", help=f"port to listen on (default: {port})"
+    )
     parser.add_argument(
         "--api-key-file", metavar="FILE",
-        help="a file with a key that every request has to give: Authorization: Bearer KEY",
+        help="file with the key that every request has to send: Authorization: Bearer KEY",
     )  # fmt: skip
     parser.add_argument(
-        "--open", action="store_true", help="allow another --host without a key: anyone may ask"
+        "--open", action="store_true", help="allow another --host without a key, for anyone"
     )
 
 
@@ -34,7 +36,7 @@ def checked_key(arguments: argparse.Namespace) -> str | None:
     key = None if arguments.api_key_file is None else _key(Path(arguments.api_key_file))
     if not is_loopback(arguments.host) and key is None and not arguments.open:
         raise InputError(
-            f"--host {arguments.host} lets other machines ask: pass --api-key-file FILE, or --open to let anyone"
+            f"--host {arguments.host} opens it to other machines: pass --api-key-file FILE, or --open to let anyone"
         )
     return key
 

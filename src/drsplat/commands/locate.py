@@ -21,7 +21,7 @@ from .query_options import (
 if TYPE_CHECKING:
     from ..query import Answer, Match, Scene
 
-SUMMARY = "find things in a field: where they are, how large, and which photos say so"
+SUMMARY = "locate the matches of a query in a scene: where they are, how large, and their supporting photos"
 EXAMPLES = """\
   drsplat locate room.field "red mug" --scene scene.ply
   drsplat locate room.field "mug, not red" --scene scene.ply --threshold auto
@@ -33,8 +33,8 @@ EXAMPLES = """\
   drsplat locate room.field "red mug" --scene scene.ply --picture mug.png --views capture --view photo_003
 
 Which threshold? Cosines of one encoder's texts are near 1 for what fits, those of CLIP between texts and photos
-seldom exceed 0.3. Relevancy is the same scale for every encoder; words with --encoder are measured by it. With
---threshold auto each query is cut at a place of its own. For the others look at the printed range."""
+seldom exceed 0.3. Relevancy has the same scale for every encoder; words with --encoder are measured by it. With
+--threshold auto each query has a threshold of its own. For other queries look at the printed range."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,18 +44,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=count,
         default=10,
         metavar="N",
-        help="things to list, best first (default: 10)",
+        help="matches to list, best first (default: 10)",
     )
     parser.add_argument(
         "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
-        help=f"smaller things are specks and left out (default: {MIN_GAUSSIANS})",
+        help=f"Gaussians of the smallest match; what is smaller is a speck (default: {MIN_GAUSSIANS})",
     )  # fmt: skip
     parser.add_argument(
         "--box", choices=("upright", "free"), default="upright",
-        help="upright: boxes stand on the ground, where the photos told which way is up; free: along the thing's own "
+        help="upright: boxes stand on the ground, where the photos told which way is up; free: along the match's own "
         "axes (default: upright)",
     )  # fmt: skip
-    saved = "write the scene with two more columns: relevancy, what was measured; object_id, the number of the thing or -1"
+    saved = "write the scene with two more columns: relevancy, the measured values; match_id, the match's number or -1"
     add_output_options(parser, saved)
 
 
@@ -65,9 +65,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     answer = scene.ask(query_of(arguments))
     report = answer_json(arguments, answer)
     if not scene.has_gaussians:
-        return {**report, "found": report["num_selected"] > 0, "matches": None}
+        return {**report, "num_matches": None, "matches": None}
     matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
-    report |= {"found": bool(matches), "num_matches": len(matches)}
+    report["num_matches"] = len(matches)
     report["matches"] = [_json(match) for match in matches[: arguments.top]]
     if arguments.save:
         _save(arguments, scene, answer, matches)
@@ -81,11 +81,11 @@ def show(answer: dict[str, Any]) -> None:
     from .tables import said, show_table
 
     measured = measured_said(answer)
-    if not answer["found"]:
-        print(f"Nothing found for '{answer['query']}'.\n{measured}")
+    if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):
+        print(f"No match for '{answer['query']}'.\n{measured}")
         if answer["num_selected"]:
             above = counted(answer["num_selected"], "Gaussian is", "Gaussians are")
-            print(f"{above} above the threshold, too few or too scattered for a thing.")
+            print(f"{above} above the threshold, too few or too scattered for a match.")
         return
     of = counted(answer["num_registered"], "Gaussian")
     print(f"{said(answer['num_selected'])} of {of} selected\n{measured}")
@@ -94,15 +94,14 @@ def show(answer: dict[str, Any]) -> None:
         return
     columns = ("match", "score", "Gaussians", "centre", "extent")
     rows = [_row(number, match) for number, match in enumerate(answer["matches"])]
-    show_table(
-        f"{answer['num_matches']} found for '{answer['query']}', in scene units", columns, rows
-    )
+    title = f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}', in scene units"
+    show_table(title, columns, rows)
     for number, match in enumerate(
         answer["matches"]
     ):  # names of photos are long, and people copy them
         if match["support"]:
             photos = dict.fromkeys(mask["view"] for mask in match["support"])
-            print(f"match {number} is seen in {', '.join(photos)}")
+            print(f"match {number} is supported by {', '.join(photos)}")
 
 
 def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
@@ -118,7 +117,7 @@ def _json(match: Match) -> dict[str, Any]:
         "extent": match.extent,
         "axes": match.axes,
         "support": [
-            {"view": one.view_name, "mask": one.segment_id, "share": one.share}
+            {"view": one.view_name, "mask": one.mask_id, "share": one.share}
             for one in match.support
         ],
     }
@@ -134,12 +133,16 @@ def _save(
     match_ids = np.full(len(scene.gaussians), -1, np.int32)
     for number, match in enumerate(matches):
         match_ids[match.gaussian_ids] = number
-    columns = {"relevancy": answer.dense, "object_id": match_ids}
+    columns = {"relevancy": answer.dense, "match_id": match_ids}
     write_gaussians(arguments.save, scene.gaussians, columns, overwrite=arguments.overwrite)
 
 
 def _draw(arguments: argparse.Namespace, scene: Scene, matches: list[Match]) -> str:
     import numpy as np
 
+    from ..terminal import counted
+
     ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
-    return draw(arguments, scene, ids, f"{len(matches)} found" if matches else "not found")
+    return draw(
+        arguments, scene, ids, counted(len(matches), "match", "matches") if matches else "no match"
+    )

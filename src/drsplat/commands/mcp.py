@@ -9,21 +9,23 @@ from typing import Any
 from .listening import add_listening, checked_key, own_names
 from .options import add_query_encoders
 
-SUMMARY = "let language models ask the scenes of a folder (Model Context Protocol)"
+SUMMARY = "let language models query the scenes of a folder (Model Context Protocol)"
 EXAMPLES = """\
   drsplat mcp scenes
   drsplat mcp drsplat-demo --http --port 8766
   drsplat mcp scenes --http --host 0.0.0.0 --api-key-file key.txt
 
 scenes is a folder with a field and its scene, or with one of these in each subfolder. Without --http the protocol is
-spoken on stdin and stdout, as programs expect that start the server themselves: {"command": "drsplat", "args": ["mcp",
+spoken on stdin and stdout, for programs that start the server themselves: {"command": "drsplat", "args": ["mcp",
 "/path/to/scenes"]}."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="a scene's folder, or a folder of such folders")
+    parser.add_argument("folder", help="folder of a scene, or folder of such folders")
     parser.add_argument(
-        "--http", action="store_true", help="streamable HTTP at /mcp instead of stdin and stdout"
+        "--http",
+        action="store_true",
+        help="serve streamable HTTP at /mcp instead of stdin and stdout",
     )
     add_listening(parser, port=8766)
     add_query_encoders(parser)

@@ -85,7 +85,8 @@ def words(text: str) -> str:
 def add_near(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--near", type=length, metavar="UNITS",
-        help="camera z up to which Gaussians are not seen, in scene units (default: 0.2 as published, less for scenes "
+        help="camera z of the near plane, in scene units; nothing nearer is seen (default: 0.2 as published, less for "
+        "scenes "
         "smaller than four units)",
     )  # fmt: skip
 
@@ -109,7 +110,7 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--max-side", type=count, metavar="PIXELS",
-        help="scale photos with a longer side down to this (default: as they are)",
+        help="longest side of the photos; larger ones are scaled down (default: no limit)",
     )  # fmt: skip
 
 
@@ -128,12 +129,12 @@ def add_query_encoders(parser: argparse.ArgumentParser) -> None:
     """--encoder, --device, --vocabulary: what turns words into vectors."""
     parser.add_argument(
         "--encoder", type=words, metavar="NAME",
-        help="the model that embedded the masks, for queries in words or by image: a folder or an id such as "
+        help="model that embedded the masks, for queries in words or by picture: a folder or an id such as "
         "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (default: none; fields of the built-in words encoder need none)",
     )  # fmt: skip
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
-        help="where --encoder computes (default: auto)",
+        help="device for --encoder (default: auto)",
     )  # fmt: skip
     parser.add_argument(
         "--vocabulary", metavar="FILE",

@@ -34,7 +34,7 @@ def share(text: str) -> float:
     return number
 
 
-FIELD_HELP = "what `drsplat register` wrote, or a folder with a field, its scene and photos"
+FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
 
 
 def add_query_options(parser: argparse.ArgumentParser) -> None:
@@ -42,27 +42,27 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
         "text", nargs="?", type=words,
-        help="what to look for, in words; 'mug, not red' leaves out what 'red mug' fits as well",
+        help="query in words; 'mug, not red' excludes what 'red mug' fits as well",
     )  # fmt: skip
     parser.add_argument(
         "--exclude", type=words, action="append", default=[], metavar="WORDS",
-        help="as ', not WORDS' in the text; may be given more than once",
+        help="words to exclude, as ', not WORDS' in the text does; may be repeated",
     )  # fmt: skip
     parser.add_argument(
-        "--vector", metavar="FILE.npy", help="look for this embedding instead of words: (D,) floats"
+        "--vector", metavar="FILE.npy", help="embedding to search for instead of words: (D,) floats"
     )
     parser.add_argument(
         "--image", metavar="PICTURE",
-        help="look for what this picture shows instead of words, embedded by --encoder; best cut out, on black or "
+        help="picture to search for instead of words, embedded by --encoder; best cut out, on black or "
         "transparent, as masks are",
     )  # fmt: skip
     parser.add_argument(
         "--click", type=words, metavar="VIEW:X,Y",
-        help="look for what is at this pixel of a photo of --views, e.g. photo_003:210,140; needs --scene, and no encoder",
+        help="pixel of a photo of --views to search for more of, e.g. photo_003:210,140; needs --scene, no encoder",
     )  # fmt: skip
     parser.add_argument(
         "--point", type=words, metavar="X,Y,Z",
-        help="look for what is at this point of the world, in scene units; needs --scene, and no encoder",
+        help="point of the world to search for more of, in scene units; needs --scene, no encoder",
     )  # fmt: skip
     add_query_encoders(parser)
     add_measure_options(parser)
@@ -73,9 +73,10 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     cut = parser.add_mutually_exclusive_group()
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
-        help="select Gaussians above this; auto, the default, follows the scene: words of CLIP-like encoders have to "
-        "fit better than a list of words; those of a built-in encoder have its own threshold; vectors, pictures and "
-        "clicks: 0.6 of the way from the median cosine to the highest ones",
+        help="select Gaussians that score above this (default: auto, which follows the scene: words of CLIP-like "
+        "encoders "
+        "have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for vectors, "
+        "pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
     )  # fmt: skip
     cut.add_argument(
         "--top-share", type=share, metavar="S",
@@ -83,11 +84,13 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--relevancy", action="store_true",
-        help="measure LERF's relevancy: how much better the query fits than any negative; 0.5 is as well",
+        help="measure LERF's relevancy instead of cosine: how much better the query fits than any negative; 0.5 is a "
+        "tie",
     )  # fmt: skip
     parser.add_argument(
         "--negatives", type=words, metavar="WORDS|FILE.npy",
-        help="compare with these, and measure relevancy (default: those stored in the field, else "
+        help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the "
+        "field, else "
         "object,things,stuff,texture)",
     )  # fmt: skip
 
@@ -95,21 +98,23 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     """--scene, --save, --picture and the poses for it."""
     parser.add_argument(
-        "--scene", help="the scene that was registered; needed for places, --save and --picture"
+        "--scene", help="scene that was registered; needed for places, --save and --picture"
     )
     output = parser.add_argument_group("output")
     output.add_argument("--save", metavar="OUT.ply", help=saved)
     output.add_argument(
         "--picture",
         metavar="OUT.png",
-        help="write a photo with what was found in colour, the rest grey",
+        help="write a photo with the answer in colour and the rest grey",
     )
-    output.add_argument("--views", metavar="CAPTURE", help="the poses, for --picture and --click")
+    output.add_argument(
+        "--views", metavar="CAPTURE", help="poses and photos, for --picture and --click"
+    )
     output.add_argument(
         "--view",
         type=words,
         metavar="NAME",
-        help="photo for --picture (default: the one that shows most of it)",
+        help="photo for --picture (default: the one that shows most of the answer)",
     )
     add_overwrite(output)
     add_capture_options(parser)
@@ -214,7 +219,7 @@ def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]
 
 RULES = {
     "given": "as given",
-    "top share": "for the share asked for",
+    "top share": "for the given share",
     "auto": "chosen for this query",
     "list": "as well as the best of a list of words",
     "encoder": "that of the encoder",

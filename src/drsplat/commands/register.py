@@ -36,15 +36,16 @@ EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --topk 45 --first-hits 100 \\
       --codebook pq_index.faiss --encoder-name ViT-B-16/laion2b_s34b_b88k --output scene.field --json
 
-A run that was stopped goes on where it was when the same command is given again."""
+A stopped run resumes when the same command is given again."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "scene", help="the Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
+        "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
     )
     parser.add_argument(
-        "capture", help="the poses: a folder with a COLMAP model, transforms.json or cameras.json"
+        "capture",
+        help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json",
     )
     parser.add_argument(
         "--features",
@@ -57,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o",
         required=True,
         metavar="FIELD",
-        help="folder to write the field to, by custom NAME.field",
+        help="folder to write the field to, conventionally NAME.field",
     )
     add_overwrite(parser)
     method = parser.add_argument_group("method")
@@ -80,15 +81,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     method.add_argument(
         "--aggregator", type=words, default="mean", metavar="NAME",
-        help="how the masks that see a Gaussian become its feature: mean (the paper), official (what its published "
+        help="rule by which the masks that see a Gaussian become its feature: mean (the paper), official (what its "
+        "published "
         "code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
     )  # fmt: skip
     add_near(method)
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
-        help="who made embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' "
-        "is the "
+        help="encoder of embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; "
+        "'drsplat-words' is the "
         "built-in one. Queries and codebooks of other encoders are then refused (default: what `drsplat embed` noted, "
         "which nothing overrules, else the codebook's, else unknown)",
     )  # fmt: skip
@@ -169,10 +171,10 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         "field": str(output),
         "num_gaussians": len(gaussians),
         "num_registered": len(field),
-        "num_views": len(registration.segments.view_names),
+        "num_views": len(registration.masks.view_names),
         "num_views_reused": reused,
         "left_out": sorted(without),
-        "num_segments": len(registration.segments),
+        "num_masks": len(registration.masks),
         "num_weights": int(registration.weights.nnz),
         "dim": field.encoder.dim,
         "encoder": field.encoder.name,
@@ -227,7 +229,7 @@ def show(answer: dict[str, Any]) -> None:
         {
             "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({registered:.1%})",
             "views": f"{said(answer['num_views'])}{reused}{out}",
-            "masks": f"{said(answer['num_segments'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
+            "masks": f"{said(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
             "field": size_said(answer["field_bytes"]),

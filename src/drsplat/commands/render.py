@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..scene.gaussians import Gaussians
     from ..scene.views import View
 
-SUMMARY = "render a scene from the places of its photos, if wanted with an answer highlighted"
+SUMMARY = "render a scene from the places of its photos, optionally with the matches of a query highlighted"
 EXAMPLES = """\
   drsplat render scene.ply --views capture --view photo_003 --output-dir renders
   drsplat render scene.ply --views capture --all --max-side 800 --depth
@@ -35,14 +35,14 @@ BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5,
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "scene", help="the Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
+        "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
     )
-    parser.add_argument("--views", required=True, metavar="CAPTURE", help="the poses to look from")
+    parser.add_argument("--views", required=True, metavar="CAPTURE", help="poses to render from")
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument(
         "--view", type=words, metavar="NAME", help="name of one photo, with or without suffix"
     )
-    which.add_argument("--all", action="store_true", help="all photos")
+    which.add_argument("--all", action="store_true", help="render from all photos")
     parser.add_argument(
         "--output-dir",
         "--output",
@@ -53,16 +53,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(parser)
     parser.add_argument(
-        "--background", choices=sorted(BACKGROUNDS), default="black", help="(default: black)"
+        "--background",
+        choices=sorted(BACKGROUNDS),
+        default="black",
+        help="colour behind the Gaussians (default: black)",
     )
     parser.add_argument(
         "--depth", action="store_true",
-        help="also NAME.depth.npy: expected camera z in scene units, float32 (H, W), 0 where nothing is",
+        help="write NAME.depth.npy as well: expected camera z in scene units, float32 (H, W), 0 where nothing is",
     )  # fmt: skip
     parser.add_argument(
         "--alpha",
         action="store_true",
-        help="also NAME.alpha.png: opacity, 255 where nothing shines through",
+        help="write NAME.alpha.png as well: opacity, 255 where nothing shines through",
     )
     add_near(parser)
     parser.add_argument(
@@ -70,10 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=words,
         nargs=2,
         metavar=("FIELD", "TEXT"),
-        help="keep in colour what this finds, the rest grey",
+        help="query whose matches stay in colour, the rest grey",
     )
     parser.add_argument(
-        "--threshold", type=finite, metavar="T", help="of --query (default: as `drsplat locate`)"
+        "--threshold",
+        type=finite,
+        metavar="T",
+        help="threshold of --query (default: as of `drsplat locate`)",
     )
     add_query_encoders(parser)
     add_capture_options(parser)
@@ -115,7 +121,7 @@ def show(answer: dict[str, Any]) -> None:
         + (f" ... {files[-1]}" if len(files) > 1 else "")
     )
     if answer["num_selected"] == 0:
-        print("Nothing was found to highlight.")
+        print("No match to highlight.")
 
 
 def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | None:

@@ -35,10 +35,12 @@ own. classes.ply has a column class_id, -1 for none, and the colours of the clas
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
-        "--classes", type=words, metavar="A,B,C", help="the classes, separated by commas"
+        "--classes", type=words, metavar="A,B,C", help="classes, separated by commas"
     )
     parser.add_argument(
-        "--classes-file", metavar="FILE.txt", help="the classes, one on each line, instead"
+        "--classes-file",
+        metavar="FILE.txt",
+        help="file with a class on each line, instead of --classes",
     )
     add_query_encoders(parser)
     add_measure_options(parser)

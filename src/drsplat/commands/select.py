@@ -34,7 +34,7 @@ cuts the mug out. mug_ids.npy are row numbers of the scene."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_query_options(parser)
-    saved = "OUT.ply: the scene with two more columns, relevancy, what was measured, and selected, 0 or 1; OUT.npy: the row "
+    saved = "OUT.ply: scene with two more columns, relevancy, the measured values, and selected, 0 or 1; OUT.npy: row "
     add_output_options(parser, saved + "numbers of the selected Gaussians in the scene, int64")
 
 

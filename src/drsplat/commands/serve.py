@@ -9,7 +9,7 @@ from typing import Any
 from .listening import add_listening, checked_key, own_names
 from .options import add_query_encoders, length, up_to
 
-SUMMARY = "answer questions about the scenes of a folder over HTTP"
+SUMMARY = "answer queries on the scenes of a folder over HTTP"
 EXAMPLES = """\
   drsplat serve scenes
   drsplat serve drsplat-demo --port 8765 --workers 2
@@ -22,18 +22,22 @@ MOST_WORKERS = 256  # processes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="a scene's folder, or a folder of such folders")
+    parser.add_argument("folder", help="folder of a scene, or folder of such folders")
     add_listening(parser, port=8765)
     parser.add_argument(
         "--workers", type=up_to(MOST_WORKERS), default=2, metavar="N",
         help="processes that compute, one request at a time each; others wait (default: 2)",
     )  # fmt: skip
     parser.add_argument(
-        "--timeout", type=length, default=30.0, metavar="SECONDS", help="of a request (default: 30)"
+        "--timeout",
+        type=length,
+        default=30.0,
+        metavar="SECONDS",
+        help="longest time of a request (default: 30)",
     )
     parser.add_argument(
         "--allow-origin", action="append", default=[], metavar="ORIGIN",
-        help="let scripts of pages from there read answers, such as https://example.org (default: none); may be "
+        help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be "
         "repeated",
     )  # fmt: skip
     add_query_encoders(parser)

@@ -42,17 +42,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     parser.add_argument(
         "--iterations", type=count, default=30_000, metavar="N",
-        help="of the schedule of 3DGS, which is not shortened with it; 7000 is the everyday setting "
+        help="iterations of the schedule of 3DGS, which is not shortened with them; 7000 is the everyday setting "
         "(default: 30000)",
     )  # fmt: skip
     parser.add_argument(
         "--resolution", "-r", type=count, metavar="R",
-        help=f"1, 2, 4 or 8 divide the photos' sides; another number is their longer side in pixels "
+        help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels "
         f"(default: as they are, but at most {MAX_SIDE})",
     )  # fmt: skip
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto",
-        help="auto is CUDA where gsplat and a GPU are at hand (default: auto)",
+        help="device to train on; auto is CUDA where gsplat and a GPU are at hand (default: auto)",
     )  # fmt: skip
     _add_method(parser)
     _add_course(parser)
@@ -77,21 +77,27 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
     method = parser.add_argument_group("method")
     method.add_argument(
         "--strategy", choices=("default", "mcmc"), default="default",
-        help="how Gaussians are added and removed: adaptive density control, or relocation within a "
+        help="way to add and remove Gaussians: adaptive density control, or relocation within a "
         "budget (default: default)",
     )  # fmt: skip
     method.add_argument(
         "--max-gaussians", type=count, metavar="N",
-        help="never more than this; needed for mcmc (default: no limit)",
+        help="most Gaussians at any time; needed for mcmc (default: no limit)",
     )  # fmt: skip
     method.add_argument(
         "--background", choices=("black", "white", "random"), default="black",
-        help="behind the Gaussians; random is a new colour each iteration (default: black)",
+        help="colour behind the Gaussians; random is a new one each iteration (default: black)",
     )  # fmt: skip
     method.add_argument(
-        "--sh-degree", type=int, choices=range(4), default=3, help="of the colours (default: 3)"
+        "--sh-degree",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="degree of the colours' spherical harmonics (default: 3)",
     )
-    method.add_argument("--seed", type=whole, default=0, metavar="N", help="(default: 0)")
+    method.add_argument(
+        "--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)"
+    )
     method.add_argument(
         "--test-every", type=whole, default=8, metavar="N",
         help="hold every Nth photo out for testing; 0: none (default: 8)",
@@ -102,11 +108,12 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
     course = parser.add_argument_group("course of the run")
     course.add_argument(
         "--eval-every", type=whole, default=0, metavar="N",
-        help="also measure the held-out photos every N iterations (default: at the end only)",
+        help="iterations between measurements of the held-out photos (default: at the end only)",
     )  # fmt: skip
     course.add_argument(
         "--save-at", type=count, nargs="*", default=[7000], metavar="N",
-        help="also write the scene after these iterations, before an opacity reset that is due then (default: 7000)",
+        help="iterations after which the scene is written as well, before an opacity reset that is due then (default: "
+        "7000)",
     )  # fmt: skip
     course.add_argument(
         "--checkpoint-every", type=count, default=1000, metavar="N",

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from ..viewing.session import Session
     from ..viewing.shown import Shown
 
-SUMMARY = "see a scene in the browser and ask it, or write a page of it that needs no server"
+SUMMARY = (
+    "show a scene in the browser and search it there, or write a page of it that needs no server"
+)
 EXAMPLES = """\
   drsplat view drsplat-demo
   drsplat view room.field --scene scene.ply --views capture --ask "red mug; lamp"
@@ -23,39 +25,44 @@ EXAMPLES = """\
   drsplat view scene.ply
 
 Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
-0.0.0.0 it has a token, and who knows that can look, ask and save from elsewhere. A scene without a field can be looked
-at."""
+0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
+only be looked at."""
 BUDGET = 1_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
-        help="a folder with a field, its scene and photos; what `drsplat register` wrote; a scene, or a trained "
-        "model's folder, without a field",
+        help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a "
+        "trained "
+        "model, without a field",
     )
-    parser.add_argument("--scene", metavar="SCENE", help="the Gaussians that were registered")
+    parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")
     parser.add_argument(
         "--views",
         metavar="CAPTURE",
-        help="the photos: their cameras, and what speaks for an answer",
+        help="posed photos, for cameras and supporting photos",
     )
     parser.add_argument(
-        "--ask", type=words, metavar="TEXT", default="", help='ask this first; several: "mug; lamp"'
+        "--ask",
+        type=words,
+        metavar="TEXT",
+        default="",
+        help='query to start with; several: "mug; lamp"',
     )
     parser.add_argument(
         "--words", type=words, metavar="A,B,C",
-        help="what a click chooses its name from (default: the encoder's own words, or things of a household)",
+        help="words to name a clicked place with (default: the encoder's own, else household objects)",
     )  # fmt: skip
     parser.add_argument(
         "--max-gaussians", type=count, metavar="N",
-        help=f"show the N most significant ones (default: {BUDGET:,}; {200_000:,} in a page)",
+        help=f"show only the N most significant Gaussians (default: {BUDGET:,}; {200_000:,} in a page)",
     )  # fmt: skip
     parser.add_argument(
         "--up",
         type=words,
         metavar="AXIS",
-        help="+x -x +y -y +z or -z (default: as the photos were held)",
+        help="axis that points up: +x -x +y -y +z or -z (default: as the photos were held)",
     )
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
@@ -63,14 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--port", type=PORT, default=8080, metavar="N",
-        help="the next free one is taken where it is not (default: 8080)",
+        help="port to listen on, or else the next free one (default: 8080)",
     )  # fmt: skip
     parser.add_argument(
         "--save-dir", metavar="DIR",
-        help="where files are saved, under new names (default: nowhere, the browser is given them)",
+        help="folder to save files to, under new names (default: none, the browser downloads them)",
     )  # fmt: skip
     parser.add_argument(
-        "--export", metavar="PAGE.html", help="write a page with the answers to --ask, and leave"
+        "--export", metavar="PAGE.html", help="write a page with the answers to --ask, and exit"
     )
     add_overwrite(parser)
     add_query_encoders(parser)
@@ -88,7 +95,7 @@ def show(answer: dict[str, Any]) -> None:
             f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB"
         )
         for one in answer["queries"]:
-            print(f"  {one['text']}: {one['num_matches'] or 'nothing'} found")
+            print(f"  {one['text']}: {counted(one['num_matches'], 'match', 'matches')}")
 
 
 def _export(arguments: argparse.Namespace) -> dict[str, Any]:

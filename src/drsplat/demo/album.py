@@ -19,6 +19,7 @@ from ..drawing.pictures import (
 )
 from ..drawing.rendering import render
 from ..scene.views import View
+from ..terminal import counted
 from .story import Story, Verdict
 
 OVERVIEW = "overview.png"
@@ -42,8 +43,8 @@ def note(verdict: Verdict) -> str:
     """What came of a probe, in a few words."""
     if not verdict.found:
         manner = "rightly" if verdict.is_right else "miss:"
-        return f"{manner} not found (best score {verdict.scores[1]:.2f})"
-    count = f"found in {verdict.num_matches} places" if verdict.num_matches > 1 else "found"
+        return f"{manner} no match (best score {verdict.scores[1]:.2f})"
+    count = counted(verdict.num_matches, "match", "matches")
     if verdict.iou is None:
         return f"wrong: {count}, but there is none"
     return f"{'' if verdict.is_right else 'miss: '}{count}, IoU {verdict.iou:.2f}"

@@ -30,16 +30,16 @@ def write_page(
     ]
     text = f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>drsplat: a room, asked in words</title><style>{_STYLE}</style>
-<h1>A room, asked in words</h1>
-<p>{len(story.views)} photos, {len(story.gaussians):,} Gaussians, {story.num_segments:,} masks that no person drew;
-{right} of {len(story.verdicts)} answers are right. A green bar is a right answer: more than half of what was selected
-and what was meant is the same in {len(story.held_out)} photos that neither the scene nor the answers were made from,
-or there is no such thing and nothing was found. A red bar is a miss.</p>
+<title>drsplat: a room, searched in words</title><style>{_STYLE}</style>
+<h1>A room, searched in words</h1>
+<p>{len(story.views)} photos, {len(story.gaussians):,} Gaussians, {story.num_masks:,} masks that no person drew;
+{right} of {len(story.verdicts)} answers are right. A green bar is a right answer: the selected and the
+true pixels overlap by more than half (IoU) in {len(story.held_out)} photos that neither the scene nor the field was
+made from, or there is nothing of the kind and no match. A red bar is a miss.</p>
 <div class="answers">{"".join(shown)}</div>
-<p>Ask yourself: <code>drsplat locate . "red vase"</code>, or in a browser: <code>drsplat view .</code></p>
-<p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder
-that knows this kind of room only.</small></p>
+<p>Try your own query: <code>drsplat locate . "red vase"</code>, or in a browser: <code>drsplat view .</code></p>
+<p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder that
+knows this kind of room only.</small></p>
 </html>
 """
     with replacing(folder / PAGE, overwrite) as file:

@@ -24,7 +24,7 @@ from ..formats.photo_files import listed
 from ..formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ..masks.crops import crops
 from ..masks.masks import LEVELS, Masks, Segmenter
-from ..masks.selection import SegmentMaps, segment_maps
+from ..masks.selection import MaskMaps, mask_maps
 from ..query.nouns import NOUNS
 from ..scene.photos import load_image
 from ..scene.views import View
@@ -184,10 +184,10 @@ def _embed_photo(
 ) -> None:
     image = load_image(view)
     levels = segmenter.segment(image)
-    maps = segment_maps(levels)
+    maps = mask_maps(levels)
     embeddings = _embeddings(image, maps.masks, encoder, view.name)
     record.make_room(stem)
-    write_features(record.folder, stem, maps.segment_ids, embeddings, overwrite=True, form=form)
+    write_features(record.folder, stem, maps.mask_ids, embeddings, overwrite=True, form=form)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
     record.add(stem, photo, _counts(maps, levels), empty, form)
 
@@ -217,9 +217,9 @@ def _embeddings(
     return rows
 
 
-def _counts(maps: SegmentMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
+def _counts(maps: MaskMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
     """Masks by level, of the levels that the segmenter gave."""
-    ids = {level: maps.segment_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
+    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
     return {level: len(np.unique(seen[seen >= 0])) for level, seen in ids.items()}
 
 

@@ -97,7 +97,7 @@ def _rows_of(path: Path) -> list[list[str]]:
         whole = cells[0].isascii() and cells[0].isdecimal() and len(cells[0]) < 8
         if not whole or len(cells) not in (2, 3) or not all(cells):
             raise FormatError(
-                f"{path}: line {number}: expected id, name and, if wanted, prompt; tabs between"
+                f"{path}: line {number}: expected id, name and optionally prompt; tabs between"
             )
         rows.append(cells)
     return rows

@@ -82,7 +82,7 @@ def cosine_scorer(
         "registered": len(known),
         "measure": "cosine",
     }
-    views = None if known.evidence is None else known.evidence.segments.view_names
+    views = None if known.evidence is None else known.evidence.masks.view_names
     return Scorer(
         name,
         known.num_gaussians,

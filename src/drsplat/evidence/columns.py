@@ -23,7 +23,7 @@ COLUMNS_VERSION = "1"
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """One view's part of W: its triples are on disk at `path`; segment s is column s of this view."""
+    """One view's part of W: its triples are on disk at `path`; mask s is column s of this view."""
 
     view_name: str
     path: Path
@@ -49,14 +49,14 @@ class ColumnMaker:
         Raises: MismatchError: the map has another shape than the photo.
         """
         _refuse_another_shape(view, features)
-        stored = features.resized(view.width, view.height).segment_ids
-        segment_ids = undistort_ids(view, stored)
-        key = _digest(view.K, view.cam_from_world, segment_ids, salt=self._settings)
+        stored = features.resized(view.width, view.height).mask_ids
+        mask_ids = undistort_ids(view, stored)
+        key = _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
         path = self.folder / part_name(view.name)
         if not _is_finished(path, key):
-            triples = self.sampling.triples(self.splats, view, segment_ids, self.threads)
+            triples = self.sampling.triples(self.splats, view, mask_ids, self.threads)
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_tensors(path, triples._asdict(), {"key": key, "view": view.name}, overwrite=True)
+            write_tensors(path, _tensors(triples), {"key": key, "view": view.name}, overwrite=True)
         return Columns(view.name, path, features.embeddings)
 
     @cached_property
@@ -71,7 +71,7 @@ class ColumnMaker:
 
 
 def _refuse_another_shape(view: View, features: ViewFeatures) -> None:
-    height, width = features.segment_ids.shape
+    height, width = features.mask_ids.shape
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
             f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
@@ -83,6 +83,11 @@ def part_name(view_name: str) -> str:
     """Of the file of a view's columns."""
     digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
     return f"{digest}.columns.safetensors"
+
+
+def _tensors(triples: Triples) -> dict[str, np.ndarray]:
+    """By the names that files have for them."""
+    return dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
 
 
 def _digest(*arrays: np.ndarray, salt: str = "") -> str:
@@ -114,11 +119,11 @@ def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
     indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
     cursor, offset = starts[:-1].copy(), 0
     for view in columns:
-        ids, segments, values = view.triples()
+        ids, masks, values = view.triples()
         first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
         runs = np.diff(first, append=len(ids))
         position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
-        indices[position], weights[position] = segments + offset, values
+        indices[position], weights[position] = masks + offset, values
         cursor[ids[first]] += runs
         offset += len(view.embeddings)
     # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.

@@ -1,4 +1,4 @@
-"""What a field was made from: sparse weights, the segments behind them, and their embeddings."""
+"""What a field was made from: sparse weights, the masks behind them, and their embeddings."""
 
 import json
 from collections.abc import Mapping
@@ -20,13 +20,13 @@ class Explanation(NamedTuple):
     """One photo and mask behind an answer. share: its part of all that spoke for it, (0, 1]."""
 
     view_name: str
-    segment_id: int
+    mask_id: int
     share: float
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
-    """The columns of W. views: per column an index into view_names. ids: the segment in that view.
+class MaskIds:
+    """The columns of W. views: per column an index into view_names. ids: the mask in that view.
 
     Raises: InputError: shapes disagree, or a column of no view.
     """
@@ -39,11 +39,11 @@ class Segments:
         for name, values in (("views", self.views), ("ids", self.ids)):
             if values.ndim != 1 or values.dtype != np.int32 or len(values) != len(self.views):
                 raise InputError(
-                    f"segments: {name} must be int32 (M,), got {values.dtype} {values.shape}"
+                    f"masks: {name} must be int32 (M,), got {values.dtype} {values.shape}"
                 )
         if len(self.views) and not 0 <= self.views.min() <= self.views.max() < len(self.view_names):
             raise InputError(
-                f"segments: a column names a view that is not among the {len(self.view_names)}"
+                f"masks: a column names a view that is not among the {len(self.view_names)}"
             )
 
     def __len__(self) -> int:
@@ -60,7 +60,7 @@ class Evidence:
     """
 
     weights: csr_array
-    segments: Segments
+    masks: MaskIds
     embeddings: Float32[np.ndarray, "m d"]
 
     def __post_init__(self) -> None:
@@ -71,10 +71,10 @@ class Evidence:
             raise InputError(
                 f"embeddings: expected float32 (M, D), got {embeddings.dtype} {embeddings.shape}"
             )
-        if not weights.shape[1] == len(self.segments) == len(embeddings):
+        if not weights.shape[1] == len(self.masks) == len(embeddings):
             raise InputError(
-                f"expected one segment and one embedding per column: {weights.shape[1]} columns, "
-                f"{len(self.segments)} segments, {len(embeddings)} embeddings"
+                f"expected one mask and one embedding per column: {weights.shape[1]} columns, "
+                f"{len(self.masks)} masks, {len(embeddings)} embeddings"
             )
         if (
             len(weights.indices)
@@ -133,7 +133,7 @@ class Evidence:
     ) -> "Evidence":
         shape = (len(indptr) - 1, self.weights.shape[1])
         return Evidence(
-            csr_array((data, indices, indptr), shape=shape), self.segments, self.embeddings
+            csr_array((data, indices, indptr), shape=shape), self.masks, self.embeddings
         )
 
     def explain(
@@ -161,10 +161,8 @@ class Evidence:
         ]
 
     def _explanation(self, column: int, share: float) -> Explanation:
-        segments = self.segments
-        return Explanation(
-            segments.view_names[segments.views[column]], int(segments.ids[column]), share
-        )
+        masks = self.masks
+        return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Its arrays by name, as they are written to files; `metadata` holds the rest."""
@@ -173,12 +171,12 @@ class Evidence:
             "indices": self.weights.indices,
             "data": self.weights.data,
             "embeddings": self.embeddings,
-            "segment_views": self.segments.views,
-            "segment_ids": self.segments.ids,
+            "segment_views": self.masks.views,
+            "segment_ids": self.masks.ids,
         }
 
     def metadata(self) -> dict[str, str]:
-        return {"view_names": json.dumps(self.segments.view_names)}
+        return {"view_names": json.dumps(self.masks.view_names)}
 
 
 _ARRAYS = {
@@ -206,8 +204,8 @@ def evidence_from_tensors(
         raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
     shape = (len(indptr) - 1, len(embeddings))
     try:
-        segments = Segments(_view_names(metadata), views, ids)
-        return Evidence(csr_array((data, indices, indptr), shape=shape), segments, embeddings)
+        masks = MaskIds(_view_names(metadata), views, ids)
+        return Evidence(csr_array((data, indices, indptr), shape=shape), masks, embeddings)
     except ValueError as error:  # ours, or SciPy's
         raise FormatError(f"{where}: {error}") from error
 

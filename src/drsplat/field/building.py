@@ -60,7 +60,7 @@ def build_field(
             "no Gaussian is under any mask: check that poses, photos and scene belong together"
         )
     if isinstance(code, Smaller):
-        code = code.chosen(evidence.num_seen, len(evidence.segments), evidence.dim)
+        code = code.chosen(evidence.num_seen, len(evidence.masks), evidence.dim)
     if isinstance(code, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
     coded, directed = _coded(features.rows(seen), code, encoder, threads, track)

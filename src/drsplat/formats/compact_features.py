@@ -50,13 +50,13 @@ class CompactFile:
         )
         ids = np.frombuffer(raw, dtype).reshape(height, width).astype(np.int64) - 1
         if ids.max() >= len(self.embeddings):
-            raise FormatError(f"{self.path}: segment {ids.max()} of {len(self.embeddings)}")
+            raise FormatError(f"{self.path}: mask {ids.max()} of {len(self.embeddings)}")
         return ids
 
 
 def write_compact(
     path: Path,
-    segment_ids: Int32[np.ndarray, "*levels h w"],
+    mask_ids: Int32[np.ndarray, "*levels h w"],
     embeddings: Float32[np.ndarray, "n d"],
     overwrite: bool = False,
 ) -> None:
@@ -64,10 +64,10 @@ def write_compact(
 
     Raises: InputError: `path` exists and `overwrite` is false; a map of no or too many pixels.
     """
-    planes = segment_ids.reshape(-1, *segment_ids.shape[-2:])
+    planes = mask_ids.reshape(-1, *mask_ids.shape[-2:])
     height, width = planes.shape[1:]
     if not 0 < height * width <= MOST_PIXELS:
-        raise InputError(f"segment_ids: expected 1 to {MOST_PIXELS:,} pixels, got {width}x{height}")
+        raise InputError(f"mask_ids: expected 1 to {MOST_PIXELS:,} pixels, got {width}x{height}")
     levels = [_first_alike(planes, index) for index in range(len(planes))]
     kept = sorted(set(levels))
     dtype = _dtype(len(embeddings))

@@ -1,4 +1,4 @@
-"""Language features by photo: LangSplat's `<photo>_s.npy`, segment maps, and `<photo>_f.npy`, embeddings; or our
+"""Language features by photo: LangSplat's `<photo>_s.npy`, mask maps, and `<photo>_f.npy`, embeddings; or our
 compact `<photo>.features.safetensors`, which holds the same.
 """
 
@@ -39,9 +39,9 @@ class _Pair(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LevelFeatures(ViewFeatures):
-    """The segments of one level of one photo, numbered 0..S-1.
+    """The masks of one level of one photo, numbered 0..S-1.
 
-    file_rows: the row of `_f.npy` that each segment has, ascending; its id in `_s.npy`.
+    file_rows: the row of `_f.npy` that each mask has, ascending; its id in `_s.npy`.
     """
 
     file_rows: Int64[np.ndarray, " s"]
@@ -137,7 +137,7 @@ def read_features(
     any.
     encoder: who made the embeddings, where the folder has no note of it, as `drsplat embed` leaves.
 
-    `_s.npy` is (4, H, W), integers or whole floats, -1 for no segment; ids are rows of `_f.npy`,
+    `_s.npy` is (4, H, W), integers or whole floats, -1 for no mask; ids are rows of `_f.npy`,
     which is (N, D) in half or single precision. Rows are brought to unit length on reading.
 
     Raises: InputError: no such folder or level, no features in it. FormatError: maps without
@@ -162,14 +162,14 @@ def level_index(level: str | int) -> int:
 def write_features(
     directory: str | Path,
     stem: str,
-    segment_ids: Int32[np.ndarray, "*levels h w"],
+    mask_ids: Int32[np.ndarray, "*levels h w"],
     embeddings: Float32[np.ndarray, "n d"],
     overwrite: bool = False,
     form: Form = "langsplat",
 ) -> None:
     """Write one photo's features as LangSplat does: `<stem>_f.npy`, then `<stem>_s.npy`.
 
-    The maps come last, so a photo that is listed is complete. segment_ids: (4, H, W) in the order
+    The maps come last, so a photo that is listed is complete. mask_ids: (4, H, W) in the order
     of LEVELS, or one (H, W). Folders in the stem are made. form: "compact" writes the same as one file
     `<stem>.features.safetensors`, which only drsplat reads, some hundredth of the size. Files of the
     other form are replaced as well.
@@ -179,12 +179,10 @@ def write_features(
     """
     if form not in ("compact", "langsplat"):
         raise InputError(f"form: expected 'compact' or 'langsplat', got {form!r}")
-    if segment_ids.ndim not in (2, 3) or (
-        segment_ids.ndim == 3 and len(segment_ids) != len(LEVELS)
-    ):
-        raise InputError(f"segment_ids: expected (4, H, W) or (H, W), got {segment_ids.shape}")
-    if segment_ids.min(initial=0) < -1 or segment_ids.max(initial=-1) >= len(embeddings):
-        raise InputError(f"segment_ids: expected -1 or a row of the {len(embeddings)} embeddings")
+    if mask_ids.ndim not in (2, 3) or (mask_ids.ndim == 3 and len(mask_ids) != len(LEVELS)):
+        raise InputError(f"mask_ids: expected (4, H, W) or (H, W), got {mask_ids.shape}")
+    if mask_ids.min(initial=0) < -1 or mask_ids.max(initial=-1) >= len(embeddings):
+        raise InputError(f"mask_ids: expected -1 or a row of the {len(embeddings)} embeddings")
     try:
         path = Path(directory) / safe_name(stem, "stem")
     except FormatError as error:
@@ -201,10 +199,10 @@ def write_features(
     for other in others:
         other.unlink(missing_ok=True)
     if form == "compact":
-        write_compact(compact, segment_ids, embeddings, overwrite)
+        write_compact(compact, mask_ids, embeddings, overwrite)
     else:
         write_npy(rows, embeddings, overwrite)
-        write_npy(maps, segment_ids, overwrite)
+        write_npy(maps, mask_ids, overwrite)
 
 
 def has_features(directory: Path) -> bool:
@@ -279,7 +277,7 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
     if wrong.any():
         y, x = np.argwhere(wrong)[0]
         raise FormatError(
-            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has segment {stored[y, x]}: "
+            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has mask {stored[y, x]}: "
             "expected -1 or one of "
             f"the {num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
         )

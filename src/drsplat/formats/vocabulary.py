@@ -110,7 +110,7 @@ def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     if is_sog_meta(document):
         raise FormatError(
             f"{path}: this is the meta.json of an unpacked SOG, a scene, and no vocabulary: name it where "
-            "the Gaussians are asked for"
+            "the Gaussians are queried"
         )
     first = next(iter(document.values()))
     dim = len(first) if isinstance(first, list) else 0

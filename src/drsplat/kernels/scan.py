@@ -141,7 +141,7 @@ def scan_top(
     asked = _checked(rows, tables, how)
     _one_query(tables)
     if count < 1:
-        raise InputError(f"expected to be asked for 1 row or more, got {count}")
+        raise InputError(f"expected a count of 1 or more, got {count}")
     found, scores = _native.scan_top(*asked, min(count, len(rows.inverse_norms) + 1))
     return np.asarray(found).view(np.int64), np.asarray(scores)  # else "long long"
 

@@ -43,10 +43,10 @@ class SplatArrays(NamedTuple):
 
 
 class Triples(NamedTuple):
-    """Non-zero entries of one view's columns of W, sorted by (Gaussian, segment); weights > 0."""
+    """Non-zero entries of one view's columns of W, sorted by (Gaussian, mask); weights > 0."""
 
     gaussian_ids: UInt32[np.ndarray, " t"]
-    segment_ids: Int32[np.ndarray, " t"]
+    mask_ids: Int32[np.ndarray, " t"]
     weights: Float32[np.ndarray, " t"]
 
 
@@ -148,36 +148,36 @@ def _positive(name: str, value: int | None) -> int:
 def view_weights(
     splats: SplatArrays,
     view: View,
-    segment_ids: Int32[np.ndarray, "h w"],
+    mask_ids: Int32[np.ndarray, "h w"],
     topk: int | None = 40,
     *,
     first_hits: int | None = None,
     threads: int = 0,
     isa: str = "",
 ) -> Triples:
-    """Return W's entries for one view: per (Gaussian, segment), the sum of its top-k weights there.
+    """Return W's entries for one view: per (Gaussian, mask), the sum of its top-k weights there.
 
-    Pixels with segment -1 contribute nothing. topk None keeps every contributor. first_hits=100 keeps
+    Pixels with mask -1 contribute nothing. topk None keeps every contributor. first_hits=100 keeps
     only the first hundred of each ray before the top k are taken, as the published code does.
 
-    Raises: InputError: topk or first_hits < 1; a segment map of another size than the view.
+    Raises: InputError: topk or first_hits < 1; a mask map of another size than the view.
     Source: Dr. Splat Sec. A "Training stage"; 3DGS Eq. 3.  Twin: kernels.reference.view_weights.
     """
-    if segment_ids.shape != (view.height, view.width):
+    if mask_ids.shape != (view.height, view.width):
         raise InputError(
-            f"view '{view.name}': segment map is {segment_ids.shape[1]}x{segment_ids.shape[0]}, "
+            f"view '{view.name}': mask map is {mask_ids.shape[1]}x{mask_ids.shape[0]}, "
             f"the view {view.width}x{view.height}: resize one of them"
         )
-    ids, segments, weights, _ = _native.view_weights(
+    ids, masks, weights, _ = _native.view_weights(
         *splats[:3],
         _camera_of(splats, view),
-        np.ascontiguousarray(segment_ids, np.int32),
+        np.ascontiguousarray(mask_ids, np.int32),
         _positive("topk", topk),
         _positive("first_hits", first_hits),
         threads,
         _checked_isa(isa),
     )
-    return Triples(ids, segments, weights)
+    return Triples(ids, masks, weights)
 
 
 def topk_contributions(

@@ -1,4 +1,4 @@
-"""What is seen in one photo: its segments and their embeddings."""
+"""What is seen in one photo: its masks and their embeddings."""
 
 from dataclasses import dataclass
 
@@ -11,30 +11,30 @@ from ..terminal import counted
 
 @dataclass(frozen=True, eq=False)
 class ViewFeatures:
-    """The segments of one view.
+    """The masks of one view.
 
-    segment_ids: per pixel the segment that covers it, or -1; a value indexes a row of `embeddings`.
-    embeddings: one unit vector per segment.
+    mask_ids: per pixel the mask that covers it, or -1; a value indexes a row of `embeddings`.
+    embeddings: one unit vector per mask.
 
-    Raises: InputError: a segment id without an embedding, a row that is not finite or has no direction.
+    Raises: InputError: a mask id without an embedding, a row that is not finite or has no direction.
     """
 
-    segment_ids: Int32[np.ndarray, "h w"]
+    mask_ids: Int32[np.ndarray, "h w"]
     embeddings: Float32[np.ndarray, "s d"]
 
     def __post_init__(self) -> None:
-        if self.segment_ids.ndim != 2 or self.segment_ids.dtype != np.int32:
+        if self.mask_ids.ndim != 2 or self.mask_ids.dtype != np.int32:
             raise InputError(
-                f"segment_ids: expected int32 (H, W), got {self.segment_ids.dtype} {self.segment_ids.shape}"
+                f"mask_ids: expected int32 (H, W), got {self.mask_ids.dtype} {self.mask_ids.shape}"
             )
         if self.embeddings.ndim != 2 or self.embeddings.dtype != np.float32:
             raise InputError(
                 f"embeddings: expected float32 (S, D), got {self.embeddings.dtype} {self.embeddings.shape}"
             )
-        largest = int(self.segment_ids.max(initial=-1))
+        largest = int(self.mask_ids.max(initial=-1))
         if largest >= len(self.embeddings):
             raise InputError(
-                f"segment id {largest} has no embedding: there are {len(self.embeddings)}"
+                f"mask id {largest} has no embedding: there are {len(self.embeddings)}"
             )
         norms = np.linalg.norm(self.embeddings, axis=1)
         if not (np.abs(norms - 1) < 1e-3).all():
@@ -43,16 +43,16 @@ class ViewFeatures:
             )
 
     def __repr__(self) -> str:
-        (count, dim), (height, width) = self.embeddings.shape, self.segment_ids.shape
+        (count, dim), (height, width) = self.embeddings.shape, self.mask_ids.shape
         return f"{type(self).__name__}({counted(count, 'mask')} on {width}x{height}, {dim}-d)"
 
     def resized(self, width: int, height: int) -> "ViewFeatures":
         """The map on another raster, by nearest pixel centre."""
-        h, w = self.segment_ids.shape
+        h, w = self.mask_ids.shape
         if (w, h) == (width, height):
             return self
         rows = ((np.arange(height) + 0.5) * h / height).astype(np.intp)
         columns = ((np.arange(width) + 0.5) * w / width).astype(np.intp)
         return ViewFeatures(
-            np.ascontiguousarray(self.segment_ids[rows[:, None], columns]), self.embeddings
+            np.ascontiguousarray(self.mask_ids[rows[:, None], columns]), self.embeddings
         )

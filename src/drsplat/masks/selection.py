@@ -1,4 +1,4 @@
-"""Which masks of an image stay, and how they become the segment maps that are stored."""
+"""Which masks of an image stay, and how they become the mask maps that are stored."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ _FAR_LARGER = 0.5  # of the outer mask: the inner one covers less than that
 
 
 @dataclass(frozen=True)
-class SegmentMaps:
+class MaskMaps:
     """One photo's masks, ready to be embedded and stored.
 
-    segment_ids: by level in the order of LEVELS; -1 for no mask, else the row in masks. masks: all
+    mask_ids: by level in the order of LEVELS; -1 for no mask, else the row in masks. masks: all
     that have a pixel in a map; row i of the embeddings is that of mask i.
     """
 
-    segment_ids: Int32[np.ndarray, "4 h w"]
+    mask_ids: Int32[np.ndarray, "4 h w"]
     masks: Masks
 
 
@@ -131,7 +131,7 @@ def paint(masks: Masks) -> Int32[np.ndarray, "h w"]:
     return ids
 
 
-def segment_maps(levels: Mapping[str, Masks]) -> SegmentMaps:
+def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
     """The four maps of a photo, ids counted on from level to level: default, small, medium, large.
 
     Masks of `large` alone serve as all four levels, with the same ids. A mask that later ones paint
@@ -143,7 +143,7 @@ def segment_maps(levels: Mapping[str, Masks]) -> SegmentMaps:
     """
     if set(levels) == {"large"}:
         ids, masks = _painted(levels["large"], 0)
-        return SegmentMaps(np.stack([ids] * len(LEVELS)), masks)
+        return MaskMaps(np.stack([ids] * len(LEVELS)), masks)
     if set(levels) != set(LEVELS):
         raise InputError(f"levels: expected {', '.join(LEVELS)} or large alone, got {set(levels)}")
     maps: list[Int32[np.ndarray, "h w"]] = []
@@ -153,7 +153,7 @@ def segment_maps(levels: Mapping[str, Masks]) -> SegmentMaps:
         maps.append(ids)
         shown.append(masks)
     joined = _joined(shown)
-    return SegmentMaps(np.stack(maps), joined)
+    return MaskMaps(np.stack(maps), joined)
 
 
 def _painted(masks: Masks, first_id: int) -> tuple[Int32[np.ndarray, "h w"], Masks]:

@@ -178,7 +178,7 @@ def load_segmenter(
     """
     if name == GraphSegmenter.name:
         if settings is not None:
-            raise InputError("the segmenter graph asks no points: load it without settings")
+            raise InputError("the segmenter graph has no point grid: load it without settings")
         return GraphSegmenter()
     models_library()
     device = chosen_device(device)

@@ -170,7 +170,7 @@ class TransformersEncoder:
             raise InputError(f"texts: expected a list of texts, got the single text {texts!r}")
         empty = [text for text in texts if not text.strip()]
         if empty:
-            raise InputError(f"{empty[0]!r} says nothing: name a thing, e.g. 'a red mug'")
+            raise InputError(f"{empty[0]!r} is empty: name an object, e.g. 'a red mug'")
 
     def _text_rows(self, texts: Sequence[str]) -> np.ndarray:
         torch = import_module("torch")

@@ -93,9 +93,7 @@ def _singular(word: str) -> str:
 def _text_vector(text: str) -> Float64[np.ndarray, " d"]:
     words = words_of(text)
     if not words:
-        raise InputError(
-            f"{text!r} has no word that says what to look for: name a thing, e.g. 'red mug'"
-        )
+        raise InputError(f"{text!r} has no word to look for: name an object, e.g. 'red mug'")
     total = np.sum([_word_vector(word) for word in words], axis=0)
     vector: np.ndarray = total / np.linalg.norm(total)
     return vector

@@ -29,7 +29,7 @@ class Cut:
         if isinstance(self.threshold, str) and self.threshold != AUTO:
             raise InputError(f"threshold: expected a number or 'auto', got {self.threshold!r}")
         if self.threshold is not None and self.top_share is not None:
-            raise InputError("threshold=NUMBER and top_share=SHARE both say where to cut: drop one")
+            raise InputError("threshold=NUMBER and top_share=SHARE both set the cut: drop one")
         if self.threshold == AUTO and self.measures_relevancy:
             raise InputError(
                 "threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number"

@@ -44,7 +44,7 @@ def region(
     field, encoder = scene.field, scene.encoder
     names = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
     if not names:
-        raise InputError(f"'{encoder.identity.name}' takes any words: say which to choose from")
+        raise InputError(f"'{encoder.identity.name}' takes any words: name those to choose from")
     means = scene.gaussians.positions[field.gaussian_ids]
     with np.errstate(over="ignore"):  # further away than can be squared is outside
         inside = np.flatnonzero(np.linalg.norm(means - at, axis=1) <= radius)

@@ -71,7 +71,7 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
     wanted, *unwanted = (part.strip() for part in _BUT_NOT.split(text))
     if unwanted and not all([wanted, *unwanted]):
         raise InputError(
-            f"{text.strip()!r}: say what to look for and what it is not: 'mug, not red'"
+            f"{text.strip()!r}: expected words and their exclusions, as in 'mug, not red'"
         )
     return wanted, tuple(unwanted)
 

@@ -30,10 +30,10 @@ def standing_on(scene: Scene, matches: Sequence[Match], text: str) -> list[Match
     """
     supports = scene.locate(text)
     if not supports:
-        raise InputError(f"nothing found for '{text[:60]}', so nothing can stand on it")
+        raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")
     support = max(supports, key=len)
     if scene.up is None:
-        raise InputError("the photos of this scene do not tell which way is up: ask without 'on'")
+        raise InputError("the photos of this scene do not tell which way is up: query without 'on'")
     return [one for one in matches if stands_on(scene.gaussians, one, support, scene.up)]
 
 

@@ -32,11 +32,11 @@ def supporting_masks(
     )
     total = support[support > 0].sum()
     order = np.argsort(-support, kind="stable")[:top]
-    segments = evidence.segments
+    masks = evidence.masks
     return [
         Explanation(
-            segments.view_names[segments.views[used[k]]],
-            int(segments.ids[used[k]]),
+            masks.view_names[masks.views[used[k]]],
+            int(masks.ids[used[k]]),
             float(support[k] / total),
         )
         for k in order

@@ -20,10 +20,10 @@ TIE_BAND = 1e-5  # relative difference of weights below which float32 may order 
 
 
 class Triples(NamedTuple):
-    """Sorted by (gaussian, segment); every pair once; weights > 0."""
+    """Sorted by (gaussian, mask); every pair once; weights > 0."""
 
     gaussian_ids: Int[np.ndarray, " t"]
-    segment_ids: Int[np.ndarray, " t"]
+    mask_ids: Int[np.ndarray, " t"]
     weights: Float64[np.ndarray, " t"]
 
 
@@ -45,16 +45,16 @@ class Rendering(NamedTuple):
 def view_weights(
     splats: Splats,
     view: View,
-    segment_ids: Int32[np.ndarray, "h w"],
+    mask_ids: Int32[np.ndarray, "h w"],
     topk: int | None = 40,
     *,
     first_hits: int | None = None,
 ) -> Triples:
-    """Sum, per Gaussian and segment, the blending weights over the segment's pixels.
+    """Sum, per Gaussian and mask, the blending weights over the mask's pixels.
 
-    Pixels of segment -1 contribute nothing. topk None keeps every contributor of a pixel.
+    Pixels of mask -1 contribute nothing. topk None keeps every contributor of a pixel.
     """
-    return segment_sums(largest(contributors(splats, view, first_hits), topk), segment_ids)
+    return mask_sums(largest(contributors(splats, view, first_hits), topk), mask_ids)
 
 
 def topk_contributions(
@@ -143,12 +143,12 @@ def weighted_sums(
     return Rendering(channels, alpha, depth)
 
 
-def segment_sums(seen: Contributors, segment_ids: Int32[np.ndarray, "h w"]) -> Triples:
-    """Sum the weights of each (Gaussian, segment) pair."""
-    segments = segment_ids.ravel()[seen.pixels].astype(np.int64)
-    covered = segments >= 0
-    stride = int(segments.max(initial=0)) + 1
-    keys, inverse = np.unique(seen.ids[covered] * stride + segments[covered], return_inverse=True)
+def mask_sums(seen: Contributors, mask_ids: Int32[np.ndarray, "h w"]) -> Triples:
+    """Sum the weights of each (Gaussian, mask) pair."""
+    masks = mask_ids.ravel()[seen.pixels].astype(np.int64)
+    covered = masks >= 0
+    stride = int(masks.max(initial=0)) + 1
+    keys, inverse = np.unique(seen.ids[covered] * stride + masks[covered], return_inverse=True)
     weights = np.bincount(inverse, seen.weights[covered], len(keys))
     return Triples(keys // stride, keys % stride, weights)
 

@@ -90,20 +90,20 @@ def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
     return covered
 
 
-def undistort_ids(view: View, segment_ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
     """A label map made on the photo as stored, brought to the pinhole by nearest pixel.
 
     The map keeps its own raster, which need not be the view's; -1 outside the photo. Needed for
     masks computed on a distorted photo, not for masks computed on what `load_image` returned.
     """
     if view.distortion is None:
-        return segment_ids
-    height, width = segment_ids.shape
-    undistorted = np.full_like(segment_ids, -1)
+        return mask_ids
+    height, width = mask_ids.shape
+    undistorted = np.full_like(mask_ids, -1)
     for rows, source in _source_blocks(view.resized(width, height)):
         inside = _inside(source, width, height)
         x, y = source[inside].astype(np.intp).T
-        undistorted[rows][inside] = segment_ids[y, x]
+        undistorted[rows][inside] = mask_ids[y, x]
     return undistorted
 
 

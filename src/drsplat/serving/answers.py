@@ -70,7 +70,7 @@ def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
     """Raises: InputError: no such view, or it has no photo."""
     chosen = scene.view(asked.view)
     if chosen.image_path is None:
-        raise InputError(f"view '{chosen.name}' has no photo here: ask for a picture")
+        raise InputError(f"view '{chosen.name}' has no photo here: request a picture")
     return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
 
 
@@ -94,8 +94,8 @@ def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
     return Located(
         query=asked.text or "",
         num_matches=len(found),
-        matches=matches_of(found[: asked.limit], decimals_of(scene)),
-        advice="" if found else "nothing found: try other words, or a lower threshold",
+        matches=matches_of(found[: asked.top], decimals_of(scene)),
+        advice="" if found else "no match: try other words, or a lower threshold",
         measured=measured(answer),
         field=scene.field.fingerprint,
     )

@@ -190,12 +190,12 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
 
     @app.post("/scenes/{scene}/select", tags=["queries"], response_model=Selected)
     async def select(scene: Scene, asked: Select) -> Response:
-        """Which Gaussians a text, vector, image, point or click means."""
+        """The Gaussians that a text, vector, image, point or click selects."""
         return await computed("select", scene, asked)
 
     @app.post("/scenes/{scene}/locate", tags=["queries"], response_model=Located)
     async def locate(scene: Scene, asked: Locate) -> Response:
-        """The places that a query finds, best first: centre, oriented box, supporting photos."""
+        """The matches of a query, best first: centre, oriented box, supporting photos."""
         return await computed("locate", scene, asked)
 
     @app.post("/scenes/{scene}/segment", tags=["queries"], response_model=Segmented)
@@ -210,7 +210,7 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
 
     @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=PNG)
     async def picture(scene: Scene, asked: Picture) -> Response:
-        """A rendering as PNG, if wanted with what a query means kept in colour."""
+        """A rendering as PNG, optionally with the matches of a query kept in colour."""
         return await computed("picture", scene, asked)
 
 

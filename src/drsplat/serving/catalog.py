@@ -95,9 +95,7 @@ class Catalog:
         if self.sources.vocabulary is None:
             return
         if self.sources.encoder is not None:
-            raise InputError(
-                "encoder=NAME and vocabulary=FILE both say who embeds the words: drop one"
-            )
+            raise InputError("encoder=NAME and vocabulary=FILE both embed the words: drop one")
         read_vocabulary(self.sources.vocabulary)
 
     def checked(self) -> int:

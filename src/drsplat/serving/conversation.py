@@ -42,8 +42,7 @@ class Count(Body):
 
 class Place(Body):
     query: str
-    found: bool
-    best: Match | None = None
+    best: Match | None = Field(None, description="null where nothing matches")
     others: int = Field(0, description="further matches that fit less well")
     best_view: str | None = Field(None, description="the photo that shows most of it")
     units: str = UNITS
@@ -65,7 +64,7 @@ class Distance(Body):
 
 
 class Here(Body):
-    point: Vector = Field(description="centre of the Gaussian that was found there")
+    point: Vector = Field(description="centre of the Gaussian that is there")
     words: list[Word] = Field(description="best first")
     units: str = UNITS
     field: Fingerprint = ""
@@ -141,7 +140,7 @@ class Conversation:
             else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
-    def locate(self, text: str, on: str | None, scene: str, limit: int) -> Located:
+    def locate(self, text: str, on: str | None, scene: str, top: int) -> Located:
         opened = self._scene(scene)
         answer = opened.ask(_text(text))
         every = opened.locate(answer)
@@ -149,7 +148,7 @@ class Conversation:
         return Located(
             query=_query(text, on),
             num_matches=len(found),
-            matches=matches_of(found[:limit], decimals_of(opened)),
+            matches=matches_of(found[:top], decimals_of(opened)),
             advice=_advice(text, every, found, on),
             measured=measured(answer),
             field=opened.field.fingerprint,
@@ -175,7 +174,7 @@ class Conversation:
         if not found:
             return Place(
                 query=text,
-                found=False,
+                best=None,
                 others=0,
                 best_view=None,
                 field=opened.field.fingerprint,
@@ -183,7 +182,6 @@ class Conversation:
             )
         return Place(
             query=text,
-            found=True,
             best=matches_of(found[:1], decimals_of(opened))[0],
             others=len(found) - 1,
             best_view=opened.best_view(found[0].gaussian_ids).name if opened.views else None,
@@ -195,7 +193,7 @@ class Conversation:
         one, other = (self._best(opened, text) for text in (first, second))
         if np.intersect1d(one.gaussian_ids, other.gaussian_ids).size:
             raise InputError(
-                f"'{first}' and '{second}' mean the same thing here: describe each more exactly, e.g. by colour"
+                f"'{first}' and '{second}' mean the same place here: describe each more exactly, e.g. by colour"
             )
         offset, digits = other.center - one.center, decimals_of(opened)
         return Distance(
@@ -242,7 +240,7 @@ class Conversation:
         advice = (
             ""
             if listed
-            else "nothing there is called by these words: give names, or a larger radius"
+            else "none of these words fits what is there: give other names, or a larger radius"
         )
         return Region(
             center=rounded(center, digits),
@@ -281,7 +279,7 @@ class Conversation:
         chosen = name or self.catalog.only()
         if not chosen:
             known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
-            raise InputError(f"say which scene; there are: {known}")
+            raise InputError(f"name a scene; there are: {known}")
         return chosen, self.catalog.scene(chosen)
 
     def _best(self, scene: engine.Scene, text: str) -> engine.Match:
@@ -306,7 +304,7 @@ def _advice(text: str, every: list[engine.Match], found: list[engine.Match], on:
 def _text(text: str) -> str:
     if not text.strip() or len(text) > MOST_TEXT:
         raise InputError(
-            f"text: expected a few words that name a thing, at most {MOST_TEXT} characters; got {len(text)}"
+            f"text: expected a few words that name an object, at most {MOST_TEXT} characters; got {len(text)}"
         )
     return text
 
@@ -321,7 +319,7 @@ def _names(names: list[str] | None) -> list[str] | None:
 
 def _absent(text: str) -> str:
     return (
-        f"nothing found for '{text[:60]}': try a more general word or a synonym, add the colour, or see what is there "
+        f"no match for '{text[:60]}': try a more general word or a synonym, add the colour, or see what is there "
         "with describe_region"
     )
 

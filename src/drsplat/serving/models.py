@@ -32,7 +32,7 @@ class SceneSummary(Body):
     name: str = Field(description="what to pass as scene")
     num_gaussians: int = Field(description="Gaussians of the scene")
     num_registered: int = Field(description="those that have a language feature")
-    encoder: str = Field(description="the model whose words the scene understands")
+    encoder: str = Field(description="the model that embeds words for this scene")
     fault: str = Field("", description="why it cannot be opened; empty if it can")
 
 
@@ -83,7 +83,7 @@ class Selected(Body):
     measured: Measured
     score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
     gaussian_ids: list[int] | None = Field(
-        None, description="rows of the scene, ascending; only where asked for"
+        None, description="rows of the scene, ascending; only with 'ids': true"
     )
     field: Fingerprint = ""
 
@@ -120,7 +120,7 @@ class Support(Body):
 
 
 class Match(Body):
-    """A place that a query found, with its oriented box."""
+    """A place that a query matches, with its oriented box."""
 
     center: Vector
     extent: Vector = Field(description="full lengths of the box along its axes")
@@ -165,7 +165,7 @@ def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
             score=round(one.score, 4),
             num_gaussians=len(one),
             support=[
-                Support(view=s.view_name, mask=s.segment_id, share=round(s.share, 4))
+                Support(view=s.view_name, mask=s.mask_id, share=round(s.share, 4))
                 for s in one.support
             ],
         )

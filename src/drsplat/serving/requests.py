@@ -47,10 +47,13 @@ class Cut(Request):
 class Query(Cut):
     """Exactly one of text, vector, image, point and click."""
 
-    text: Text | None = Field(None, description="words; 'mug, not red' leaves some out")
+    text: Text | None = Field(
+        None, description="words; 'mug, not red' excludes what 'red mug' fits as well"
+    )
     vector: Annotated[list[Finite], Field(min_length=1, max_length=8192)] | None = None
     image: Annotated[str, Field(max_length=MOST.body_bytes)] | None = Field(
-        None, description="a picture of a thing, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"
+        None,
+        description="a picture of what to search for, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM",
     )
     point: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
     click: Click | None = None
@@ -64,11 +67,14 @@ class Query(Cut):
 class Locate(Query):
     """A query, and which of its matches are returned."""
 
-    limit: Annotated[int, Field(ge=1, le=MOST.matches)] = 10
+    top: Annotated[
+        int, Field(ge=1, le=MOST.matches, description="matches to return, best first")
+    ] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
     box: BoxKind = Field(
         "upright",
-        description="upright: the third axis of boxes is up, where the photos tell it; free: as things lie",
+        description="upright: the third axis of boxes is up, where the photos tell it; free: along the match's own "
+        "axes",
     )
 
 
@@ -101,10 +107,10 @@ class Segment(Cut):
 
 
 class Picture(Query):
-    """A rendering, with what a query means in colour; without a query the scene as it is."""
+    """A rendering, with the matches of a query in colour; without a query the scene as it is."""
 
     view: Annotated[str, Field(min_length=1, max_length=500)] | None = Field(
-        None, description="a photo's name; left out: the one that shows most of what was found"
+        None, description="a photo's name; left out: the one that shows most of the matches"
     )
     photo: bool = Field(False, description="the photo instead of a rendering")
     max_side: Annotated[int, Field(ge=16, le=MOST.side)] = 800
@@ -153,7 +159,7 @@ def cut_of(given: Cut) -> engine.Cut:
 def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float]:
     """Raises: InputError: not one of the two."""
     if (given.point is None) == (given.click is None):
-        raise InputError("say where: give one of point and click")
+        raise InputError("expected exactly one of point and click")
     if given.click is not None:
         return _pixel(given.click)
     assert given.point is not None

@@ -28,12 +28,12 @@ from .models import Located, SceneList
 from .refusals import faults_of
 
 INSTRUCTIONS = """\
-3D scenes that can be searched in words. Start with list_scenes. Name things as people do ("red mug"); "mug, not red"
-leaves some out. Positions are world coordinates [x, y, z] in scene units. An empty result is an answer: the scene has
-no such thing, or another word for it. Check counts with show, which returns a picture."""
+3D scenes that can be searched in words. Start with list_scenes. Name objects as people do ("red mug"); "mug, not red"
+excludes some. Positions are world coordinates [x, y, z] in scene units. An empty result is an answer: the scene has
+nothing like it, or another word for it. Check counts with show, which returns a picture."""
 
 T = TypeVar("T")
-Text = Annotated[str, Field(description="a thing in a few words, e.g. 'red mug'", max_length=200)]
+Text = Annotated[str, Field(description="query in a few words, e.g. 'red mug'", max_length=200)]
 Scene = Annotated[
     str, Field(description="name from list_scenes; may be left out where there is only one")
 ]
@@ -97,7 +97,7 @@ def make_server(catalog: Catalog) -> MCPServer:
 
     @server.tool(title="List scenes", annotations=READS)
     def list_scenes() -> SceneList:
-        """The scenes that can be asked, and how large they are."""
+        """The scenes that can be searched, and how large they are."""
         return told(talk.list_scenes)
 
     @server.tool(title="About a scene", annotations=READS)
@@ -105,33 +105,33 @@ def make_server(catalog: Catalog) -> MCPServer:
         """How large a scene is, where it lies, which way is up, the unit of lengths, and some of its photos."""
         return told(lambda: talk.about_scene(scene))
 
-    @server.tool(title="Locate things", annotations=READS)
+    @server.tool(title="Locate matches", annotations=READS)
     def locate(
         text: Text,
         on: On = None,
         scene: Scene = "",
-        limit: Annotated[int, Field(ge=1, le=MOST_MATCHES, description="most matches")] = 5,
+        top: Annotated[int, Field(ge=1, le=MOST_MATCHES, description="most matches to list")] = 5,
     ) -> Located:
-        """All places that a text means, best first: centre, oriented box, score and supporting photos."""
-        return told(lambda: talk.locate(text, on, scene, limit))
+        """All matches of a text, best first: centre, oriented box, score and supporting photos."""
+        return told(lambda: talk.locate(text, on, scene, top))
 
-    @server.tool(title="Count things", annotations=READS)
+    @server.tool(title="Count matches", annotations=READS)
     def count(
         text: Text,
         on: On = None,
         scene: Scene = "",
     ) -> Count:
-        """How many things a text means, in the scene or on something."""
+        """How many matches a text has, in the scene or standing on something."""
         return told(lambda: talk.count(text, on, scene))
 
     @server.tool(title="Where is it", annotations=READS)
     def where_is(text: Text, scene: Scene = "") -> Place:
-        """Where the thing is that fits a text best, how large it is, and the photo that shows it best."""
+        """The best match of a text: where it is, how large it is, and the photo that shows it best."""
         return told(lambda: talk.where_is(text, scene))
 
     @server.tool(title="How far apart", annotations=READS)
     def how_far_apart(first: Text, second: Text, scene: Scene = "") -> Distance:
-        """Distance between two things: centre to centre, and between their nearest parts."""
+        """Distance between the best matches of two texts: centre to centre, and between their nearest parts."""
         return told(lambda: talk.how_far_apart(first, second, scene))
 
     @server.tool(title="What is at a point", annotations=READS)
@@ -179,7 +179,7 @@ def make_server(catalog: Catalog) -> MCPServer:
         ] = None,
         scene: Scene = "",
     ) -> Annotated[CallToolResult, Shown]:
-        """A rendered picture (PNG) of the scene, if wanted with what a text means kept in colour."""
+        """A rendered picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
         shown, data = told(lambda: talk.show(text, view, scene))
         picture = Image(data=data, format="png").to_image_content()
         content: Any = [TextContent(type="text", text=shown.model_dump_json()), picture]

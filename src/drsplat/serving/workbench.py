@@ -191,7 +191,7 @@ class _Worker:
                 raise TimeoutError(f"not within {seconds:g} s")
             return unpacked(line.recv_bytes(LONGEST))
         except (OSError, EOFError) as error:
-            raise LostError(f"{self._lost(error)}: ask again") from error
+            raise LostError(f"{self._lost(error)}: try again") from error
         finally:
             job.leave()
 

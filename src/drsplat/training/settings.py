@@ -108,7 +108,7 @@ class TrainingSettings:
                 raise InputError(f"{name}: expected one of {allowed}, got {value!r}")
         if self.strategy == "mcmc" and self.max_gaussians is None:
             raise InputError(
-                "strategy 'mcmc' fills a budget: say how many with max_gaussians, e.g. 500,000"
+                "strategy 'mcmc' fills a budget: set it with max_gaussians, e.g. 500,000"
             )
 
     def _check_counts(self) -> None:

@@ -1,4 +1,4 @@
-"""What is at a place: its words, the photos and masks that say so, and what is like it."""
+"""What is at a place: its words, the masks of supporting photos, and what is like it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -66,7 +66,7 @@ def words_of(scene: Scene) -> tuple[str, ...]:
 
 
 def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
-    """The photo that speaks most for it, with the thing in colour; None where there is none."""
+    """The photo of most support, with the place in colour; None where there is none."""
     names = {view.name for view in scene.views}
     best = next((one.view_name for one in this.evidence if one.view_name in names), None)
     if best is None or this.match is None:

@@ -266,7 +266,7 @@
     name.textContent = i < 0 ? "Nothing there" : word || "None of the words that this page knows";
     note.className = "faint";
     const found = i < 0 ? [] : header.answers.filter((_, k) => arrays["owner" + k][i]).map((answer) => answer.text);
-    note.textContent = found.length ? `found for: ${found.join(", ")}` : "";
+    note.textContent = found.length ? `match of: ${found.join(", ")}` : "";
     what.append(name, note);
   }
 
@@ -290,7 +290,7 @@
       const answer = header.answers[k], list = $("matches");
       list.textContent = "";
       if (!answer) return;
-      if (!answer.matches.length) { const p = document.createElement("p"); p.textContent = `Nothing found for "${answer.text}".`; list.append(p); }
+      if (!answer.matches.length) { const p = document.createElement("p"); p.textContent = `No match for "${answer.text}".`; list.append(p); }
       const named = answer.matches.map((match, number) => button(answer.matches.length > 1 ? `${number + 1} · ${match.said}` : match.said, () => flyTo(match.eye, match.center), answer.accent));
       list.append(...named.slice(0, FIRST));
       if (named.length > FIRST) {

@@ -72,14 +72,15 @@ class Panel:
     def _build(self) -> None:
         self._title()
         askable = self.session.is_askable
-        self.text = self._prompt("Look for", 'Press enter. Several: "mug; lamp". Without: "mug, not red".', self._ask)  # fmt: skip
+        hint = 'Press enter. Several: "mug; lamp". Exclude: "mug, not red".'
+        self.text = self._prompt("Query", hint, self._ask)
         self.asking = self._button("Ask", self._ask)
         self.text.visible = self.asking.visible = askable
         if askable:  # viser shows such a button, visible or not
-            self.upload = self.gui.add_upload_button("Look for a picture", mime_type="image/*")
+            self.upload = self.gui.add_upload_button("Query by picture", mime_type="image/*")
             self.upload.on_upload(lambda event: self._do("picture", event, self._ask_picture))
         self.fault = self.gui.add_html("", visible=False)
-        self.told = self.gui.add_html(paragraphs("Ask for something.") if askable else paragraphs(NO_FIELD))  # fmt: skip
+        self.told = self.gui.add_html(paragraphs("Enter a query.") if askable else paragraphs(NO_FIELD))  # fmt: skip
         self.tried = self.gui.add_button_group("Try", ("-",), visible=False)
         self.tried.on_click(lambda event: self._do("try", event, self._try))
         self._build_answer()
@@ -119,7 +120,7 @@ class Panel:
         control.on_update(changed)
 
     def _build_answer(self) -> None:
-        self.answer = self.gui.add_folder("Found", visible=self.session.is_askable)
+        self.answer = self.gui.add_folder("Matches", visible=self.session.is_askable)
         with self.answer:
             self.which = self.gui.add_dropdown("Threshold of", ("-",), visible=False, order=0.0)
             self._by_hand(self.which, "which", self._new_slider)
@@ -155,7 +156,7 @@ class Panel:
 
     def _build_edit(self) -> None:
         session = self.session
-        with self.gui.add_folder("Edit what was found", expand_by_default=False, visible=session.is_askable):  # fmt: skip
+        with self.gui.add_folder("Edit the matches", expand_by_default=False, visible=session.is_askable):  # fmt: skip
             self._button("Keep only this", self._changing(session.keep))
             self._button("Hide", self._changing(session.hide))
             color = self.gui.add_rgb("Colour", painting.accent(1))
@@ -263,7 +264,7 @@ class Panel:
         own = replace(self.slider._marks[0], value=round(result.answer.threshold, 3))
         self.slider._marks = (own,)
         self.slider.hint = (
-            f"{result.answer.measure} above which a Gaussian is found; "
+            f"{result.answer.measure} above which a Gaussian is selected; "
             f"the mark is the rule's choice ({result.answer.rule})"
         )
 
@@ -348,7 +349,7 @@ def said_of_this(this: This) -> str:
     place = ", ".join(f"{x:.2f}" for x in this.point)
     words = [f"{escaped(one.text)} {one.score:.2f}" for one in this.words]
     best = f"<strong>{escaped(this.words[0].text)}</strong> {this.words[0].score:.2f}" if words else "No encoder here has words for it."  # fmt: skip
-    masks = [f"{escaped(one.view_name)}, mask {one.segment_id} ({one.share:.0%})" for one in this.evidence]  # fmt: skip
+    masks = [f"{escaped(one.view_name)}, mask {one.mask_id} ({one.share:.0%})" for one in this.evidence]  # fmt: skip
     others = "or " + ", ".join(words[1:]) if words[1:] else ""
     return paragraphs(best, others, f"at {place}", "Seen in " + "; ".join(masks) if masks else "")
 

@@ -1,4 +1,4 @@
-"""What was asked in one go, and what was found."""
+"""Queries asked together, and their matches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
 from ..query import Answer, Match, Scene
+from ..terminal import counted
 from . import painting
 
 SEVERAL = ";"
@@ -14,7 +15,7 @@ SEVERAL = ";"
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One query, where its values are cut now, and the things above that.
+    """One query, where its values are cut now, and the matches above that.
 
     answer.threshold is the one that was chosen for it, and stays marked; threshold is the slider's.
     """
@@ -41,11 +42,11 @@ class Result:
 
     @property
     def said(self) -> str:
-        """How many things there are; "Nothing found" where there is none."""
+        """How many matches there are; "No match" where there is none."""
         if not self.matches:
-            return f"Nothing found for '{self.label}'."
-        things = "one thing" if len(self.matches) == 1 else f"{len(self.matches)} things"
-        return f"{self.label}: {things}, {len(self.gaussian_ids):,} Gaussians"
+            return f"No match for '{self.label}'."
+        matches = counted(len(self.matches), "match", "matches")
+        return f"{self.label}: {matches}, {counted(len(self.gaussian_ids), 'Gaussian')}"
 
 
 def result_of(scene: Scene, label: str, answer: Answer) -> Result:
@@ -80,15 +81,15 @@ def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
 
 
 def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
-    """Per Gaussian the number of the query that found it, of several the first; -1 for none."""
+    """Per Gaussian the number of the query that it matches, of several the first; -1 for none."""
     owner = np.full(count, -1, np.int32)
     for number in range(len(results) - 1, -1, -1):
         owner[results[number].gaussian_ids] = number
     return owner
 
 
-def object_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
-    """Per Gaussian the number of the thing that it belongs to, counted through all queries; -1 for none."""
+def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+    """Per Gaussian the number of the match that it belongs to, counted through all queries; -1 for none."""
     ids = np.full(count, -1, np.int32)
     matches = [match for result in results for match in result.matches]
     for number in range(len(matches) - 1, -1, -1):

@@ -29,7 +29,7 @@ MOST_SENT = 64 << 20  # bytes of a file that a browser is given
 
 
 def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bool = False) -> int:
-    """Write what is not hidden as PLY with `relevancy` and `object_id`, -1 for none; returns how many.
+    """Write what is not hidden as PLY with `relevancy` and `match_id`, -1 for none; returns how many.
 
     Raises: InputError: the file exists; nothing is selected where `selected_only`.
     """
@@ -37,7 +37,7 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
     count = len(session.scene.gaussians)
     columns = {
         "relevancy": results.relevancy(session.results, count)[ids],
-        "object_id": results.object_ids(session.results, count)[ids],
+        "match_id": results.match_ids(session.results, count)[ids],
     }
     write_gaussians(path, gaussians, columns)
     return len(gaussians)

@@ -76,9 +76,7 @@ class Session:
         """
         texts = results.split_queries(text)
         if not 1 <= len(texts) <= MOST_QUERIES:
-            raise InputError(
-                f"say what to look for: one to {MOST_QUERIES} queries with ';' between them"
-            )
+            raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
         return self._answered(
             [results.result_of(self.scene, one, self.scene.ask(one)) for one in texts]
         )
@@ -183,7 +181,7 @@ class Session:
 
     def _needed(self) -> Int64[np.ndarray, " m"]:
         if not len(self.selection):
-            raise InputError("nothing is selected: ask for something that is there first")
+            raise InputError("nothing is selected: make a query that has a match first")
         return self.selection
 
     # --- what it looks like ---

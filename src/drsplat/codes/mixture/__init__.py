@@ -1,6 +1,6 @@
-"""The mixture code: a feature as a few of the scene's own segment embeddings with weights.
+"""The mixture code: a feature as a few of the scene's own mask embeddings with weights.
 
-Features are mixtures of segment embeddings to begin with, so that a few of them, and one of the scene's
+Features are mixtures of mask embeddings to begin with, so that a few of them, and one of the scene's
 typical features, come nearer in 14 bytes than 128 bytes that know nothing of the scene. See docs/mixture.md.
 """
 

@@ -35,9 +35,9 @@ _ARRAYS = {
 
 
 class Part(NamedTuple):
-    """What speaks for a query in a row. segment: column of W, -1 for scene atoms together. share: (0, 1]."""
+    """What speaks for a query in a row. mask: column of W, -1 for scene atoms together. share: (0, 1]."""
 
-    segment: int
+    mask: int
     share: float
 
 
@@ -152,7 +152,7 @@ class MixtureCode:
         return MixtureCode(packed(*self.unpacked(index)), self.atoms)
 
     def parts(self, row: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Part]:
-        """The segments that speak most for `query` in a row, and their shares of all that speaks for it.
+        """The masks that speak most for `query` in a row, and their shares of all that speaks for it.
 
         Raises: InputError: no such row, or a query of another dimension.
         """
@@ -163,14 +163,14 @@ class MixtureCode:
         ids, weights, _ = (array[0] for array in self.unpacked(np.array([row])))
         support = weights * (self.atoms.vectors(ids).astype(np.float64) @ query)
         speaking = support > 0
-        segments, at = np.unique(self.atoms.segments[ids[speaking]], return_inverse=True)
-        sums = np.bincount(at, support[speaking], len(segments))
+        masks, at = np.unique(self.atoms.masks[ids[speaking]], return_inverse=True)
+        sums = np.bincount(at, support[speaking], len(masks))
         order = np.argsort(-sums, kind="stable")[:top]
-        return [Part(int(segments[i]), float(sums[i] / sums.sum())) for i in order]
+        return [Part(int(masks[i]), float(sums[i] / sums.sum())) for i in order]
 
     def tensors(self) -> dict[str, np.ndarray]:
         """See Code, and `mixture_from_tensors`."""
-        arrays = (*self.blocks, *self.atoms.dictionary, self.atoms.segments)
+        arrays = (*self.blocks, *self.atoms.dictionary, self.atoms.masks)
         return dict(zip(_ARRAYS, arrays, strict=True))
 
 
@@ -197,11 +197,11 @@ def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> Mixtu
     Raises: FormatError: an array is missing, of another type, or does not fit the others.
     """
     check_tensors(tensors, _ARRAYS, where)
-    ids, weights, row_scales, values, scales, segments = (
+    ids, weights, row_scales, values, scales, masks = (
         np.asarray(tensors[name]) for name in _ARRAYS
     )
     try:
-        atoms = AtomTable(Dictionary(values, scales), segments)
+        atoms = AtomTable(Dictionary(values, scales), masks)
         return MixtureCode(Blocks(ids, weights, row_scales), atoms)
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error

@@ -8,8 +8,8 @@ from jaxtyping import Float32, Int32, Integer
 from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, Dictionary
 
-SCENE_ATOM = -1  # of no segment
-_DTYPES = {"values": np.int8, "scales": np.float32, "segments": np.int32}
+SCENE_ATOM = -1  # of no mask
+_DTYPES = {"values": np.int8, "scales": np.float32, "masks": np.int32}
 
 
 def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
@@ -29,31 +29,31 @@ def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
 
 @dataclass(frozen=True, eq=False)
 class AtomTable:
-    """Up to 65,536 atoms. segments: the column of W whose embedding an atom is, or -1: a scene atom.
+    """Up to 65,536 atoms. masks: the column of W whose embedding an atom is, or -1: a scene atom.
 
     Raises: InputError: arrays that do not fit each other, or scales that are no lengths.
     """
 
     dictionary: Dictionary
-    segments: Int32[np.ndarray, " a"]
+    masks: Int32[np.ndarray, " a"]
 
     def __post_init__(self) -> None:
         values, scales = self.dictionary
-        arrays = {"values": values, "scales": scales, "segments": self.segments}
+        arrays = {"values": values, "scales": scales, "masks": self.masks}
         for name, array in arrays.items():
             if array.dtype != _DTYPES[name] or array.ndim != 1 + (name == "values"):
                 raise InputError(f"atoms: {name}: got {array.dtype} {array.shape}")
-        if not len(values) == len(scales) == len(self.segments) or not values.shape[1]:
-            raise InputError(f"expected one scale and one segment for each of {len(values)} atoms")
+        if not len(values) == len(scales) == len(self.masks) or not values.shape[1]:
+            raise InputError(f"expected one scale and one mask for each of {len(values)} atoms")
         if not 1 <= len(values) <= ADDRESSABLE:
             raise InputError(f"expected 1 to {ADDRESSABLE:,} atoms, got {len(values):,}")
         if not ((scales >= 0) & (scales <= 1)).all():  # 1 / length of whole numbers
             raise InputError("atoms: scales must lie between 0 and 1")
-        if self.segments.min() < SCENE_ATOM:
-            raise InputError(f"atoms: segment {self.segments.min()}: expected a column, or -1")
+        if self.masks.min() < SCENE_ATOM:
+            raise InputError(f"atoms: mask {self.masks.min()}: expected a column, or -1")
 
     def __len__(self) -> int:
-        return len(self.segments)
+        return len(self.masks)
 
     @property
     def dim(self) -> int:
@@ -62,7 +62,7 @@ class AtomTable:
     @property
     def nbytes(self) -> int:
         values, scales = self.dictionary
-        return values.nbytes + scales.nbytes + self.segments.nbytes
+        return values.nbytes + scales.nbytes + self.masks.nbytes
 
     def vectors(self, ids: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
         """The unit vectors of some atoms."""

@@ -59,16 +59,16 @@ def encode_mixture(
 ) -> MixtureCode:
     """The code of every row: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
 
-    A row is made of the segments in it and of scene atoms near its feature. scene_atoms: those, or how many
-    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those
-    used most are kept and all rows are coded again with them. Equal to the bit for any number of threads.
+    A row is made of the masks in it and of scene atoms near its feature. scene_atoms: those, or how many
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those used most are
+    kept and all rows are coded again with them. Equal to the bit for any number of threads.
 
     Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
     """
     if not 1 <= atoms_per_row <= MOST_ATOMS:
         raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
     if not len(source) or not len(source.embeddings):
-        raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} segments")
+        raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} masks")
     if not isinstance(scene_atoms, SceneAtoms):
         scene_atoms = _learn(source, scene_atoms, seed, threads)
     columns = np.arange(len(source.embeddings), dtype=np.int32)
@@ -154,10 +154,10 @@ def _assemble(
     used: Int64[np.ndarray, " u"],
 ) -> MixtureCode:
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
-    is_segment = kept < plan.first_scene
-    segments = np.where(is_segment, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)
+    is_mask = kept < plan.first_scene
+    masks = np.where(is_mask, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)
     places = np.zeros(len(plan.dictionary.scales), np.uint16)
     places[kept] = np.arange(len(kept), dtype=np.uint16)
     dictionary = Dictionary(plan.dictionary.values[kept], plan.dictionary.scales[kept])
-    atoms = AtomTable(dictionary, segments.astype(np.int32))
+    atoms = AtomTable(dictionary, masks.astype(np.int32))
     return MixtureCode(packed(places[encoded.ids], encoded.weights, encoded.scales), atoms)

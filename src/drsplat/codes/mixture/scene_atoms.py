@@ -1,4 +1,4 @@
-"""Atoms that are no segment's: typical features of the scene, by k-means on the sphere."""
+"""Atoms that are no mask's: typical features of the scene, by k-means on the sphere."""
 
 from dataclasses import dataclass
 

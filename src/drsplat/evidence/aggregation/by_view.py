@@ -28,7 +28,7 @@ class ViewSums:
 def view_sums(evidence: Evidence) -> ViewSums:
     """Add up W's columns of each view; the evidence has its columns in canonical order."""
     weights = evidence.weights
-    views = evidence.segments.views[weights.indices]
+    views = evidence.masks.views[weights.indices]
     first = np.empty(len(views), np.bool_)
     first[:1] = True
     np.not_equal(views[1:], views[:-1], out=first[1:])

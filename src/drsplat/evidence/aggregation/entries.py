@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, Integer
 from scipy.sparse import csr_array
 
-from ..evidence import Evidence, Segments
+from ..evidence import Evidence, MaskIds
 
 BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay near the processor
 CELLS = 1 << 19  # of a block's tables: rows of many votes come in smaller blocks
@@ -108,18 +108,18 @@ def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidenc
 
 
 def canonical(evidence: Evidence) -> Evidence:
-    """Columns by view name, then segment id, and entries of a row in that order.
+    """Columns by view name, then mask id, and entries of a row in that order.
 
     So registrations leave them; evidence made by hand may not be so. Itself where it is.
     """
-    segments, weights = evidence.segments, evidence.weights
-    names = sorted(segments.view_names)
+    masks, weights = evidence.masks, evidence.weights
+    names = sorted(masks.view_names)
     rank = {name: i for i, name in enumerate(names)}
-    views = np.array([rank[name] for name in segments.view_names], np.int32)[segments.views]
-    order = np.lexsort((segments.ids, views))
+    views = np.array([rank[name] for name in masks.view_names], np.int32)[masks.views]
+    order = np.lexsort((masks.ids, views))
     if (np.diff(order) == 1).all() and weights.has_sorted_indices:
         return evidence
     columns = csr_array(weights[:, order])
     columns.sort_indices()
-    ordered = Segments(tuple(names), views[order], segments.ids[order])
+    ordered = MaskIds(tuple(names), views[order], masks.ids[order])
     return Evidence(columns, ordered, evidence.embeddings[order])

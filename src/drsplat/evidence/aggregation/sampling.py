@@ -43,7 +43,7 @@ class Sampling:
         self,
         splats: SplatArrays,
         view: View,
-        segment_ids: Int32[np.ndarray, "h w"],
+        mask_ids: Int32[np.ndarray, "h w"],
         threads: int = 0,
     ) -> Triples:
         """The entries of W of one view.
@@ -53,5 +53,5 @@ class Sampling:
         if self.pixels != "all":
             raise InputError(f"pixels: only all of them can be registered, not '{self.pixels}'")
         return view_weights(
-            splats, view, segment_ids, self.topk, first_hits=self.first_hits, threads=threads
+            splats, view, mask_ids, self.topk, first_hits=self.first_hits, threads=threads
         )

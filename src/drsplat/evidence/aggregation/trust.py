@@ -33,7 +33,7 @@ class MaskTrust:
 
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
         trust = np.exp(self.sharpness * surpluses(evidence, threads))
-        weights, views = evidence.weights, evidence.segments.views
+        weights, views = evidence.weights, evidence.masks.views
         changed = np.empty(len(weights.data), np.float32)
         for rows in _chunks(weights):
             entries = slice(weights.indptr[rows.start], weights.indptr[rows.stop])

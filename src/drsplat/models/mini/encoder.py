@@ -66,7 +66,7 @@ class MiniEncoder:
 
 def _unknown(text: str, strange: Sequence[str]) -> str:
     if not strange:
-        return f"{text!r} has no word that says what to look for: name a thing, e.g. 'red mug'"
+        return f"{text!r} has no word to look for: name an object, e.g. 'red mug'"
     near = [word for s in strange for word in difflib.get_close_matches(s, WORDS, 2, 0.75)]
     meant = f" Did you mean {' or '.join(near)}?" if near else ""
     return (
