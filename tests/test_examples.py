@@ -23,7 +23,7 @@ EXAMPLES = {path.name[:2]: path for path in sorted((ROOT / "examples").glob("*.p
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture()
+@pytest.fixture
 def demo(
     household_story: Story,
     household_folder: Path,
