@@ -1,7 +1,7 @@
 """From a point of the world to the Gaussian that is there."""
 
 import numpy as np
-from jaxtyping import Integer
+from jaxtyping import Float64, Integer
 
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
@@ -9,12 +9,13 @@ from ..scene.gaussians import Gaussians
 FAR = 3.0  # standard deviations
 SLACK = 0.01  # of the scene's size: people and models round their numbers
 FLAT = 1e-9  # of a Gaussian's variance: what its thinnest axis has at least
+Point = tuple[float, float, float] | Float64[np.ndarray, " 3"]
 NEAREST = 64  # candidates by the distance of centres
 
 
 @np.errstate(over="ignore", invalid="ignore")  # points beyond all that can be squared
 def nearest_gaussian(
-    gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: tuple[float, float, float]
+    gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: Point
 ) -> int:
     """Row of the candidate that covers a point of the world best.
 

@@ -30,7 +30,7 @@ from .defaults import MIN_GAUSSIANS
 from .encoding import encoder_for
 from .measuring import Background, Measuring
 from .naming import best_names
-from .places import nearest_gaussian
+from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import feature_at, gaussian_at
 from .support import supporting_masks
@@ -38,7 +38,7 @@ from .tasks import locate, segment
 from .views import view_named
 
 SUPPORT = 3  # masks listed for a match
-Place = int | tuple[float, float, float] | tuple[str, float, float]
+Place = int | Point | tuple[str, float, float]
 
 
 class Word(NamedTuple):
@@ -213,7 +213,7 @@ class Scene:
             return feature_at(self.field, self.gaussians, view, xy, threads=self.threads)
         return self._feature(self.nearest(place))  # type: ignore[arg-type]
 
-    def nearest(self, point: tuple[float, float, float]) -> int:
+    def nearest(self, point: Point) -> int:
         """Row of the Gaussian nearest to a point of the world among those that have a feature.
 
         Nearest is meant in its own standard deviations, and all within one are equal but for opacity.

@@ -1,0 +1,23 @@
+"""Count things: how many places of a scene answer each text, where they are and how large.
+
+Needs a folder with a field and its scene, such as `drsplat demo` writes. Usage:
+python examples/04_count.py [FOLDER TEXT...]
+"""
+
+import sys
+
+import drsplat as ds
+
+
+def main(folder: str = "drsplat-demo", *texts: str) -> None:
+    scene = ds.open_scene(folder)
+    for text in texts or ("something to eat", "red vase", "toy duck", "laptop"):
+        matches = scene.locate(text, min_gaussians=100)  # smaller ones are specks
+        print(f"{len(matches)} x {text}")
+        for match in matches:
+            width, depth, height = match.extent
+            print(f"    at {match.center.round(2)}, {width:.2f} x {depth:.2f} x {height:.2f}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,29 @@
+"""Add photos to a scene that is registered already: only the new ones are looked at.
+
+Needs a folder with a field, its scene and its photos; of what `drsplat demo` wrote, the six photos that it held out are
+added. Usage: python examples/07_add_views.py [FOLDER WORDS]
+"""
+
+import sys
+
+import drsplat as ds
+
+
+def main(folder: str = "drsplat-demo", words: str = "red vase") -> None:
+    scene = ds.open_scene(folder)
+    before = ds.Registration.from_field(scene.field)
+    known = set(before.segments.view_names)
+    new = [view for view in scene.views if view.name not in known]
+    if not new:
+        raise SystemExit("all photos are registered already")
+
+    ds.embed(new, "new_features", ds.GraphSegmenter(), ds.MiniEncoder())
+    after = before.merged(ds.register(scene.gaussians, new, ds.read_features("new_features")))
+    field = after.to_field()  # the same to the bit as of all photos at once
+    field.save("more.field", overwrite=True)
+    print(f"before: {before}\nafter:  {after}")
+    print(*ds.Scene(field, scene.gaussians, scene.views).locate(words), sep="\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
