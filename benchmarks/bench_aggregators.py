@@ -52,9 +52,7 @@ def measure(how: Aggregator, evidence: Evidence, gaussians: Gaussians, threads: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, default=300_000)
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--masks", type=int, default=150, help="per view")
@@ -70,17 +68,11 @@ def main() -> None:
         sampling = how.sampling or Sampling()
         if sampling not in by_sampling:
             start, masks = time.perf_counter(), features.seconds
-            registration = register(
-                gaussians, views, features, sampling=sampling, threads=args.threads
-            )
+            registration = register(gaussians, views, features, sampling=sampling, threads=args.threads)
             took = time.perf_counter() - start - (features.seconds - masks)
             by_sampling[sampling] = registration.evidence
-            print(
-                f"registered {args.views} views, {sampling}: {took:.1f} s, {registration.weights.nnz:,} weights"
-            )
-    print(
-        f"{'aggregator':<24}{'weigh s':>10}{'features s':>10}{'peak MiB':>10}{'votes':>14}{'present':>10}"
-    )
+            print(f"registered {args.views} views, {sampling}: {took:.1f} s, {registration.weights.nnz:,} weights")
+    print(f"{'aggregator':<24}{'weigh s':>10}{'features s':>10}{'peak MiB':>10}{'votes':>14}{'present':>10}")
     for how in MEASURED.values():
         print(measure(how, by_sampling[how.sampling or Sampling()], gaussians, args.threads))
 

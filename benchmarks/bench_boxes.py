@@ -103,9 +103,7 @@ def fit(box: Box, truth: Box) -> Fit:
 
 
 def main() -> None:
-    folders = [Path(name) for name in sys.argv[1:]] or sorted(
-        path.parent for path in SCENES.glob("*/truth.json")
-    )
+    folders = [Path(name) for name in sys.argv[1:]] or sorted(path.parent for path in SCENES.glob("*/truth.json"))
     known = [case for folder in folders for case in cases(folder)]
     ways = {
         "centres, 1 to 99 %, principal axes (before)": lambda c: centres_only(c.gaussians, c.ids),
@@ -113,9 +111,7 @@ def main() -> None:
         "`upright`": lambda c: box_of(c.gaussians, c.ids, c.up),
     }
     print(f"{len(known)} things in {len(folders)} rooms\n")
-    print(
-        "| box | IoU | corners off, of the diagonal | of the truth inside | 80 % inside | 95 % inside |"
-    )
+    print("| box | IoU | corners off, of the diagonal | of the truth inside | 80 % inside | 95 % inside |")
     print("|---|---|---|---|---|---|")
     for name, way in ways.items():
         fits = np.array([fit(way(case), case.truth) for case in known])

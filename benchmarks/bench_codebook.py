@@ -32,9 +32,7 @@ def train_faiss(points: np.ndarray, subvectors: int, encoder: EncoderIdentity) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=16384)
     parser.add_argument("--dim", type=int, default=512)
     parser.add_argument("--subvectors", type=int, default=128)

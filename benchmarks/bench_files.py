@@ -44,22 +44,13 @@ def large_field(rows: int) -> LanguageField:
     blocks = packed(ids, rng.integers(1, 255, ids.shape).astype(np.uint8), np.full(rows, 0.01))
     indices = np.sort(rng.integers(0, MASKS, (rows, PER_ROW), dtype=np.int32), axis=1).ravel()
     starts = np.arange(0, rows * PER_ROW + 1, PER_ROW, dtype=np.int32)
-    weights = csr_array(
-        (rng.random(len(indices), np.float32), indices, starts), shape=(rows, MASKS)
-    )
+    weights = csr_array((rng.random(len(indices), np.float32), indices, starts), shape=(rows, MASKS))
     views = np.sort(rng.integers(0, PHOTOS, MASKS)).astype(np.int32)
     names = tuple(f"{number}.jpg" for number in range(PHOTOS))
-    evidence = Evidence(
-        weights, MaskIds(names, views, np.arange(MASKS, dtype=np.int32)), embeddings
-    )
+    evidence = Evidence(weights, MaskIds(names, views, np.arange(MASKS, dtype=np.int32)), embeddings)
     drawn = EncoderIdentity("drawn", DIM)
     return LanguageField(
-        np.arange(rows, dtype=np.uint32),
-        MixtureCode(blocks, atoms),
-        drawn,
-        f"{rows}-0",
-        rows,
-        evidence,
+        np.arange(rows, dtype=np.uint32), MixtureCode(blocks, atoms), drawn, f"{rows}-0", rows, evidence
     )
 
 
@@ -75,13 +66,9 @@ def show_checksums(rows: int, folder: Path) -> None:
         ROUNDS,
     )
     load = np.median(seconds["load"])
-    print(
-        f"{rows:,} Gaussians of {PER_ROW} weights, {sum(f.stat().st_size for f in path.iterdir()) / 1e6:.0f} MB"
-    )
+    print(f"{rows:,} Gaussians of {PER_ROW} weights, {sum(f.stat().st_size for f in path.iterdir()) / 1e6:.0f} MB")
     for name, taken in seconds.items():
-        print(
-            f"  {name:28s} {np.median(taken) * 1e3:7.1f} ms, {np.median(taken) / load:5.2f} x loading"
-        )
+        print(f"  {name:28s} {np.median(taken) * 1e3:7.1f} ms, {np.median(taken) / load:5.2f} x loading")
 
 
 def bytes_of(folder: Path) -> int:

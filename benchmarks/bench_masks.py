@@ -84,9 +84,7 @@ def timed(name: str, run: Callable[[], object], rounds: int) -> None:
 def bench_nms(number: int, rounds: int) -> None:
     masks = blobs(number, np.random.default_rng(0))
     assert mask_nms(masks).tolist() == nms_by_loop(masks).tolist()
-    print(
-        f"{number} masks at {WIDTH}x{HEIGHT}, {masks.areas.sum() / HEIGHT / WIDTH:.1f} deep on average"
-    )
+    print(f"{number} masks at {WIDTH}x{HEIGHT}, {masks.areas.sum() / HEIGHT / WIDTH:.1f} deep on average")
     timed("mask_nms", lambda: mask_nms(masks), rounds)
     timed("plain loop", lambda: nms_by_loop(masks), 1)
 
@@ -99,9 +97,7 @@ def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
 
     model = tiny_sam2()
     weights = sum(tensor.numel() for tensor in model.parameters())
-    print(
-        f"SAM 2.1 Hiera tiny, {weights / 1e6:.1f} M random weights, {torch.get_num_threads()} threads"
-    )
+    print(f"SAM 2.1 Hiera tiny, {weights / 1e6:.1f} M random weights, {torch.get_num_threads()} threads")
     frame = ModelFrame(1024, stretched=True)
     predictor = SamPredictor(model, frame, "cpu", {})
     rng = np.random.default_rng(0)
@@ -126,9 +122,7 @@ def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--masks", type=int, default=300)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--points", type=int, default=32)

@@ -22,9 +22,7 @@ def peak_mib() -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, default=1_000_000)
     parser.add_argument("--views", type=int, default=200)
     parser.add_argument("--masks", type=int, default=150, help="per view")
@@ -42,13 +40,12 @@ def main() -> None:
     print(f"made the scene: {time.perf_counter() - clock:.1f} s, peak {peak_mib():,.0f} MiB")
 
     start = clock = time.perf_counter()
-    registration = register(
-        gaussians, views, features, sampling=Sampling(args.topk), threads=args.threads
-    )
+    registration = register(gaussians, views, features, sampling=Sampling(args.topk), threads=args.threads)
     took = time.perf_counter() - clock
     print(
         f"registered {args.views} views, {registration.weights.shape[1]:,} masks: {took:.1f} s, of which "
-        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, peak {peak_mib():,.0f} MiB"
+        f"{features.seconds:.1f} s made synthetic masks; {registration.weights.nnz:,} weights, "
+        f"peak {peak_mib():,.0f} MiB"
     )
 
     clock = time.perf_counter()
@@ -63,9 +60,7 @@ def main() -> None:
         print(f"saved {size:,.0f} MiB: {time.perf_counter() - clock:.1f} s")
         clock = time.perf_counter()
         scores = load_field(Path(folder) / "room.field").scores(registration.embeddings[0])
-        print(
-            f"loaded and scored {len(scores):,} Gaussians: {(time.perf_counter() - clock) * 1e3:.0f} ms"
-        )
+        print(f"loaded and scored {len(scores):,} Gaussians: {(time.perf_counter() - clock) * 1e3:.0f} ms")
     print(
         f"end to end without the masks: {time.perf_counter() - start - features.seconds:.1f} s; peak resident memory "
         f"{peak_mib():,.0f} MiB"

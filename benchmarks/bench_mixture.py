@@ -68,24 +68,18 @@ def shown(title: str, rivals: dict[str, Run], rounds: int, reference: str) -> di
     times = {name: 1e3 * float(s.min()) for name, s in interleaved(rivals, rounds).items()}
     print(f"\n{title}")
     for name, least in times.items():
-        print(
-            f"  {name:<44} {least:9.2f} ms   {times[reference] / least:6.2f} x as fast as {reference}"
-        )
+        print(f"  {name:<44} {least:9.2f} ms   {times[reference] / least:6.2f} x as fast as {reference}")
     return times
 
 
-def single(
-    codes: dict[str, Code], query: np.ndarray, args: argparse.Namespace
-) -> dict[str, object]:
+def single(codes: dict[str, Code], query: np.ndarray, args: argparse.Namespace) -> dict[str, object]:
     pq, reference = codes["PQ 128"], "PQ 128, all scores"
     assert isinstance(pq, PQCode)
     cut = float(np.quantile(pq.scores(query[None])[0], 0.99))
     rivals: dict[str, Run] = {}
     for name, code in codes.items():
         rivals[f"{name}, all scores"] = lambda c=code: c.scores(query[None], threads=args.threads)
-        rivals[f"{name}, list of the best 1 %"] = lambda c=code: c.select(
-            query, cut, threads=args.threads
-        )
+        rivals[f"{name}, list of the best 1 %"] = lambda c=code: c.select(query, cut, threads=args.threads)
         rivals[f"{name}, top 100"] = lambda c=code: c.top(query, 100, threads=args.threads)
     if args.prototype:
         kernels = Prototype(args.prototype, args.threads)
@@ -117,9 +111,7 @@ def many(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("field", type=Path)
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--threads", type=int, default=1)

@@ -14,12 +14,7 @@ import numpy as np
 from machine import describe
 
 from drsplat import Gaussians
-from drsplat.evaluation.pseudo_labels import (
-    LabelledPoints,
-    density_labels,
-    printed_labels,
-    pseudo_labels,
-)
+from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels, pseudo_labels
 
 ROOM = np.array([8.0, 6.0, 3.0])
 HUGE_SHARE = 0.002
@@ -34,9 +29,7 @@ def boxes(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.stack([low, low + size], 1)
 
 
-def on_surfaces(
-    rng: np.random.Generator, corners: np.ndarray, count: int
-) -> tuple[np.ndarray, ...]:
+def on_surfaces(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, ...]:
     """Positions, the axis of their normals and the number of their box."""
     size = corners[:, 1] - corners[:, 0]
     area = np.stack([size[:, 1] * size[:, 2], size[:, 0] * size[:, 2], size[:, 0] * size[:, 1]], 1)
@@ -62,9 +55,7 @@ def discs(rng: np.random.Generator, corners: np.ndarray, count: int) -> Gaussian
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, default=1_000_000)
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--threads", type=int, default=0)

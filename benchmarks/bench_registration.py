@@ -40,10 +40,7 @@ class Rival:
 
     def __init__(self, source: Path, level: str, folder: Path) -> None:
         library = folder / f"rival_{level}.so"
-        subprocess.run(
-            ["g++", *RIVAL_FLAGS.split(), f"-march=x86-64-{level}", source, "-o", library],
-            check=True,
-        )
+        subprocess.run(["g++", *RIVAL_FLAGS.split(), f"-march=x86-64-{level}", source, "-o", library], check=True)
         self.lib = ctypes.CDLL(str(library))
         self.lib.ctx_new.restype = ctypes.c_void_p
         self.lib.peak_gflops.restype = ctypes.c_double
@@ -74,11 +71,7 @@ class Rival:
         return times[:5], counts
 
     def table(self):
-        out = (
-            np.empty(self.size, np.uint32),
-            np.empty(self.size, np.uint32),
-            np.empty(self.size, np.float32),
-        )
+        out = (np.empty(self.size, np.uint32), np.empty(self.size, np.uint32), np.empty(self.size, np.float32))
         self.lib.get_out(self.context, *(a.ctypes.data_as(ctypes.c_void_p) for a in out))
         return out
 
@@ -100,10 +93,7 @@ class Contest:
         self.camera = camera_numbers(self.view, self.splats.near)
         self.mask_ids = mask_map(self.view.width, self.view.height, masks, seed=1)
         splats = self.splats
-        self.rows = tuple(
-            np.ascontiguousarray(a)
-            for a in (splats.means.T, splats.covariances.T, splats.opacities)
-        )
+        self.rows = tuple(np.ascontiguousarray(a) for a in (splats.means.T, splats.covariances.T, splats.opacities))
         self.stages: dict[str, list] = {}
 
     def ours(self, isa: str, threads: int) -> Callable[[], tuple]:
@@ -158,9 +148,7 @@ def print_verdict(seconds: dict[str, np.ndarray], levels: Iterable[str]) -> None
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rival", type=Path, help="the prototype's splat.cpp")
     parser.add_argument("--gaussians", type=int, default=500_000)
     parser.add_argument("--topk", type=int, default=40)

@@ -47,9 +47,7 @@ def random_code(points: int, parts: int, seed: int = 0) -> PQCode:
     """Codes of things: those of one thing have three of five bytes in common."""
     rng = np.random.default_rng(seed)
     spread = rng.gamma(2, 0.5, (parts, 1, 1)) ** 0.5
-    centroids = (rng.normal(size=(parts, 256, DIM // parts)) * spread / np.sqrt(DIM)).astype(
-        np.float32
-    )
+    centroids = (rng.normal(size=(parts, 256, DIM // parts)) * spread / np.sqrt(DIM)).astype(np.float32)
     things = rng.integers(0, 256, (THINGS, parts, 1), np.uint8)
     grouped = aligned((-(-points // 256), parts, 256))
     for group in grouped:
@@ -94,9 +92,7 @@ def shown(title: str, rows: Rows, ours: str) -> None:
     least = rows[ours]["min_ms"]
     for name, row in sorted(rows.items(), key=lambda item: item[1]["min_ms"]):
         share = row["min_ms"] / least
-        print(
-            f"  {name:44s} {row['min_ms']:9.2f} ms  median {row['median_ms']:9.2f}  {share:7.2f} x"
-        )
+        print(f"  {name:44s} {row['min_ms']:9.2f} ms  median {row['median_ms']:9.2f}  {share:7.2f} x")
 
 
 def single(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, object]:
@@ -114,9 +110,7 @@ def single(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, o
         if "v3" in available_isas() and default_isa() != "v3":
             rivals["drsplat forced to AVX2 (v3)"] = forced("v3", scan)
         cut = float(np.quantile(scan(), 0.99))
-        rivals["drsplat, list of the best 1 %"] = lambda code=code, cut=cut: code.select(
-            query, cut, threads=threads
-        )
+        rivals["drsplat, list of the best 1 %"] = lambda code=code, cut=cut: code.select(query, cut, threads=threads)
         rivals["drsplat, top 100"] = lambda code=code: code.top(query, 100, threads=threads)
         if prototype is not None:
             rivals["prototype, all scores"] = prototype.scores(code, query)
@@ -149,9 +143,7 @@ def exact_best(code: PQCode, queries: np.ndarray) -> np.ndarray:
     index = np.empty(len(code), np.int32)
     for begin in range(0, len(code), 1 << 15):
         rows = np.arange(begin, min(begin + (1 << 15), len(code)))
-        index[rows] = (code.decode(rows).astype(np.float64) @ queries.T.astype(np.float64)).argmax(
-            axis=1
-        )
+        index[rows] = (code.decode(rows).astype(np.float64) @ queries.T.astype(np.float64)).argmax(axis=1)
     return index
 
 
@@ -181,9 +173,7 @@ def many(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, obj
         if count == 20:
             slow["decode a block (NumPy), GEMM, argmax"] = lambda q=queries: decoded_best(code, q)
         rows = timed(rivals, max(3, args.rounds // (1 if count == 20 else 2))) | timed(slow, 1)
-        shown(
-            f"best of {count} queries, {args.points:,} points, {args.threads} threads", rows, ours
-        )
+        shown(f"best of {count} queries, {args.points:,} points, {args.threads} threads", rows, ours)
         exact = exact_best(code, queries)
         agreement = float((best() == exact).mean())
         print(f"  the same query as in float64: {agreement:.2%} of points")
@@ -229,18 +219,14 @@ def mapped(args: argparse.Namespace) -> dict[str, object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--prototype", type=Path)
     parser.add_argument("--skip", action="append", default=[], choices=("single", "many", "mapped"))
     parser.add_argument("--mapped-points", type=int, nargs="*", default=[5_000_000, 10_000_000])
-    parser.add_argument(
-        "--folder", help="where --mapped-points are saved; else where the system has it"
-    )
+    parser.add_argument("--folder", help="where --mapped-points are saved; else where the system has it")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
 
@@ -248,11 +234,7 @@ def main() -> None:
     prototype = None
     if args.prototype is not None and vbmi_here():
         prototype = Prototype(args.prototype, args.threads)
-    found: dict[str, object] = {
-        "machine": describe(),
-        "threads": args.threads,
-        "points": args.points,
-    }
+    found: dict[str, object] = {"machine": describe(), "threads": args.threads, "points": args.points}
     if "single" not in args.skip:
         found["single"] = single(args, prototype)
     if "many" not in args.skip:

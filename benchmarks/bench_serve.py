@@ -86,9 +86,7 @@ class Client:
         return "select", {"text": NAMES[thing]}
 
 
-async def exchange(
-    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, route: str, body: object
-) -> int:
+async def exchange(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, route: str, body: object) -> int:
     data = json.dumps(body).encode()
     head = (
         f"POST /scenes/room/{route} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
@@ -104,9 +102,7 @@ async def exchange(
 def workers_of(pid: int) -> list[int]:
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     commands = {int(one): Path(f"/proc/{one}/cmdline").read_bytes() for one in children}
-    return [one for one, command in commands.items() if b"drsplat.serving.worker" in command] + [
-        pid
-    ]
+    return [one for one, command in commands.items() if b"drsplat.serving.worker" in command] + [pid]
 
 
 def memory(pids: list[int]) -> tuple[float, float]:
@@ -140,17 +136,13 @@ def report(clients: list[Client], seconds: float) -> None:
     statuses: Counter[int] = sum((client.statuses for client in clients), Counter())
     errors = sum(count for status, count in statuses.items() if status != 200)
     total = sum(statuses.values())
-    print(
-        f"{total} answers in {seconds:.1f} s, {total / seconds:.1f} per second; {errors} errors; {dict(statuses)}"
-    )
+    print(f"{total} answers in {seconds:.1f} s, {total / seconds:.1f} per second; {errors} errors; {dict(statuses)}")
     routes = sorted({route for client in clients for route in client.times})
     for route in [*routes, "all"]:
         mine = [route] if route != "all" else routes
         times = np.array([t for c in clients for r in mine for t in c.times.get(r, [])]) * 1e3
         low, high = np.percentile(times, (50, 99))
-        print(
-            f"{route:>8}: {len(times):6d} answers, p50 {low:6.0f} ms, p99 {high:6.0f} ms, most {times.max():6.0f} ms"
-        )
+        print(f"{route:>8}: {len(times):6d} answers, p50 {low:6.0f} ms, p99 {high:6.0f} ms, most {times.max():6.0f} ms")
 
 
 def main() -> None:
@@ -171,14 +163,7 @@ def main() -> None:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
         options = ["--port", str(port), "--workers", str(given.workers), "--threads", "1"]
-        command = [
-            sys.executable,
-            "-m",
-            "drsplat",
-            "serve",
-            folder,
-            *options,
-        ]
+        command = [sys.executable, "-m", "drsplat", "serve", folder, *options]
         server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             wait_for(port)

@@ -66,9 +66,7 @@ class Training:
         clock.append(time.perf_counter())
         gradients = seen.backward(loss.gradient)
         clock.append(time.perf_counter())
-        for name, *arrays in zip(
-            self.scene._fields, self.scene, gradients, *self.moments, strict=False
-        ):
+        for name, *arrays in zip(self.scene._fields, self.scene, gradients, *self.moments, strict=False):
             constant = CONSTANT_RATE if name == "sh" else None
             adam_step(*arrays, RATES[name], self.count, constant_rate=constant, threads=threads)
         clock.append(time.perf_counter())
@@ -113,13 +111,10 @@ def rival_step(training: Training, threads: int) -> Callable[[], None]:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
     import dense_torch
 
-    leaves = dense_torch.Scene(
-        *(torch.tensor(column, requires_grad=True) for column in training.scene)
-    )
+    leaves = dense_torch.Scene(*(torch.tensor(column, requires_grad=True) for column in training.scene))
     rates = [RATES[name] for name in training.scene._fields]
     optimizer = torch.optim.Adam(
-        [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)],
-        eps=1e-15,
+        [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)], eps=1e-15
     )
     targets = [torch.tensor(target) for target in training.targets]
     behind, counter = torch.tensor(BACKGROUND), iter(range(1 << 30))
@@ -152,30 +147,20 @@ def measure(args: argparse.Namespace) -> None:
 def compare(args: argparse.Namespace) -> None:
     """Ours and the rival, in turns, on one small scene."""
     width, height = args.rival_size
-    training = Training(
-        furnished(args.rival_gaussians, args.sh_degree),
-        room_views(8, width, height),
-        args.sh_degree,
-    )
+    training = Training(furnished(args.rival_gaussians, args.sh_degree), room_views(8, width, height), args.sh_degree)
     rivals: dict[str, Callable[[], object]] = {}
     for threads in args.threads:
         rivals[f"drsplat {threads}"] = partial(training.step, threads)
         rivals[f"torch {threads}"] = rival_step(training, threads)
-    seconds = {
-        name: np.median(row) * 1e3 for name, row in interleaved(rivals, args.rival_rounds).items()
-    }
+    seconds = {name: np.median(row) * 1e3 for name, row in interleaved(rivals, args.rival_rounds).items()}
     print(f"\na rival: {args.rival_gaussians:,} Gaussians, {width}x{height}, dense torch autograd")
     for threads in args.threads:
         ours, theirs = (seconds[f"{name} {threads}"] for name in ("drsplat", "torch"))
-        print(
-            f"{threads} threads: torch {theirs:,.1f} ms, drsplat {ours:.2f} ms, {theirs / ours:,.0f} times"
-        )
+        print(f"{threads} threads: torch {theirs:,.1f} ms, drsplat {ours:.2f} ms, {theirs / ours:,.0f} times")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, nargs="*", default=[50_000, 100_000, 300_000])
     parser.add_argument("--sizes", type=size_of, nargs="*", default=[(400, 300), (800, 600)])
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])

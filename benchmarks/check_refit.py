@@ -32,9 +32,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         views = photographed(Path(folder), scene, ring(32))
         for strategy, budget in (("default", None), ("mcmc", MCMC_BUDGET)):
-            settings = ds.TrainingSettings(
-                iterations=arguments.iterations, strategy=strategy, max_gaussians=budget
-            )
+            settings = ds.TrainingSettings(iterations=arguments.iterations, strategy=strategy, max_gaussians=budget)
             training = ds.train(views, settings, points=perturbed_points(scene), device="cpu")
             found.append(training.evaluation.psnr)
             print(

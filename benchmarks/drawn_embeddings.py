@@ -40,9 +40,7 @@ class Drawn:
         return drawn.reshape(count, parts * dim)
 
     def things(self, count: int) -> np.ndarray:
-        near = self.coarse[
-            self.rng.choice(len(self.coarse), count, replace=count > len(self.coarse))
-        ]
+        near = self.coarse[self.rng.choice(len(self.coarse), count, replace=count > len(self.coarse))]
         return unit(near + 1.1 * self.residuals(count))
 
     def masks(self, things: np.ndarray) -> np.ndarray:

@@ -12,15 +12,12 @@ def describe() -> str:
     model = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            model = next(
-                line.split(":")[1].strip() for line in lines if line.startswith("model name")
-            )
+            model = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         pass
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return (
-        f"{model}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}, NumPy "
-        f"{np.__version__}"
+        f"{model}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}, NumPy {np.__version__}"
     )
 
 

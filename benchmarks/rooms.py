@@ -75,13 +75,7 @@ def room(n: int, seed: int = 0) -> Gaussians:
     order = rng.permutation(n)
     f32 = lambda a: np.ascontiguousarray(a[order], np.float32)  # noqa: E731
     sh = rng.normal(0, 0.5, (n, 1, 3))
-    return Gaussians(
-        f32(points),
-        f32(_quats_to(normals, rng)),
-        f32(np.minimum(scales, 0.5)),
-        f32(opacities),
-        f32(sh),
-    )
+    return Gaussians(f32(points), f32(_quats_to(normals, rng)), f32(np.minimum(scales, 0.5)), f32(opacities), f32(sh))
 
 
 def room_views(count: int, width: int = 1000, height: int = 730, seed: int = 1) -> list[View]:
@@ -92,12 +86,8 @@ def room_views(count: int, width: int = 1000, height: int = 730, seed: int = 1) 
     views = []
     for i in range(count):
         angle = 2 * np.pi * i / count
-        eye = np.array(
-            [3 + 1.7 * np.cos(angle), 2.5 + 1.4 * np.sin(angle), 1.5 + 0.2 * rng.normal()]
-        )
-        target = np.array(
-            [3 - 1.5 * np.cos(angle + 0.4), 2.5 - 1.3 * np.sin(angle + 0.4), 1 + 0.2 * rng.normal()]
-        )
+        eye = np.array([3 + 1.7 * np.cos(angle), 2.5 + 1.4 * np.sin(angle), 1.5 + 0.2 * rng.normal()])
+        target = np.array([3 - 1.5 * np.cos(angle + 0.4), 2.5 - 1.3 * np.sin(angle + 0.4), 1 + 0.2 * rng.normal()])
         forward = (target - eye) / np.linalg.norm(target - eye)
         right = np.cross(forward, [0, 0, 1.0])
         right /= np.linalg.norm(right)
@@ -108,9 +98,7 @@ def room_views(count: int, width: int = 1000, height: int = 730, seed: int = 1) 
     return views
 
 
-def mask_map(
-    width: int, height: int, count: int, seed: int, hole_share: float = 0.08
-) -> np.ndarray:
+def mask_map(width: int, height: int, count: int, seed: int, hole_share: float = 0.08) -> np.ndarray:
     """Cells of uneven size with wavy borders, as a segmenter leaves them; some of them without a mask."""
     from scipy.spatial import cKDTree
 

@@ -19,9 +19,7 @@ WIDE = 16
 def readers(codes: np.ndarray, threads: int) -> dict[str, Run]:
     """Ways to do no more than read all bytes; the fastest is the limit. Those of NumPy use one thread."""
     words = codes.reshape(-1).view(np.uint64)
-    return (
-        {"read, u64 sum": words.sum, "read, u8 max": codes.reshape(-1).max} if threads == 1 else {}
-    )
+    return {"read, u64 sum": words.sum, "read, u8 max": codes.reshape(-1).max} if threads == 1 else {}
 
 
 def raw_rivals(features: np.ndarray, query: np.ndarray, threads: int) -> dict[str, Run]:
@@ -68,9 +66,7 @@ class Prototype:
 
     def __init__(self, folder: Path, threads: int) -> None:
         target = Path(tempfile.mkdtemp()) / "prototype.so"
-        flags = (
-            "-O3 -march=x86-64-v4 -mavx512vbmi -mavx512vnni -ffast-math -fopenmp -w -shared -fPIC"
-        )
+        flags = "-O3 -march=x86-64-v4 -mavx512vbmi -mavx512vnni -ffast-math -fopenmp -w -shared -fPIC"
         command = ["g++", *flags.split(), f"-DPFD={PREFETCH}", folder / "kern_pf.cpp", "-o", target]
         subprocess.run(command, check=True)
         self.native, self.threads = ctypes.CDLL(str(target)), threads
@@ -117,9 +113,7 @@ class Prototype:
 
         return run
 
-    def _padded(
-        self, code: PQCode
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, ctypes.c_long, int]:
+    def _padded(self, code: PQCode) -> tuple[np.ndarray, np.ndarray, np.ndarray, ctypes.c_long, int]:
         """It knows whole groups only."""
         groups, parts, rows = code.grouped.shape
         norms = np.zeros(groups * rows, np.float32)
@@ -129,10 +123,7 @@ class Prototype:
 
 def vbmi_here() -> bool:
     try:
-        return (
-            "avx512_vbmi" in Path("/proc/cpuinfo").read_text()
-            or "avx512vbmi" in Path("/proc/cpuinfo").read_text()
-        )
+        return "avx512_vbmi" in Path("/proc/cpuinfo").read_text() or "avx512vbmi" in Path("/proc/cpuinfo").read_text()
     except OSError:
         return False
 

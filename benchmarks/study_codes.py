@@ -75,30 +75,20 @@ def scene_case(folder: Path, masks: str, rows: int, threads: int) -> Case:
     features = features_of(scene, masks, MiniEncoder())
     found = register(scene.gaussians, scene.views, features, threads=threads)
     evidence, total = sample(found.evidence, rows)
-    return Case(
-        f"{scene.name}, {masks}", evidence, true_things(scene, features, found.evidence), total
-    )
+    return Case(f"{scene.name}, {masks}", evidence, true_things(scene, features, found.evidence), total)
 
 
-def true_things(
-    scene: BenchScene, features: dict[str, ViewFeatures], evidence: Evidence
-) -> np.ndarray:
+def true_things(scene: BenchScene, features: dict[str, ViewFeatures], evidence: Evidence) -> np.ndarray:
     """What most pixels of each mask show."""
     masks, views = evidence.masks, {view.name: view for view in scene.views}
     of_view = {}
     for name in masks.view_names:
         ids, maps = scene.ids(views[name]), features[name].mask_ids
-        ids = ids[
-            tuple(
-                np.ix_(*(np.arange(m) * i // m for m, i in zip(maps.shape, ids.shape, strict=True)))
-            )
-        ]
+        ids = ids[tuple(np.ix_(*(np.arange(m) * i // m for m, i in zip(maps.shape, ids.shape, strict=True))))]
         counts = np.zeros((maps.max() + 1, ids.max() + 2), np.int64)
         np.add.at(counts, (maps[maps >= 0], ids[maps >= 0] + 1), 1)
         of_view[name] = counts.argmax(axis=1)
-    return np.array(
-        [of_view[masks.view_names[v]][i] for v, i in zip(masks.views, masks.ids, strict=True)]
-    )
+    return np.array([of_view[masks.view_names[v]][i] for v, i in zip(masks.views, masks.ids, strict=True)])
 
 
 def field_case(path: Path, rows: int) -> Case:
@@ -123,9 +113,7 @@ def with_drawn(case: Case, folder: Path) -> tuple[Case, Words]:
     things = drawn.things(max(QUERIES, len(ids)))
     evidence = replace(case.evidence, embeddings=drawn.masks(things[of_column]))
     generic = drawn.masks(drawn.things(GENERIC_POINTS))
-    return replace(case, evidence=evidence), Words(
-        "drawn CLIP", CLIP, drawn.texts(things[:QUERIES]), generic
-    )
+    return replace(case, evidence=evidence), Words("drawn CLIP", CLIP, drawn.texts(things[:QUERIES]), generic)
 
 
 def product(points: np.ndarray, parts: int, words: Words, threads: int) -> Reconstruct:
@@ -196,16 +184,12 @@ def study(case: Case, words: Words, threads: int) -> list[dict[str, object]]:
         ratio = f"{numbers['score_rms'] / reference:8.2f}" if reference else " " * 8
         print(f"{name:<31} {size:>5}  {numbers['cosine']:6.2f}  {numbers['score_rms']:.5f}   {ratio}   "
               f"{numbers['selection_iou']:.3f}       {numbers['argmax_agreement']:.3f}", flush=True)  # fmt: skip
-        found.append(
-            {"case": case.name, "embeddings": words.name, "code": name, "bytes": size, **numbers}
-        )
+        found.append({"case": case.name, "embeddings": words.name, "code": name, "bytes": size, **numbers})
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="*", type=Path, default=[])
     parser.add_argument("--masks", default="true,graph")
     parser.add_argument("--fields", nargs="*", type=Path, default=[])
@@ -223,11 +207,7 @@ def main() -> None:
     print(describe())
     generic = scene_case(args.generic, "graph", 1000, args.threads).evidence.embeddings
     cases = [field_case(path, args.rows) for path in args.fields]
-    cases += [
-        scene_case(f, m, args.rows, args.threads)
-        for f in args.scenes
-        for m in args.masks.split(",")
-    ]
+    cases += [scene_case(f, m, args.rows, args.threads) for f in args.scenes for m in args.masks.split(",")]
     found = []
     for case in cases:
         found += study(case, mini_words(generic), args.threads)

@@ -129,9 +129,7 @@ def ask(field: LanguageField, texts: list[str]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rooms", type=Path, nargs="*")
     parser.add_argument("--kept", type=Path, default=Path("kept"))
     parser.add_argument("--field", type=Path)

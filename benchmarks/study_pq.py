@@ -162,9 +162,7 @@ def show_codes(rows: list[dict[str, object]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--dim", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=100)
@@ -176,11 +174,7 @@ def main() -> None:
     args = parser.parse_args()
 
     print(describe())
-    report: dict[str, object] = {
-        "machine": describe(),
-        "points": args.points,
-        "repeats": args.repeats,
-    }
+    report: dict[str, object] = {"machine": describe(), "points": args.points, "repeats": args.repeats}
     if args.skip != "search":
         times = search_times(args.points, args.dim, args.repeats, args.threads)
         report["search"] = times

@@ -102,9 +102,7 @@ def room_of(folder: Path) -> Room:
     truth = json.loads((folder / "truth.json").read_text())
     exact, own = registered(scene, "true")
     known = np.flatnonzero(own >= 0)
-    of_thing = csr_array(
-        (np.ones(len(known), np.float32), (known, own[known])), shape=(len(own), own.max() + 1)
-    )
+    of_thing = csr_array((np.ones(len(known), np.float32), (known, own[known])), shape=(len(own), own.max() + 1))
     votes = (exact.weights @ of_thing).toarray()
     labels = np.where(votes.any(1), votes.argmax(1), -1)
     count = len(labels)
@@ -140,9 +138,7 @@ class Trial:
     absent: list[int]
 
 
-def trial(
-    room: Room, clip: Clip, how: str, kind: str, wrong: float, words: range, seed: int
-) -> Trial:
+def trial(room: Room, clip: Clip, how: str, kind: str, wrong: float, words: range, seed: int) -> Trial:
     rng, (count, noise, least) = np.random.default_rng(seed), KINDS[kind]
     good = rng.permutation([word for word in words if clip.margins[:, word].max() > least])
     names = list(rng.permutation(sorted(room.things)))
@@ -159,16 +155,9 @@ def trial(
             pictures[thing] = rng.integers(0, len(clip.centroids), 1) if nameless else centroids
     anything = rng.integers(0, len(clip.centroids), len(room.owners))
     others = rng.choice(np.concatenate(list(pictures.values())), len(room.owners))
-    chosen = np.array(
-        [
-            rng.choice(pictures[o]) if o in pictures else anything[k]
-            for k, o in enumerate(room.owners)
-        ]
-    )
+    chosen = np.array([rng.choice(pictures[o]) if o in pictures else anything[k] for k, o in enumerate(room.owners)])
     chosen = np.where(
-        rng.random(len(chosen)) < wrong,
-        np.where(rng.random(len(chosen)) < 0.5, others, anything),
-        chosen,
+        rng.random(len(chosen)) < wrong, np.where(rng.random(len(chosen)) < 0.5, others, anything), chosen
     )
     moved = clip.centroids[chosen] + noise * clip.noise(rng, len(chosen))
     evidence = replace(room.evidence, embeddings=unit(moved))
@@ -182,9 +171,7 @@ def trial(
     return Trial(Features(rows[known], evidence), truth, room.mass[known], present, absent)
 
 
-def selections(
-    case: Trial, clip: Clip, known: Contrast, word: int
-) -> Iterator[tuple[str, np.ndarray]]:
+def selections(case: Trial, clip: Clip, known: Contrast, word: int) -> Iterator[tuple[str, np.ndarray]]:
     """By rule, which rows it selects."""
     query, texts = clip.texts[word], clip.texts
     cosines = case.features.scores(query)
@@ -205,9 +192,7 @@ def selections(
 Results = dict[str, dict[str, list[float]]]
 
 
-def study(
-    room: Room, clip: Clip, how: str, kind: str, words: range, seeds: int
-) -> dict[str, Results]:
+def study(room: Room, clip: Clip, how: str, kind: str, words: range, seeds: int) -> dict[str, Results]:
     found: dict[str, Results] = {}
     for wrong in WRONG:
         results: Results = defaultdict(lambda: defaultdict(list))
@@ -234,9 +219,7 @@ def interval(values: list[float]) -> tuple[float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--clip", type=Path, required=True)
     parser.add_argument("--aggregators", nargs="+", choices=MEASURED, default=["mean"])
@@ -245,9 +228,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     if not (arguments.clip / "text_vectors.json").is_file():
-        sys.exit(
-            f"{arguments.clip}: no text_vectors.json and pq_index.faiss there: nothing is studied"
-        )
+        sys.exit(f"{arguments.clip}: no text_vectors.json and pq_index.faiss there: nothing is studied")
     clip, rooms = Clip(arguments.clip), [room_of(folder) for folder in arguments.scenes]
     chosen = {"first": (0, 2), "second": (1, 2), "all": (0, 1)}[arguments.words]
     words = range(chosen[0], len(clip.words), chosen[1])
@@ -272,9 +253,7 @@ def table(title: str, parts: list[dict[str, Results]]) -> dict[str, Any]:
             picked = [p[s][rule] for p in parts for s in (p if share == "mean" else [share])]
             measures = ("iou", "found")
             cells[share] = {m: interval([v for one in picked for v in one[m]]) for m in measures}
-        said = (
-            f"{c['iou'][0]:.3f} ± {c['iou'][1]:.3f}, {c['found'][0]:.0%}" for c in cells.values()
-        )
+        said = (f"{c['iou'][0]:.3f} ± {c['iou'][1]:.3f}, {c['found'][0]:.0%}" for c in cells.values())
         print(f"| {rule} | " + " | ".join(said) + " |", flush=True)
         document[rule] = cells
     return document

@@ -11,9 +11,7 @@ import numpy as np
 import drsplat as ds
 
 
-def main(
-    folder: str = "drsplat-demo", photo: str = "frame_00014", x: str = "365", y: str = "255"
-) -> None:
+def main(folder: str = "drsplat-demo", photo: str = "frame_00014", x: str = "365", y: str = "255") -> None:
     scene, click = ds.open_scene(folder), (photo, float(x), float(y))
     print("this is:", ", ".join(word.text for word in scene.what_is(click, top=3)))
 

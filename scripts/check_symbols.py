@@ -24,9 +24,7 @@ def shared_weak_symbols(unit: str, level: str, folder: Path) -> list[str]:
     flags = ["-O1", "-std=c++17", "-fPIC", "-w", f"-I{NATIVE}", f"-DDRSPLAT_ISA={level}"]
     command = [compiler, *flags, *UNITS[unit][level], "-c", NATIVE / unit, "-o", target]
     subprocess.run(command, check=True)
-    listing = subprocess.run(
-        ["nm", "-C", target], check=True, capture_output=True, text=True
-    ).stdout
+    listing = subprocess.run(["nm", "-C", target], check=True, capture_output=True, text=True).stdout
     weak = [line.split(maxsplit=2)[-1] for line in listing.splitlines() if line[17:18] in "WVu"]
     return [name for name in weak if f"drsplat::{level}::" not in name]
 
@@ -44,11 +42,7 @@ def main() -> int:
     for (unit, level), names in shared.items():
         for name in names:
             print(f"{unit}: {name} is weak and outside drsplat::{level}", file=sys.stderr)
-    print(
-        f"{', '.join(LEVELS | BYTES)}: no weak symbol outside its own namespace"
-        if not any(shared.values())
-        else ""
-    )
+    print(f"{', '.join(LEVELS | BYTES)}: no weak symbol outside its own namespace" if not any(shared.values()) else "")
     return int(any(shared.values()))
 
 

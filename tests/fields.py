@@ -26,15 +26,11 @@ def unit_rows(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
 
 
 def random_weights(rng: np.random.Generator, rows: int, columns: int, density: float) -> csr_array:
-    weights = random_array(
-        (rows, columns), density=density, format="csr", rng=rng, dtype=np.float32
-    )
+    weights = random_array((rows, columns), density=density, format="csr", rng=rng, dtype=np.float32)
     return csr_array(weights)
 
 
-def random_evidence(
-    rng: np.random.Generator, rows: int = 600, columns: int = 40, dim: int = 32
-) -> Evidence:
+def random_evidence(rng: np.random.Generator, rows: int = 600, columns: int = 40, dim: int = 32) -> Evidence:
     """Sparse enough that some rows are empty."""
     views = np.sort(rng.integers(0, 3, columns)).astype(np.int32)
     masks = MaskIds(("a.jpg", "b.jpg", "c.jpg"), views, np.arange(columns, dtype=np.int32))
@@ -56,12 +52,7 @@ class ToyEncoder:
 
     def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
         self.asked += len(texts)
-        return np.concatenate(
-            [
-                unit_rows(np.random.default_rng(list(t.encode())), 1, self.identity.dim)
-                for t in texts
-            ]
-        )
+        return np.concatenate([unit_rows(np.random.default_rng(list(t.encode())), 1, self.identity.dim) for t in texts])
 
 
 def as_version_2(folder: Path) -> None:

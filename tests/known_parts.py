@@ -43,16 +43,11 @@ def divide(gaussians: ds.Gaussians, num_parts: int, seed: int = 0) -> Parts:
     middles, _ = kmeans2(solid, num_parts, minit="++", seed=seed)
     distances, nearest = cKDTree(middles).query(points, k=2)
     apart = np.linalg.norm(middles[nearest[:, 0]] - middles[nearest[:, 1]], axis=1)
-    return Parts(
-        nearest[:, 0].astype(np.int32), (distances[:, 1] ** 2 - distances[:, 0] ** 2) / (2 * apart)
-    )
+    return Parts(nearest[:, 0].astype(np.int32), (distances[:, 1] ** 2 - distances[:, 0] ** 2) / (2 * apart))
 
 
 def part_masks(
-    gaussians: ds.Gaussians,
-    views: Sequence[ds.View],
-    parts: Parts,
-    directions: Float32[np.ndarray, "p d"],
+    gaussians: ds.Gaussians, views: Sequence[ds.View], parts: Parts, directions: Float32[np.ndarray, "p d"]
 ) -> dict[str, ds.ViewFeatures]:
     """Features of every view: the part seen at each pixel, noisy vectors."""
     splats, rng, features = splat_arrays(gaussians), np.random.default_rng(1), {}
@@ -69,9 +64,7 @@ def part_masks(
 
 def search_parts(gaussians: ds.Gaussians, views: Sequence[ds.View], parts: Parts) -> Findings:
     """Register the masks of the parts and search every part by its vector."""
-    directions = (
-        np.random.default_rng(2).standard_normal((parts.labels.max() + 1, DIM)).astype(np.float32)
-    )
+    directions = np.random.default_rng(2).standard_normal((parts.labels.max() + 1, DIM)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     features = part_masks(gaussians, views, parts, directions)
     registration = ds.register(gaussians, views, features)

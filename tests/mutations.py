@@ -21,18 +21,7 @@ import pytest
 import zstandard
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
-NUMBERS = (
-    b"0",
-    b"1",
-    b"-1",
-    b"255",
-    b"256",
-    b"4294967295",
-    b"9223372036854775807",
-    b"1e9",
-    b"nan",
-    b"inf",
-)
+NUMBERS = (b"0", b"1", b"-1", b"255", b"256", b"4294967295", b"9223372036854775807", b"1e9", b"nan", b"inf")
 NUMBERS += (b"-inf", b"1e39", b"9" * 40, b"0x10", b"\xff", b"")
 COUNTS = (0, 1, 2, 255, 2**16, 2**24, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1)
 FLOATS = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e38, -1e38, 1e-45, 89.0, -120.0)
@@ -193,9 +182,7 @@ def _words(data: bytes, rng: np.random.Generator, letters: bytes) -> list[tuple[
     return found
 
 
-def _edit_word(
-    data: bytes, rng: np.random.Generator, spans: list[tuple[int, int]], others: tuple | list
-) -> bytes:
+def _edit_word(data: bytes, rng: np.random.Generator, spans: list[tuple[int, int]], others: tuple | list) -> bytes:
     if not spans:
         return flip_bits(data, rng)
     start, end = spans[rng.integers(len(spans))]

@@ -60,14 +60,10 @@ class Rogue:
         return array
 
     def _shape(self, array: np.ndarray) -> np.ndarray:
-        endless = (
-            2**58 if array.ndim > 1 else 0
-        )  # which takes no memory where the other sides are 0
+        endless = 2**58 if array.ndim > 1 else 0  # which takes no memory where the other sides are 0
         empty = np.empty((endless,) + (0,) * (array.ndim - 1), array.dtype)
         transposed = np.asfortranarray(array)
-        return self.one(
-            (array[1:], array[..., :-1], array[None], array[..., :0], empty, transposed)
-        )
+        return self.one((array[1:], array[..., :-1], array[None], array[..., :0], empty, transposed))
 
     def _kind(self, array: np.ndarray) -> object:
         return self.one((array.astype(np.float64), array.astype(np.int64), array.tobytes(), None))
@@ -103,10 +99,7 @@ def weights(rogue: Rogue) -> Call:
 
 
 def contributions(rogue: Rogue) -> Call:
-    width, height = (
-        int(rogue.one((*SIDES, 0, -1, 65536, 65537))),
-        int(rogue.one((1, 16, 16, 17, 0, -5))),
-    )
+    width, height = (int(rogue.one((*SIDES, 0, -1, 65536, 65537))), int(rogue.one((1, 16, 16, 17, 0, -5))))
     topk = rogue.one((1, 2, 3, 16, 40, 0, -1, 2**31))
     seen = *scene(rogue), camera(rogue, width, height), width, height
     return partial(_native.topk_contributions, *seen, topk, rogue.one(LIMITS), *rogue.how())
@@ -134,10 +127,7 @@ def scan(rogue: Rogue) -> Call:
     ids = rogue.whole(0, 65536, (n,), "u2") if coarse else None
     rows = codes, rogue.floats(n), ids
     tables = rogue.floats(queries, length, 256), rogue.floats(queries, coarse) if coarse else None
-    error, wide = (
-        rogue.one((1e-4, 1e-30, np.inf, np.nan, 0.0)),
-        rogue.one((0, 1, length, 2**32 - 1)),
-    )
+    error, wide = (rogue.one((1e-4, 1e-30, np.inf, np.nan, 0.0)), rogue.one((0, 1, length, 2**32 - 1)))
     floor = rogue.one((None, rogue.floats(n)))
     return partial(
         rogue.one((_native.scan_scores, _native.scan_best, _scan_top, partial(_scan_above, floor))),
@@ -178,9 +168,7 @@ def mixture(rogue: Rogue) -> Call:
 
 
 def dictionary(rogue: Rogue, atoms: int, dim: int) -> tuple[np.ndarray, np.ndarray]:
-    return rogue.whole(-128, 128, (atoms, dim), "i1"), rogue.spoiled(
-        rogue.rng.uniform(0, 0.01, atoms).astype("f")
-    )
+    return rogue.whole(-128, 128, (atoms, dim), "i1"), rogue.spoiled(rogue.rng.uniform(0, 0.01, atoms).astype("f"))
 
 
 def encoding(rogue: Rogue) -> Call:
@@ -210,11 +198,7 @@ def neighbours(rogue: Rogue) -> Call:
 
 
 def rows(rogue: Rogue) -> Call:
-    n, m, dim = (
-        int(rogue.one((0, 1, 17, 300))),
-        int(rogue.one((0, 1, 50))),
-        int(rogue.one((0, 1, 33, 512))),
-    )
+    n, m, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 50))), int(rogue.one((0, 1, 33, 512))))
     starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
     entries = rogue.whole(0, m, (starts[-1],), "i4"), rogue.floats(starts[-1])
     given = rogue.spoiled(starts.astype(np.int64)), *entries, rogue.floats(m, dim)
@@ -222,11 +206,7 @@ def rows(rogue: Rogue) -> Call:
 
 
 def codes(rogue: Rogue) -> Call:
-    n, length, dim = (
-        int(rogue.one((0, 1, 17, 300))),
-        int(rogue.one((0, 1, 4, 128))),
-        int(rogue.one((0, 1, 3, 64))),
-    )
+    n, length, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64))))
     if rogue.rng.random() < 0.5:
         given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
         return partial(_native.pq_encode, *given, *rogue.how())
@@ -245,9 +225,7 @@ def training(rogue: Rogue) -> Call:
     order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f"))
 
     def call() -> None:
-        view = _native.training_pass(
-            *given, rogue.one((0, 1, k, k + 1)), np.ones(3, "f"), *rogue.how()
-        )
+        view = _native.training_pass(*given, rogue.one((0, 1, k, k + 1)), np.ones(3, "f"), *rogue.how())
         image = gradients = None
         for step in order:
             try:

@@ -19,9 +19,7 @@ from transformers.models.sam import image_processing_pil_sam as processing
 from transformers.pipelines.mask_generation import MaskGenerationPipeline
 
 
-def batched_nms(
-    boxes: torch.Tensor, scores: torch.Tensor, idxs: torch.Tensor, iou_threshold: float
-) -> torch.Tensor:
+def batched_nms(boxes: torch.Tensor, scores: torch.Tensor, idxs: torch.Tensor, iou_threshold: float) -> torch.Tensor:
     """As torchvision documents it, one pair at a time; idxs, the categories, are all 0 here."""
     kept: list[int] = []
     for i in torch.argsort(scores, descending=True, stable=True).tolist():

@@ -44,18 +44,11 @@ def ply_columns(g: Gaussians) -> dict[str, np.ndarray]:
     return columns
 
 
-def ply_bytes(
-    columns: dict[str, np.ndarray], order: str = "<", before: bytes = b"", before_header: str = ""
-) -> bytes:
+def ply_bytes(columns: dict[str, np.ndarray], order: str = "<", before: bytes = b"", before_header: str = "") -> bytes:
     """PLY, binary ("<", ">") or ASCII ("a"), of the element vertex, behind others if given."""
     n = len(next(iter(columns.values())))
     names = {"<": "binary_little_endian", ">": "binary_big_endian", "a": "ascii"}
-    lines = [
-        "ply",
-        f"format {names[order]} 1.0",
-        "comment made for a test",
-        *before_header.split("\n"),
-    ]
+    lines = ["ply", f"format {names[order]} 1.0", "comment made for a test", *before_header.split("\n")]
     lines += [f"element vertex {n}"]
     lines += [f"property {PLY_NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
     head = "\n".join([line for line in lines if line] + ["end_header", ""]).encode() + before
@@ -74,19 +67,13 @@ def compressed_ply_bytes(g: Gaussians) -> bytes:
     for start in range(0, len(g), 256):
         rows = slice(start, start + 256)
         bounds = [(v[rows].min(0), v[rows].max(0)) for v in (g.means, log_scales, colours)]
-        chunks.write(
-            np.concatenate([end for pair in bounds for end in pair]).astype("<f4").tobytes()
-        )
+        chunks.write(np.concatenate([end for pair in bounds for end in pair]).astype("<f4").tobytes())
         for i in range(*rows.indices(len(g))):
             unit = [
                 (v[i] - low) / np.where(high > low, high - low, 1)
                 for v, (low, high) in zip((g.means, log_scales, colours), bounds, strict=True)
             ]
-            words = (
-                _pack(unit[0], (11, 10, 11)),
-                _pack_rotation(g.quats[i]),
-                _pack(unit[1], (11, 10, 11)),
-            )
+            words = (_pack(unit[0], (11, 10, 11)), _pack_rotation(g.quats[i]), _pack(unit[1], (11, 10, 11)))
             rgba = _pack((*unit[2], g.opacities[i]), (8, 8, 8, 8))
             vertices.write(struct.pack("<4I", *words, rgba))
     axes, k = ("x", "y", "z"), g.sh.shape[1]
@@ -97,10 +84,7 @@ def compressed_ply_bytes(g: Gaussians) -> bytes:
     lines += [f"property uint packed_{what}" for what in ("position", "rotation", "scale", "color")]
     rest = g.sh[:, 1:].transpose(0, 2, 1).reshape(len(g), -1)
     if k > 1:
-        lines += [
-            f"element sh {len(g)}",
-            *(f"property uchar f_rest_{i}" for i in range(3 * (k - 1))),
-        ]
+        lines += [f"element sh {len(g)}", *(f"property uchar f_rest_{i}" for i in range(3 * (k - 1)))]
     sh = np.clip(np.trunc((rest / 8 + 0.5) * 256), 0, 255).astype(np.uint8)
     head = "\n".join([*lines, "end_header", ""]).encode()
     return head + chunks.getvalue() + vertices.getvalue() + sh.tobytes()
@@ -142,16 +126,11 @@ def ksplat_bytes(parts: list[Gaussians], level: int, bucket: int = 8) -> bytes:
         rest = [min(3, len(g) - k) for k in range(full * bucket, len(g), 3)] if level else []
         sizes = [bucket] * full + rest
         starts = np.cumsum([0, *sizes])[:-1]
-        centres = [
-            g.means[a : a + k].mean(0).astype("<f4") for a, k in zip(starts, sizes, strict=True)
-        ]
+        centres = [g.means[a : a + k].mean(0).astype("<f4") for a, k in zip(starts, sizes, strict=True)]
         of_row = [centre for centre, k in zip(centres, sizes, strict=True) for _ in range(k)]
         offsets = g.means - np.array(of_row).reshape(-1, 3) if level else np.zeros((1, 3))
         side = 2 * float(np.abs(offsets).max(initial=1e-3))
-        rows = [
-            _ksplat_row(g, j, level, (of_row[j], side) if level else None, bounds)
-            for j in range(len(g))
-        ]
+        rows = [_ksplat_row(g, j, level, (of_row[j], side) if level else None, bounds) for j in range(len(g))]
         body = b"".join(struct.pack("<I", k) for k in rest) + b"".join(c.tobytes() for c in centres)
         bodies.append(body + b"".join(rows))
         at = 4096 + 1024 * i
@@ -164,11 +143,7 @@ def ksplat_bytes(parts: list[Gaussians], level: int, bucket: int = 8) -> bytes:
 
 
 def _ksplat_row(
-    g: Gaussians,
-    i: int,
-    level: int,
-    place: tuple[np.ndarray, float] | None,
-    bounds: tuple[float, float],
+    g: Gaussians, i: int, level: int, place: tuple[np.ndarray, float] | None, bounds: tuple[float, float]
 ) -> bytes:
     number = "e" if level else "f"
     if place is None:
@@ -193,11 +168,7 @@ def spz_planes(g: Gaussians, version: int) -> list[bytes]:
     """Attribute planes of Gaussians whose axes are RUB already."""
     fixed = (g.means.astype(np.float64) * 4096).round().astype(int).ravel().tolist()
     positions = b"".join(value.to_bytes(3, "little", signed=True) for value in fixed)
-    planes = [
-        g.opacities * 255,
-        g.sh[:, 0] * 0.15 * 255 + 127.5,
-        (np.log(g.scales) + 10) * 16,
-    ]
+    planes = [g.opacities * 255, g.sh[:, 0] * 0.15 * 255 + 127.5, (np.log(g.scales) + 10) * 16]
     coded = [np.clip(p.round(), 0, 255).astype(np.uint8).tobytes() for p in planes]
     rotation = _first_three if version == 2 else _smallest_three
     rest = np.clip((g.sh[:, 1:] * 128 + 128).round(), 0, 255).astype(np.uint8).tobytes()
@@ -233,9 +204,7 @@ def spz_bytes(g: Gaussians, version: int, flags: int = 0, extensions: bytes = b"
 def v4_body(planes: list[bytes], extensions: bytes = b"") -> bytes:
     """All of a version 4 file behind its flags: stream count, offset, extensions, streams."""
     streams = [zstandard.ZstdCompressor().compress(p) for p in planes]
-    contents = b"".join(
-        struct.pack("<QQ", len(s), len(p)) for s, p in zip(streams, planes, strict=True)
-    )
+    contents = b"".join(struct.pack("<QQ", len(s), len(p)) for s, p in zip(streams, planes, strict=True))
     head = struct.pack("<BI12x", len(planes), 32 + len(extensions))
     return head + extensions + contents + b"".join(streams)
 
@@ -258,18 +227,29 @@ def sh_basis(d: np.ndarray) -> np.ndarray:
     x, y, z = d.T
     xx, yy, zz = x * x, y * y, z * z
     columns = [
-        np.ones_like(x), y, z, x, x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy,
-        y * (3 * xx - yy), x * y * z, y * (4 * zz - xx - yy), z * (2 * zz - 3 * xx - 3 * yy),
-        x * (4 * zz - xx - yy), z * (xx - yy), x * (xx - 3 * yy),
-    ]  # fmt: skip
+        np.ones_like(x),
+        y,
+        z,
+        x,
+        x * y,
+        y * z,
+        2 * zz - xx - yy,
+        x * z,
+        xx - yy,
+        y * (3 * xx - yy),
+        x * y * z,
+        y * (4 * zz - xx - yy),
+        z * (2 * zz - 3 * xx - 3 * yy),
+        x * (4 * zz - xx - yy),
+        z * (xx - yy),
+        x * (xx - 3 * yy),
+    ]
     return np.stack(columns, 1)
 
 
 def webp_bytes(pixels: np.ndarray, lossless: bool = True) -> bytes:
     out = io.BytesIO()
-    Image.fromarray(pixels.astype(np.uint8), "RGBA").save(
-        out, "WEBP", lossless=lossless, exact=True
-    )
+    Image.fromarray(pixels.astype(np.uint8), "RGBA").save(out, "WEBP", lossless=lossless, exact=True)
     return out.getvalue()
 
 
@@ -293,13 +273,13 @@ def sog_files(g: Gaussians, version: int = 2) -> dict[str, bytes]:
     three = np.take_along_axis(g.quats * signs, others, 1)
     turned = np.rint((three * 2**0.5 + 1) * 127.5)
     linear = {
-        "scales": np.log(g.scales), "sh0": g.sh[:, 0], "shN": g.sh[:, 1:],
+        "scales": np.log(g.scales),
+        "sh0": g.sh[:, 0],
+        "shN": g.sh[:, 1:],
         "opacity": np.log(g.opacities / (1 - g.opacities)),
-    }  # fmt: skip
-    ends = {name: (v.min(initial=9), v.max(initial=-9)) for name, v in linear.items()}
-    codes = {
-        k: np.rint((v - ends[k][0]) / (ends[k][1] - ends[k][0]) * 255) for k, v in linear.items()
     }
+    ends = {name: (v.min(initial=9), v.max(initial=-9)) for name, v in linear.items()}
+    codes = {k: np.rint((v - ends[k][0]) / (ends[k][1] - ends[k][0]) * 255) for k, v in linear.items()}
     opacity = codes["opacity"] if version == 1 else np.rint(g.opacities * 255)
     files = {
         "means_l.webp": sog_plane(steps & 255),
@@ -318,11 +298,16 @@ def sog_files(g: Gaussians, version: int = 2) -> dict[str, bytes]:
         return dict(zip(("mins", "maxs"), (spread if size else (a, b)), strict=True))
 
     meta: dict[str, object] = {
-        "means": {"shape": [n, 3], "mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "means": {
+            "shape": [n, 3],
+            "mins": low.tolist(),
+            "maxs": high.tolist(),
+            "files": ["means_l.webp", "means_u.webp"],
+        },
         "scales": {**coded("scales", 3), "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
         "sh0": {**coded("sh0", 4), "files": ["sh0.webp"]},
-    }  # fmt: skip
+    }
     if version == 2:
         meta |= {"version": 2, "count": n}
     if coefficients:  # a palette in which every Gaussian has its own entry, in reverse
@@ -338,9 +323,10 @@ def sog_files(g: Gaussians, version: int = 2) -> dict[str, bytes]:
         files["shN_labels.webp"] = sog_plane(np.column_stack([labels & 255, labels >> 8]))
         bands = {3: 1, 8: 2, 15: 3}[coefficients]
         meta["shN"] = {
-            **coded("shN", 0), "files": ["shN_centroids.webp", "shN_labels.webp"],
+            **coded("shN", 0),
+            "files": ["shN_centroids.webp", "shN_labels.webp"],
             **({"count": n, "bands": bands} if version == 2 else {}),
-        }  # fmt: skip
+        }
     return {"meta.json": json.dumps(meta).encode(), **files}
 
 

@@ -59,9 +59,7 @@ def as_float32(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32).astype(np.float64)
 
 
-def random_mask_map(
-    height: int, width: int, num: int, hole_share: float = 0.1, seed: int = 0
-) -> np.ndarray:
+def random_mask_map(height: int, width: int, num: int, hole_share: float = 0.1, seed: int = 0) -> np.ndarray:
     """Voronoi cells of `num` random sites, int32; about `hole_share` of the area is -1."""
     rng = np.random.default_rng(seed)
     sites = rng.uniform(0, 1, (num, 2)) * (height, width)

@@ -63,17 +63,11 @@ def upright_cylinder(
 ) -> tuple[Float64[np.ndarray, " 3"], float, float]:
     """Middle, half height and radius of the scene, whatever few Gaussians float far off."""
     points, mass = gaussians.means.astype(np.float64), gaussians.opacities
-    low, high = (
-        np.array([weighted_quantile(axis, mass, q) for axis in points.T]) for q in (0.002, 0.998)
-    )
+    low, high = (np.array([weighted_quantile(axis, mass, q) for axis in points.T]) for q in (0.002, 0.998))
     middle = (low + high) / 2
     heights = (points - middle) @ up
     across = np.linalg.norm(points - middle - heights[:, None] * up, axis=1)
-    return (
-        middle,
-        weighted_quantile(np.abs(heights), mass, 0.998),
-        weighted_quantile(across, mass, 0.998),
-    )
+    return (middle, weighted_quantile(np.abs(heights), mass, 0.998), weighted_quantile(across, mass, 0.998))
 
 
 def weighted_quantile(values: np.ndarray, weights: np.ndarray, q: float) -> float:

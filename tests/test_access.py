@@ -5,23 +5,17 @@ import pytest
 from drsplat.serving.access import is_addressed, is_loopback, is_own_page, is_secret, names_of
 
 
-@pytest.mark.parametrize(
-    "host", ["127.0.0.1", "127.8.9.1", "localhost", "LOCALHOST", "::1", "[::1]"]
-)
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "localhost", "LOCALHOST", "::1", "[::1]"])
 def test_loopback_is_this_machine(host: str) -> None:
     assert is_loopback(host)
 
 
-@pytest.mark.parametrize(
-    "host", ["", "0.0.0.0", "::", "192.168.1.5", "localhost.evil.example", "127.0.0.1.example"]
-)
+@pytest.mark.parametrize("host", ["", "0.0.0.0", "::", "192.168.1.5", "localhost.evil.example", "127.0.0.1.example"])
 def test_what_others_reach_is_not(host: str) -> None:
     assert not is_loopback(host)
 
 
-@pytest.mark.parametrize(
-    "header", ["localhost", "localhost:8080", "127.0.0.1:1", "[::1]:8080", "LocalHost:8080"]
-)
+@pytest.mark.parametrize("header", ["localhost", "localhost:8080", "127.0.0.1:1", "[::1]:8080", "LocalHost:8080"])
 def test_a_loopback_server_answers_to_its_names(header: str) -> None:
     assert is_addressed(header, names_of("127.0.0.1"))
 
@@ -29,10 +23,20 @@ def test_a_loopback_server_answers_to_its_names(header: str) -> None:
 @pytest.mark.parametrize(
     "header",
     [
-        "", ":8080", "evil.example", "evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example:8080",
-        "localhost:8080@evil.example", "evil.example#localhost", "localhost:8080:1", "localhost\r\n", " localhost", "10.0.0.1",
+        "",
+        ":8080",
+        "evil.example",
+        "evil.example:8080",
+        "localhost.evil.example",
+        "127.0.0.1.evil.example:8080",
+        "localhost:8080@evil.example",
+        "evil.example#localhost",
+        "localhost:8080:1",
+        "localhost\r\n",
+        " localhost",
+        "10.0.0.1",
     ],
-)  # fmt: skip
+)
 def test_and_to_no_other(header: str) -> None:
     assert not is_addressed(header, names_of("127.0.0.1"))
 
@@ -49,8 +53,15 @@ def test_another_origin_port_or_none_that_is_named_is_not_the_own_page() -> None
     assert is_own_page(None, here)
     assert is_own_page("http://localhost:8080", here)
     assert is_own_page("https://LOCALHOST:8080", here)
-    for other in ("null", "", "http://localhost:3000", "http://localhost", "http://evil.example",
-                  "http://localhost:8080.evil.example", "file://"):  # fmt: skip
+    for other in (
+        "null",
+        "",
+        "http://localhost:3000",
+        "http://localhost",
+        "http://evil.example",
+        "http://localhost:8080.evil.example",
+        "file://",
+    ):
         assert not is_own_page(other, here)
 
 

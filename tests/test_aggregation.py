@@ -1,4 +1,5 @@
-"""Aggregators over the rows of W: each rule against a slow twin, and the laws that all keep, those of the benchmark too."""
+"""Aggregators over the rows of W: each rule against a slow twin, and the laws that all keep, those of the benchmark
+too."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,9 +28,7 @@ WEIGHERS = [a for a in MEASURED.values() if a.voting is None]
 every_weigher = pytest.mark.parametrize("how", WEIGHERS, ids=lambda a: a.name)
 
 
-def evidence_of(
-    rng: np.random.Generator, rows: int = 60, views: int = 7, per_view: int = 3, dim: int = 16
-) -> Evidence:
+def evidence_of(rng: np.random.Generator, rows: int = 60, views: int = 7, per_view: int = 3, dim: int = 16) -> Evidence:
     """Rows see some masks of each view, of weights from a hundredth of a pixel to a hundred pixels.
 
     Masks are of three things, so that most agree with some and disagree with others.
@@ -69,13 +68,7 @@ def votes(evidence: Evidence, row: int) -> list[tuple[float, np.ndarray]]:
     """Weight and embedding, in order."""
     part = slice(*evidence.weights.indptr[row : row + 2])
     columns = evidence.weights.indices[part]
-    return list(
-        zip(
-            evidence.weights.data[part].astype(float),
-            evidence.embeddings[columns].astype(float),
-            strict=True,
-        )
-    )
+    return list(zip(evidence.weights.data[part].astype(float), evidence.embeddings[columns].astype(float), strict=True))
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
@@ -195,9 +188,7 @@ def test_reliability_by_hand() -> None:
     assert_allclose(effective_views(evidence), [1, 1, 2, 0, 2])  # the views see 2 and 2 of the last
     lengths = [0.5**0.5, 1, 1, 0, (9 + 1) ** 0.5 / 4]
     assert_allclose(resultant_lengths(evidence), lengths, atol=1e-6)
-    assert_allclose(
-        reliability(evidence), np.multiply(lengths, [1 / 2, 1 / 2, 2 / 3, 0, 2 / 3]), atol=1e-6
-    )
+    assert_allclose(reliability(evidence), np.multiply(lengths, [1 / 2, 1 / 2, 2 / 3, 0, 2 / 3]), atol=1e-6)
 
 
 @few
@@ -207,9 +198,7 @@ def test_view_sums_are_those_of_the_dense_matrix(seed: int) -> None:
     sums, views = view_sums(evidence), evidence.masks.views
     dense = np.zeros((len(evidence), views.max() + 1))
     dense[sums.rows, sums.views] = sums.weights
-    expected = [
-        evidence.weights.toarray()[:, views == v].sum(axis=1) for v in range(views.max() + 1)
-    ]
+    expected = [evidence.weights.toarray()[:, views == v].sum(axis=1) for v in range(views.max() + 1)]
     assert_allclose(dense, np.transpose(expected), rtol=1e-6)
     assert sums.entries.sum() == evidence.weights.nnz
 
@@ -241,11 +230,7 @@ def test_the_order_in_which_views_come_does_not_matter(how: Aggregator) -> None:
     order = rng.permutation(len(evidence.masks))
     renamed = rng.permutation(len(evidence.masks.view_names))
     names = tuple(evidence.masks.view_names[i] for i in np.argsort(renamed))
-    masks = MaskIds(
-        names,
-        renamed[evidence.masks.views[order]].astype(np.int32),
-        evidence.masks.ids[order],
-    )
+    masks = MaskIds(names, renamed[evidence.masks.views[order]].astype(np.int32), evidence.masks.ids[order])
     columns = csr_array(evidence.weights[:, order])
     columns.sort_indices()  # or the entries of a row would still come in the old order
     shuffled = Evidence(columns, masks, evidence.embeddings[order])
@@ -310,12 +295,6 @@ def test_evidence_without_any_weight_stays_so(how: Aggregator) -> None:
 
 def test_names() -> None:
     assert all(name == how.name for name, how in AGGREGATORS.items())
-    with pytest.raises(
-        InputError,
-        match=r"'best': there are mean, official, inliers, trusted, robust$",
-    ):
+    with pytest.raises(InputError, match=r"'best': there are mean, official, inliers, trusted, robust$"):
         aggregator("best")
-    assert aggregator("inliers").parameters == {
-        "OutlierRejection.deviations": 3.0,
-        "OutlierRejection.least": 0.05,
-    }
+    assert aggregator("inliers").parameters == {"OutlierRejection.deviations": 3.0, "OutlierRejection.least": 0.05}

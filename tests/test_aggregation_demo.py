@@ -45,8 +45,7 @@ def accuracy(features: Aggregated, story) -> float:
 
 def test_robust_loses_little_where_all_labels_are_right(story, registration: Registration) -> None:
     mean, robust = (
-        accuracy(aggregator(name)(registration.evidence, story.gaussians), story)
-        for name in ("mean", "robust")
+        accuracy(aggregator(name)(registration.evidence, story.gaussians), story) for name in ("mean", "robust")
     )
     assert mean > 0.85
     assert robust > mean - 0.005  # neighbours across an edge lend a few features wrongly

@@ -24,9 +24,7 @@ VOTING = Aggregator("voting", voting=ModeVoting())
 few = settings(derandomize=True, deadline=None, max_examples=15)
 
 
-def slow_donors(
-    voting: ModeVoting, evidence: Evidence, gaussians: Gaussians, receivers: np.ndarray
-) -> np.ndarray:
+def slow_donors(voting: ModeVoting, evidence: Evidence, gaussians: Gaussians, receivers: np.ndarray) -> np.ndarray:
     """Row by row, pair by pair."""
     trust, means = reliability(evidence), gaussians.means.astype(float)
     features = evidence.features(0, len(evidence)).astype(float)
@@ -52,8 +50,7 @@ def slow_donors(
 
 @few
 @given(
-    st.integers(0, 2**32),
-    st.sampled_from([ModeVoting(), ModeVoting(5, 0.3, 0.0, 0.5), ModeVoting(200, 0.1, 0.2, 0.0)]),
+    st.integers(0, 2**32), st.sampled_from([ModeVoting(), ModeVoting(5, 0.3, 0.0, 0.5), ModeVoting(200, 0.1, 0.2, 0.0)])
 )
 def test_donors_are_those_of_the_twin(seed: int, voting: ModeVoting) -> None:
     rng = np.random.default_rng(seed)
@@ -79,9 +76,7 @@ def two_groups(*, flipped: int) -> tuple[Evidence, Gaussians]:
     masks = MaskIds(("a", "b"), np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], "i4"))
     embeddings = np.eye(8, dtype=np.float32)[[0, 1, 0, 1]]
     alike = np.ones((80, 3), np.float32)
-    return Evidence(csr_array(weights), masks, embeddings), replace(
-        gaussians, means=means, scales=alike
-    )
+    return Evidence(csr_array(weights), masks, embeddings), replace(gaussians, means=means, scales=alike)
 
 
 def test_where_neighbours_agree_nobody_changes() -> None:
@@ -130,13 +125,8 @@ def test_no_evidence_gives_no_donor() -> None:
 
 
 def test_any_number_of_threads_gives_the_same_donors() -> None:
-    evidence, gaussians = (
-        evidence_of(np.random.default_rng(0), rows=1500),
-        random_gaussians(1500, seed=1),
-    )
-    first, *others = (
-        aggregator("robust")(evidence, gaussians, threads=threads) for threads in (1, 2, 3)
-    )
+    evidence, gaussians = (evidence_of(np.random.default_rng(0), rows=1500), random_gaussians(1500, seed=1))
+    first, *others = (aggregator("robust")(evidence, gaussians, threads=threads) for threads in (1, 2, 3))
     for other in others:
         assert_array_equal(first.donors, other.donors)
         assert_array_equal(first.features(0, 1500), other.features(0, 1500, threads=2))

@@ -66,9 +66,7 @@ def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
     lut, scale = rng.random((24, 256), np.float32), rng.random(40_000, np.float32)
 
     def everything(threads: int) -> list[np.ndarray]:
-        rows = weighted_rows(
-            w.indptr, w.indices, w.data, embeddings, 0, 900, threads=threads, isa=isa
-        )
+        rows = weighted_rows(w.indptr, w.indices, w.data, embeddings, 0, 900, threads=threads, isa=isa)
         return [
             rows,
             pq_encode(rows, centroids, threads=threads, isa=isa),
@@ -129,10 +127,7 @@ def test_a_feature_equal_to_a_centroid_gets_its_code(isa: str) -> None:
     rng = np.random.default_rng(3)
     centroids = (100 + 1e-4 * rng.standard_normal((8, 256, 4))).astype(np.float32)
     codes = rng.integers(0, 256, (64, 8)).astype(np.uint8)
-    first = [
-        [np.argmax((c == c[k]).all(axis=1)) for c, k in zip(centroids, row, strict=True)]
-        for row in codes
-    ]
+    first = [[np.argmax((c == c[k]).all(axis=1)) for c, k in zip(centroids, row, strict=True)] for row in codes]
     features = reference_algebra.pq_decode(codes, centroids).astype(np.float32)
     assert_array_equal(pq_encode(features, centroids, isa=isa), first)
 

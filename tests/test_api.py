@@ -11,16 +11,81 @@ import pytest
 import drsplat
 
 PUBLIC = {
-    "PQ", "Answer", "Codebook", "Cut", "DrSplatError", "DrSplatWarning", "Encoder", "EncoderIdentity", "Gaussians", "GraphSegmenter", "LanguageField", "Match", "MiniEncoder", "Mixture", "Query", "Registration", "Sampling", "Scene", "Smaller", "TrainingSettings", "View", "ViewFeatures", "WordEncoder", "__version__", "embed", "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter", "open_scene", "read_features", "read_gaussians", "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "train", "train_codebook", "write_gaussians",
-}  # fmt: skip
+    "PQ",
+    "Answer",
+    "Codebook",
+    "Cut",
+    "DrSplatError",
+    "DrSplatWarning",
+    "Encoder",
+    "EncoderIdentity",
+    "Gaussians",
+    "GraphSegmenter",
+    "LanguageField",
+    "Match",
+    "MiniEncoder",
+    "Mixture",
+    "Query",
+    "Registration",
+    "Sampling",
+    "Scene",
+    "Smaller",
+    "TrainingSettings",
+    "View",
+    "ViewFeatures",
+    "WordEncoder",
+    "__version__",
+    "embed",
+    "load_codebook",
+    "load_encoder",
+    "load_field",
+    "load_image",
+    "load_segmenter",
+    "open_scene",
+    "read_features",
+    "read_gaussians",
+    "read_sparse_points",
+    "read_views",
+    "read_vocabulary",
+    "register",
+    "render",
+    "train",
+    "train_codebook",
+    "write_gaussians",
+}
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
 # A module imports only from those before it, or from its own package.
 ORDER = (
-    "errors", "terminal", "kinds", "contents", "progress", "encoders", "scene", "masks", "formats", "kernels", "reference", "codes", "evidence",
-    "field", "registration", "models", "drawing", "query", "embedding", "serving", "viewing", "triangulation", "training", "evaluation", "demo",
-    "commands", "cli", "__main__",
-)  # fmt: skip
+    "errors",
+    "terminal",
+    "kinds",
+    "contents",
+    "progress",
+    "encoders",
+    "scene",
+    "masks",
+    "formats",
+    "kernels",
+    "reference",
+    "codes",
+    "evidence",
+    "field",
+    "registration",
+    "models",
+    "drawing",
+    "query",
+    "embedding",
+    "serving",
+    "viewing",
+    "triangulation",
+    "training",
+    "evaluation",
+    "demo",
+    "commands",
+    "cli",
+    "__main__",
+)
 SOURCE = Path(drsplat.__file__).parent
 
 
@@ -75,9 +140,7 @@ def imports_of(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix()
-)
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
 def test_imports_go_one_way(path: Path) -> None:
     own = path.relative_to(SOURCE).with_suffix("").parts[0]
     if own == "__init__":  # names every module, but loads none
@@ -88,8 +151,7 @@ def test_imports_go_one_way(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "written",
-    ["0.2820947917", "0.299, 0.587", "1 - 2 * (y * y + z * z)", "searchsorted(field.gaussian_ids"],
+    "written", ["0.2820947917", "0.299, 0.587", "1 - 2 * (y * y + z * z)", "searchsorted(field.gaussian_ids"]
 )
 def test_a_rule_is_written_once(written: str) -> None:
     """Beside the twins, whose point is to be written again."""

@@ -31,51 +31,57 @@ def test_the_page_is_what_the_results_make() -> None:
 def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[str, Any]:
     """All numbers of one scene at one level."""
     columns = {
-        name: {
-            "miou": level,
-            "seen": level + 0.05,
-            "acc@0.25": level,
-            "acc@0.5": level,
-            "localization": level,
-        }
+        name: {"miou": level, "seen": level + 0.05, "acc@0.25": level, "acc@0.5": level, "localization": level}
         for name in ("fixed", "automatic")
     }
     whole = {"miou": level, "macc": level}
     study = {"scene": scene, "voxel": level, "weighted": level**2, "unweighted": 1 - level}
     return {
-        "scene": scene, "masks": "true", "method": method,
+        "scene": scene,
+        "masks": "true",
+        "method": method,
         "lerf-ovs": {"columns": columns, "sweep": sweep, "leaked": []},
         "scannet-volume": {"segmentation": whole, "columns": columns, "sweep": sweep},
         "scannet-points": {"segmentation": whole},
         "voxel": {"segmentation": whole, "study": study},
-    }  # fmt: skip
+    }
 
 
 def results() -> dict[str, Any]:
     """Five scenes; robust is better by 10 in each of them."""
     about = {
-        "seed": 1, "cameras": "orbit", "things": 2, "photos": 3, "labelled_photos": 1, "pairs": 2,
-        "gaussians": 1234, "points": 5, "photos_and_truth": "ef", "files": {"scene.compressed.ply": "ab12", "a.ply": "cd", "frame.json": "12"},
-    }  # fmt: skip
+        "seed": 1,
+        "cameras": "orbit",
+        "things": 2,
+        "photos": 3,
+        "labelled_photos": 1,
+        "pairs": 2,
+        "gaussians": 1234,
+        "points": 5,
+        "photos_and_truth": "ef",
+        "files": {"scene.compressed.ply": "ab12", "a.ply": "cd", "frame.json": "12"},
+    }
     records = [
         record(scene, method, level + gain, [level + gain, level + gain + 0.2, 0.1])
         for scene, level in zip("abcde", (0.3, 0.35, 0.4, 0.45, 0.5), strict=True)
         for method, gain in (("mean", 0.0), ("robust", 0.1))
     ]
     return {
-        "drsplat": "0", "label_set": "household", "sweep": [0.2, 0.4, 0.6], "voxel_side": 0.05,
+        "drsplat": "0",
+        "label_set": "household",
+        "sweep": [0.2, 0.4, 0.6],
+        "voxel_side": 0.05,
         "encoder": {"name": "e", "weights": "w", "threshold": 0.5},
         "segmenter": {"name": "graph", "weights": "w"},
-        "scenes": dict.fromkeys("abcde", about), "records": records,
-    }  # fmt: skip
+        "scenes": dict.fromkeys("abcde", about),
+        "records": records,
+    }
 
 
 def test_a_page_by_hand() -> None:
     text = " ".join(page.page(results()).split())
     low, high = mean_interval([30.0, 35.0, 40.0, 45.0, 50.0])
-    assert (
-        f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] | 45.0 [{low + 5:.1f}, {high + 5:.1f}] |" in text
-    )
+    assert f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] | 45.0 [{low + 5:.1f}, {high + 5:.1f}] |" in text
     assert "| `robust` | +10.0 [+10.0, +10.0] |" in text
     assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
     assert "`robust` minus `mean`.** *more:* selection, fixed +10.0 [+10.0, +10.0];" in text
@@ -155,21 +161,14 @@ def rendered_folder(place: Path, points: int) -> LabelledCloud:
     labels, scan = place / "lerf_ovs/label/room", place / "scannet/room"
     labels.mkdir(parents=True)
     scan.mkdir(parents=True)
-    truth = {
-        "scene": "room",
-        "objects": [],
-        "structures": [],
-        "views": [{"name": "frame_00001.jpg"}],
-    }
+    truth = {"scene": "room", "objects": [], "structures": [], "views": [{"name": "frame_00001.jpg"}]}
     (place / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     info = {"name": "frame_00001.jpg", "width": 8, "height": 6}
     piece = {"category": "red mug", "bbox": [1, 1, 4, 4], "segmentation": [[1, 1], [4, 1], [4, 4]]}
     document = {"info": info, "objects": [piece]}
     (labels / "frame_00001.json").write_text(json.dumps(document), encoding="utf-8")
     rng = np.random.default_rng(0)
-    cloud = LabelledCloud(
-        rng.random((points, 3), np.float32), rng.integers(0, 40, points).astype(np.int32)
-    )
+    cloud = LabelledCloud(rng.random((points, 3), np.float32), rng.integers(0, 40, points).astype(np.int32))
     (scan / "room_vh_clean_2.labels.ply").write_bytes(packing._ply(cloud))
     return cloud
 
@@ -210,9 +209,7 @@ def test_shipped_scenes_are_whole(folder: Path) -> None:
 
 
 @shipped
-def test_registration_beats_lookup_of_rendered_features(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = running.Task(SHIPPED[0], "true", ("mean", rendered.RENDERED), tmp_path, 5, 0)
     first = running.run([task], 1)
     mean, rival = (numbers.MEASURES["selection"].pick(found) for found in first)

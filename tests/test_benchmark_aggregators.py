@@ -157,8 +157,12 @@ def test_the_unit_of_weights_does_not_matter(seed: int, factor: float) -> None:
     evidence = evidence_of(np.random.default_rng(seed))
     scaled = replace(evidence, weights=csr_array(evidence.weights * np.float32(factor)))
     for how in [
-        CosineMedian(), Tempered(), OutlierRejection(), Gated((MassGate(0.75, 0.0), QuantileGate(0.4, 0.0))), Pruned(0.0),
-    ]:  # fmt: skip
+        CosineMedian(),
+        Tempered(),
+        OutlierRejection(),
+        Gated((MassGate(0.75, 0.0), QuantileGate(0.4, 0.0))),
+        Pruned(0.0),
+    ]:
         assert_allclose(features(how, scaled), features(how, evidence), atol=1e-3)
 
 
@@ -194,9 +198,7 @@ def test_centre_weights_are_those_of_the_twin(seed: int) -> None:
     assert_allclose(ours.weights, [expected[i][1] for i in ours.gaussian_ids], atol=2e-5)
 
 
-def test_centre_weights_do_not_depend_on_how_many_pixels_are_looked_at_at_once(
-    gaussians, monkeypatch
-) -> None:
+def test_centre_weights_do_not_depend_on_how_many_pixels_are_looked_at_at_once(gaussians, monkeypatch) -> None:
     arrays, view = splat_arrays(gaussians), named_view(1)
     mask_ids = random_mask_map(view.height, view.width, 6, seed=0)
     whole = centre_weights(arrays, view, mask_ids)
@@ -237,9 +239,7 @@ def test_registering_centres(gaussians) -> None:
         mine = ours.weights[:, ours.masks.views == i].tocoo()
         expected = centre_weights(arrays, view, features[f"{i:03d}"].mask_ids)
         assert mine.nnz == len(expected.weights)
-        assert_array_equal(
-            mine.toarray()[expected.gaussian_ids, expected.mask_ids], expected.weights
-        )
+        assert_array_equal(mine.toarray()[expected.gaussian_ids, expected.mask_ids], expected.weights)
     assert (ours.weights > 0).sum(axis=1).max() <= len(views)
     field = ours.to_field(aggregator=MEASURED["centre-pixel"])
     assert field.aggregator == AggregatorRecord("centre-pixel", {}, CentrePixels(near=0.2))
@@ -280,7 +280,10 @@ def test_names() -> None:
     assert all(name == how.name for name, how in MEASURED.items())
     assert MEASURED["spared-gates"].parameters == MEASURED["gates"].parameters
     assert set(MEASURED["gates"].parameters) == {
-        "MassGate.share", "MassGate.floor", "QuantileGate.quantile", "QuantileGate.floor",
-    }  # fmt: skip
+        "MassGate.share",
+        "MassGate.floor",
+        "QuantileGate.quantile",
+        "QuantileGate.floor",
+    }
     with pytest.raises(InputError, match="no aggregator 'vala'"):
         aggregator("vala")

@@ -95,9 +95,7 @@ def test_boxes_move_and_grow_with_the_scene(place, unit_of_length) -> None:
         origin=by,
     )
     own, found = everything(thing), everything(grown)
-    assert_allclose(
-        found.center - by, own.center * unit_of_length, atol=1e-4 * unit_of_length + 1e-8
-    )
+    assert_allclose(found.center - by, own.center * unit_of_length, atol=1e-4 * unit_of_length + 1e-8)
     assert_allclose(found.extent, own.extent * unit_of_length, rtol=1e-4)
     assert_allclose(found.axes, own.axes, atol=1e-4)
 

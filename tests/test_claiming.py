@@ -21,8 +21,7 @@ with (claimed_folder if sys.argv[1] == "folder" else claimed_output)(sys.argv[2]
     time.sleep(600)
 """
 kinds = pytest.mark.parametrize(
-    ("kind", "claim", "lock"),
-    [("folder", claimed_folder, "out/.lock"), ("output", claimed_output, ".out.lock")],
+    ("kind", "claim", "lock"), [("folder", claimed_folder, "out/.lock"), ("output", claimed_output, ".out.lock")]
 )
 
 
@@ -46,11 +45,7 @@ def test_it_is_let_go_of_when_the_block_ends_badly(kind, claim, lock, tmp_path):
     with pytest.raises(ZeroDivisionError), claim(tmp_path / "out"):
         raise ZeroDivisionError
     assert not (tmp_path / lock).exists()
-    with (
-        claim(tmp_path / "out"),
-        pytest.raises(InputError, match="is being written"),
-        claim(tmp_path / "out"),
-    ):
+    with claim(tmp_path / "out"), pytest.raises(InputError, match="is being written"), claim(tmp_path / "out"):
         pass
 
 
@@ -95,10 +90,7 @@ def test_a_lock_that_is_a_link_is_not_followed(kind, claim, lock, tmp_path):
         (tmp_path / lock).symlink_to(kept)
         if kept.name == "kept":
             kept.write_text("precious")
-        with (
-            pytest.raises(InputError, match="is a link, a folder or a pipe"),
-            claim(tmp_path / "out"),
-        ):
+        with pytest.raises(InputError, match="is a link, a folder or a pipe"), claim(tmp_path / "out"):
             pass
         (tmp_path / lock).unlink()
     assert (tmp_path / "kept").read_text() == "precious"
@@ -126,7 +118,7 @@ def test_a_holder_that_says_nonsense_is_another_process(said, tmp_path):
 
 def test_two_registrations_do_not_share_an_output(tmp_path: Path, capsys):
     with claimed_output(tmp_path / "x.field"):
-        said = error_of(capsys, "register", "scene.ply", "capture", "--features", "f", "-o", tmp_path / "x.field")  # fmt: skip
+        said = error_of(capsys, "register", "scene.ply", "capture", "--features", "f", "-o", tmp_path / "x.field")
     assert f"x.field is being written by process {os.getpid()}" in said
 
 
@@ -140,13 +132,6 @@ def test_two_runs_do_not_embed_into_one_folder(tmp_path: Path, capsys):
     frames = [{"file_path": "images/a.png", "transform_matrix": pose}]
     (tmp_path / "transforms.json").write_text(json.dumps(camera | {"frames": frames}))
     with claimed_folder(tmp_path / "out"):
-        options = (
-            "--segmenter",
-            "graph",
-            "--encoder",
-            "drsplat-mini",
-            "--output",
-            tmp_path / "out",
-        )
+        options = ("--segmenter", "graph", "--encoder", "drsplat-mini", "--output", tmp_path / "out")
         said = error_of(capsys, "embed", tmp_path, *options)
     assert "is being written by process" in said

@@ -15,15 +15,7 @@ import pytest
 from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat import (
-    EncoderIdentity,
-    WordEncoder,
-    cli,
-    load_field,
-    read_gaussians,
-    read_views,
-    write_gaussians,
-)
+from drsplat import EncoderIdentity, WordEncoder, cli, load_field, read_gaussians, read_views, write_gaussians
 from drsplat.cli import VERBS, main
 from drsplat.codes import save_codebook
 from drsplat.demo import story as household
@@ -44,16 +36,7 @@ def registering(room: Path, output: Path, codebook: Path | None = None) -> list[
     """Arguments; with a codebook none is trained, which takes most of the time."""
     features = room / "language_features"
     given = ["--codebook", codebook] if codebook else []
-    return [
-        "register",
-        room / "scene.ply",
-        room,
-        "--features",
-        features,
-        "--output",
-        output,
-        *given,
-    ]
+    return ["register", room / "scene.ply", room, "--features", features, "--output", output, *given]
 
 
 @pytest.fixture(scope="module")
@@ -182,9 +165,7 @@ def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture
         assert str(room / path) in text_of(capsys, "inspect", room / path).replace("\n", "")
 
 
-def test_inspect_knows_a_vocabulary_from_cameras(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_inspect_knows_a_vocabulary_from_cameras(room: Path, tmp_path: Path, capsys: Capture) -> None:
     words = tmp_path / "words.json"
     words.write_text(json.dumps({"frames": [1, 0, 0], "red mug": [0.0, 1.0, 0.0]}))
     vocabulary = answer_of(capsys, "inspect", words)
@@ -198,9 +179,7 @@ def test_inspect_knows_a_vocabulary_from_cameras(
     assert '"frames"' in error_of(capsys, "inspect", frameless)
 
 
-def test_register_refuses_what_is_no_field_before_it_works(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_register_refuses_what_is_no_field_before_it_works(room: Path, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "notes").mkdir()
     argv = registering(room, tmp_path / "notes")
     assert "not ours to replace" in error_of(capsys, *argv, "--overwrite")
@@ -219,9 +198,7 @@ def test_register_counts_the_coarse_id_of_residual_codes(
     )
 
 
-def test_register_reports_and_refuses_to_overwrite(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_register_reports_and_refuses_to_overwrite(room: Path, tmp_path: Path, capsys: Capture) -> None:
     output = tmp_path / "a.field"
     options = ["--encoder-name", "drsplat-words", "--code", "pq"]
     report = answer_of(capsys, *registering(room, output), *options)
@@ -247,16 +224,10 @@ def test_register_reports_and_refuses_to_overwrite(
     assert again["encoder"] == "unknown"
 
 
-def test_register_takes_the_smaller_code(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_register_takes_the_smaller_code(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     output, named = tmp_path / "a.field", ("--encoder-name", "drsplat-words")
     report = answer_of(capsys, *registering(room, output), *named)
-    assert (report["code"], report["atoms_per_row"], report["bytes_per_gaussian"]) == (
-        "mixture",
-        4,
-        14,
-    )
+    assert (report["code"], report["atoms_per_row"], report["bytes_per_gaussian"]) == ("mixture", 4, 14)
     field = load_field(output)
     query = WordEncoder().encode_texts(["red mug"])[0]
     errors = field.scores(query) - story.field.scores(query)
@@ -270,15 +241,11 @@ def test_register_takes_the_smaller_code(
         assert "drop one of them" in error_of(capsys, *argv)
 
 
-def test_register_takes_the_names_that_others_use(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_register_takes_the_names_that_others_use(room: Path, tmp_path: Path, capsys: Capture) -> None:
     options = ["--feature-level", "3", "--topk", "all", "--subvectors", "32", "--max-side", "160"]
     report = answer_of(capsys, *registering(room, tmp_path / "b.field"), *options, "--threads", "1")
     assert (report["topk"], report["num_subvectors"]) == (None, 32)
-    assert "a whole number from 1" in error_of(
-        capsys, *registering(room, tmp_path / "c.field"), "-k", "0", code=2
-    )
+    assert "a whole number from 1" in error_of(capsys, *registering(room, tmp_path / "c.field"), "-k", "0", code=2)
     assert "level" in error_of(capsys, *registering(room, tmp_path / "c.field"), "--level", "tiny")
 
 
@@ -302,9 +269,7 @@ def test_a_killed_registration_goes_on_to_the_same_field(
 ) -> None:
     output = tmp_path / "killed.field"
     argv = [*map(str, registering(room, output, codebook))]
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED_AFTER.format(count=5, argv=argv)], check=False
-    )
+    killed = subprocess.run([sys.executable, "-c", KILLED_AFTER.format(count=5, argv=argv)], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert not output.exists()
     parts = tmp_path / "killed.field.parts"
@@ -315,9 +280,7 @@ def test_a_killed_registration_goes_on_to_the_same_field(
     assert not parts.exists()
 
 
-def test_parts_of_other_settings_are_not_used(
-    room: Path, codebook: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_parts_of_other_settings_are_not_used(room: Path, codebook: Path, tmp_path: Path, capsys: Capture) -> None:
     parts = ["--parts", tmp_path / "parts", "--overwrite"]
     argv = [*registering(room, tmp_path / "a.field", codebook), *parts]
     assert answer_of(capsys, *argv, "--topk", "2")["num_views_reused"] == 0
@@ -359,9 +322,7 @@ def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:
 
 def test_query_by_vector_equals_query_in_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
     write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
-    by_vector = answer_of(
-        capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6
-    )
+    by_vector = answer_of(capsys, "locate", room / "room.field", "--vector", tmp_path / "q.npy", "--threshold", 0.6)
     in_words = answer_of(capsys, "locate", room / "room.field", "ball")
     assert by_vector["num_selected"] == in_words["num_selected"] > 0
     assert by_vector["score_range"] == in_words["score_range"]
@@ -381,17 +342,13 @@ def test_query_by_relevancy(room: Path, tmp_path: Path, capsys: Capture) -> None
     np.testing.assert_allclose(answer["score_range"], [expected.min(), expected.max()], rtol=1e-6)
     assert answer["num_selected"] == (expected > 0.5).sum()
     write_npy(tmp_path / "n.npy", negatives)
-    same = answer_of(
-        capsys, "locate", room / "room.field", "ball", "--negatives", tmp_path / "n.npy"
-    )
+    same = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", tmp_path / "n.npy")
     assert same["score_range"] == answer["score_range"]
     other = answer_of(capsys, "locate", room / "room.field", "ball", "--negatives", "orange, floor")
     assert other["score_range"][1] < answer["score_range"][1]
 
 
-def test_query_needs_the_right_encoder(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_query_needs_the_right_encoder(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     output, codebook = tmp_path / "clip.field", tmp_path / "clip.safetensors"
     encoder = EncoderIdentity("ViT-B-16/any", 512)
     save_codebook(replace(story.field.codebook, encoder=encoder), codebook)
@@ -422,16 +379,10 @@ def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Captu
     field, scene = room / "room.field", room / "scene.ply"
     assert "--vector" in error_of(capsys, "locate", field)
     assert "--scene" in error_of(capsys, "locate", field, "mug", "--save", tmp_path / "x.ply")
-    assert "--views" in error_of(
-        capsys, "locate", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png"
-    )
-    assert "--overwrite" in error_of(
-        capsys, "locate", field, "mug", "--scene", scene, "--save", scene
-    )
+    assert "--views" in error_of(capsys, "locate", field, "mug", "--scene", scene, "--picture", tmp_path / "x.png")
+    assert "--overwrite" in error_of(capsys, "locate", field, "mug", "--scene", scene, "--save", scene)
     nowhere = tmp_path / "nowhere" / "x.ply"
-    message = error_of(
-        capsys, "locate", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere
-    )
+    message = error_of(capsys, "locate", tmp_path / "no.field", "mug", "--scene", scene, "--save", nowhere)
     assert "there is no folder" in message  # said before the field is looked for
     write_npy(tmp_path / "short.npy", np.ones(3, np.float32))
     assert "512" in error_of(capsys, "locate", field, "--vector", tmp_path / "short.npy")
@@ -445,9 +396,7 @@ def test_query_refuses_before_it_works(room: Path, tmp_path: Path, capsys: Captu
     assert answer["kind"] == "MismatchError"
 
 
-def test_query_writes_columns_and_a_picture(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_query_writes_columns_and_a_picture(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     out, picture = tmp_path / "mugs.ply", tmp_path / "mugs.png"
     answer = answer_of(
         capsys, "locate", room / "room.field", "mug", "--scene", room / "scene.ply", "--save", out,
@@ -469,14 +418,8 @@ def test_query_writes_columns_and_a_picture(
 
 def test_render_one_and_all(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     base = ["render", room / "scene.ply", "--views", room, "--output-dir", tmp_path / "out"]
-    one = answer_of(
-        capsys, *base, "--view", "photo_003", "--depth", "--alpha", "--background", "grey"
-    )
-    assert [Path(file).name for file in one["files"]] == [
-        "photo_003.png",
-        "photo_003.alpha.png",
-        "photo_003.depth.npy",
-    ]
+    one = answer_of(capsys, *base, "--view", "photo_003", "--depth", "--alpha", "--background", "grey")
+    assert [Path(file).name for file in one["files"]] == ["photo_003.png", "photo_003.alpha.png", "photo_003.depth.npy"]
     assert pixels_of(one["files"][0]).shape[:2] == (240, 320)
     depth = np.load(one["files"][2], allow_pickle=False)
     assert depth.shape == (240, 320)
@@ -488,19 +431,8 @@ def test_render_one_and_all(room: Path, story: Story, tmp_path: Path, capsys: Ca
     assert "photo_000.jpg" in error_of(capsys, *base, "--view", "nowhere")
 
 
-def test_render_keeps_in_colour_what_a_query_finds(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    argv = [
-        "render",
-        room / "scene.ply",
-        "--views",
-        room,
-        "--view",
-        "photo_004",
-        "--output-dir",
-        tmp_path,
-    ]
+def test_render_keeps_in_colour_what_a_query_finds(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    argv = ["render", room / "scene.ply", "--views", room, "--view", "photo_004", "--output-dir", tmp_path]
     report = answer_of(capsys, *argv, "--query", room / "room.field", "green sofa")
     pixels = pixels_of(report["files"][0])
     coloured = np.ptp(pixels, axis=-1) > 30
@@ -511,10 +443,7 @@ def test_render_keeps_in_colour_what_a_query_finds(
 
 
 def test_demo_verb_tells_its_story(
-    household_story: household.Story,
-    tmp_path: Path,
-    capsys: Capture,
-    monkeypatch: pytest.MonkeyPatch,
+    household_story: household.Story, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The story and its pictures are tested elsewhere; here, what is printed of them."""
     count = len(PROBES)

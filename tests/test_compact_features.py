@@ -39,17 +39,11 @@ def blocks(seed: int = 0, levels: int = 4, count: int = 9) -> np.ndarray:
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize("maps", [blocks(), blocks(1)[:, :7, :5].copy(), blocks(2, 1)[0]])
-def test_both_forms_hold_the_same_and_turn_into_each_other(
-    maps: np.ndarray, tmp_path: Path
-) -> None:
+def test_both_forms_hold_the_same_and_turn_into_each_other(maps: np.ndarray, tmp_path: Path) -> None:
     rows = unit_rows(np.random.default_rng(1), 9, 16)
     write_features(tmp_path / "theirs", "cam0/a", maps, rows)
     theirs = read_features(tmp_path / "theirs")
@@ -73,9 +67,7 @@ def test_alike_levels_are_kept_once_and_it_is_small(tmp_path: Path) -> None:
     assert len(read_compact(tmp_path / f"four{COMPACT}").maps) == 4
     assert len(read_compact(tmp_path / f"one{COMPACT}").maps) == 1
     assert (tmp_path / f"four{COMPACT}").stat().st_size < blocks().nbytes / 100
-    write_features(
-        tmp_path, "many", blocks(0, 4, 70_000), np.ones((70_000, 1), "f4"), form="compact"
-    )
+    write_features(tmp_path, "many", blocks(0, 4, 70_000), np.ones((70_000, 1), "f4"), form="compact")
     assert_array_equal(FeatureFolder(tmp_path, 0).stored("many")[0], blocks(0, 4, 70_000))
 
 
@@ -141,9 +133,7 @@ def test_an_edited_record_is_refused(tmp_path: Path) -> None:
     assert embedded(views, tmp_path / "out").reused == 1
 
 
-def test_inspect_tells_features_of_either_form(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_inspect_tells_features_of_either_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     views = [a_view(tmp_path, "a.png")]
     told = []
     for form in ("compact", "langsplat"):
@@ -195,17 +185,13 @@ def squeezed(data: bytes) -> np.ndarray:
         {"embeddings": np.zeros((9, 4), np.float32)},
     ],
 )
-def test_hostile_files_are_refused(
-    changes: dict[str, object], tmp_path: Path, bounded_memory: None
-) -> None:
+def test_hostile_files_are_refused(changes: dict[str, object], tmp_path: Path, bounded_memory: None) -> None:
     hostile(tmp_path / f"a{COMPACT}", **changes)
     with pytest.raises(FormatError):
         FeatureFolder(tmp_path, LEVELS.index("large"))["a"]
 
 
-def test_mutants_are_read_or_refused(
-    tmp_path: Path, bounded_memory: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mutants_are_read_or_refused(tmp_path: Path, bounded_memory: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """With checksums out of the way, which would refuse nearly all."""
     path = hostile(tmp_path / f"a{COMPACT}")
     without_checksums(path)

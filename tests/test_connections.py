@@ -110,11 +110,7 @@ def test_an_answer_that_nobody_reads_is_dropped_and_a_kept_connection_goes_on() 
 def test_many_unfinished_requests_lock_nobody_out() -> None:
     patient = dict.fromkeys(QUICK, 600.0)
     with serving(most=20, seconds=patient) as port, ExitStack() as opened:
-        slow = [
-            opened.enter_context(closing(connected(port, SLOW[kind])))
-            for kind in SLOW
-            for _ in range(30)
-        ]
+        slow = [opened.enter_context(closing(connected(port, SLOW[kind]))) for kind in SLOW for _ in range(30)]
         assert answered(port)
         gone = 0
         for one in slow[:60]:

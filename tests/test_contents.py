@@ -16,9 +16,7 @@ from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.scene.photos import photo_size
 
 
-def test_small_files_are_read_and_large_ones_mapped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_small_files_are_read_and_large_ones_mapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.safetensors"
     tensors = {"x": np.arange(5000, dtype=np.float32)}
     write_tensors(path, tensors)
@@ -35,9 +33,7 @@ def test_small_files_are_read_and_large_ones_mapped(
         assert not one.flags.writeable
 
 
-def test_a_file_that_shrinks_while_it_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"x" * 100)
     opened = contents.open_file
@@ -68,9 +64,7 @@ READERS: list[Callable[[Path], object]] = [
 
 @pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".bin", ".txt"])
-def test_pipes_are_refused_and_not_waited_for(
-    read: Callable[[Path], object], suffix: str, tmp_path: Path
-) -> None:
+def test_pipes_are_refused_and_not_waited_for(read: Callable[[Path], object], suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"cameras{suffix}"
     os.mkfifo(path)
     with pytest.raises(DrSplatError):

@@ -85,9 +85,7 @@ def test_what_is_there_is_found_large_or_small(word: int, world: World, scene: t
 def test_what_is_not_there_is_not_found(world: World, scene: tuple) -> None:
     field, _ = scene
     absent = [word for word in range(60) if word not in SHARES]
-    found = [
-        len(Scene(field, encoder=words_of(world)).ask(f"word {w}").gaussian_ids) > 0 for w in absent
-    ]
+    found = [len(Scene(field, encoder=words_of(world)).ask(f"word {w}").gaussian_ids) > 0 for w in absent]
     assert np.mean(found) <= 0.1
 
 
@@ -155,9 +153,7 @@ def test_the_list_that_is_kept_with_the_field_takes_the_place_of_a_vocabulary(
 ) -> None:
     field, _ = scene
     alone = VocabularyEncoder(CLIP, ["word 9"], world.texts[9:10])
-    assert (
-        len(Scene(field, encoder=alone).ask("word 9").gaussian_ids) > 0
-    )  # nothing to contrast it with
+    assert len(Scene(field, encoder=alone).ask("word 9").gaussian_ids) > 0  # nothing to contrast it with
     field.with_contrast(world.texts, words_of(world).texts).save(tmp_path / "a.field")
     kept = load_field(tmp_path / "a.field")
     assert kept.contrast is not None
@@ -207,9 +203,7 @@ def faint_room(level: float, mug: float) -> LanguageField:
 
 @pytest.mark.parametrize("level", [0.12, 0.8])
 @pytest.mark.parametrize(("mug", "found"), [(0.6, 2 * PEAK), (0.3, 0)])
-def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(
-    level: float, mug: float, found: int
-) -> None:
+def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(level: float, mug: float, found: int) -> None:
     """A mug fits its rows best in all of these; where it hardly fits, for this scene, there is none."""
     field = faint_room(level, mug)
     answer = Scene(field, encoder=MINI).ask("mug")

@@ -88,9 +88,7 @@ def test_an_empty_mask_has_no_crop() -> None:
 
 
 def masks_of(boxes: list[tuple[int, int, int, int]], empty: set[int]) -> Masks:
-    parts = [
-        np.full((y1 - y0, x1 - x0), row not in empty) for row, (x0, y0, x1, y1) in enumerate(boxes)
-    ]
+    parts = [np.full((y1 - y0, x1 - x0), row not in empty) for row, (x0, y0, x1, y1) in enumerate(boxes)]
     scores = np.ones(len(boxes), np.float32)
     return Masks(7, 9, np.array(boxes, np.int32).reshape(-1, 4), tuple(parts), scores)
 

@@ -89,9 +89,7 @@ def test_damage_is_found_at_first_use_and_by_verify(tmp_path: Path) -> None:
     field = load_field(path)
     assert len(field.top(unit_rows(np.random.default_rng(0), 1, 32)[0], 3).rows) == 3
     for use in (field.verify, lambda: field.evidence, lambda: field.explain(0, np.ones(32, "f4"))):
-        with pytest.raises(
-            FormatError, match=r"evidence.*'data' is not what was written.*register"
-        ):
+        with pytest.raises(FormatError, match=r"evidence.*'data' is not what was written.*register"):
             use()
     with pytest.raises(FormatError, match="not what was written"):
         field.save(tmp_path / "b.field")  # would give the damage new checksums
@@ -136,14 +134,9 @@ def test_any_name_is_printed_on_any_terminal(name: str, encoding: str, tmp_path:
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [
-        ('{"vase": [1, 0], "vase": [0, 1]}', "'vase' is given twice"),
-        (r'{"\ud800": [1, 0]}', "half a character"),
-    ],
+    [('{"vase": [1, 0], "vase": [0, 1]}', "'vase' is given twice"), (r'{"\ud800": [1, 0]}', "half a character")],
 )
-def test_vocabularies_whose_names_are_no_names_are_refused(
-    text: str, reason: str, tmp_path: Path
-) -> None:
+def test_vocabularies_whose_names_are_no_names_are_refused(text: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(FormatError, match=reason):
         read_vocabulary(tmp_path / "a.json")
@@ -250,9 +243,7 @@ def test_checksums_are_those_of_zlib(tmp_path: Path) -> None:
 # --- files that stay ---
 
 
-def test_files_are_on_the_disk_before_they_get_their_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_are_on_the_disk_before_they_get_their_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
     names = {"fsync": "fsync", "replace": "name", "rename": "name"}
     for name, kind in names.items():
@@ -326,9 +317,7 @@ for name, write in writers.items():
 
 def test_a_full_disk_is_told_in_our_words_by_every_writer(tmp_path: Path) -> None:
     saved_field(tmp_path)
-    ran = subprocess.run(
-        [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=True
-    )
+    ran = subprocess.run([sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=True)
     told = ran.stdout.splitlines()
     for name, line in zip(("b.npy", "b.png", "b.field"), told, strict=True):
         assert line.startswith(f"{name} {tmp_path / name}: there is no room left to write it")

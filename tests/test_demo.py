@@ -43,17 +43,12 @@ def test_every_question_is_about_things_in_the_room_or_about_none() -> None:
 def test_masks_of_the_truth_are_the_ids() -> None:
     household = read_household(SHIPPED)
     view = household.held_out[0]
-    ids = (
-        np.asarray(Image.open(SHIPPED / "ids" / Path(view).with_suffix(".png").name)).astype(int)
-        - 1
-    )
+    ids = np.asarray(Image.open(SHIPPED / "ids" / Path(view).with_suffix(".png").name)).astype(int) - 1
     number = {category: k for k, category in household.categories.items()}
     vase, both = number["red vase"], {"red vase", "brown table"}
     assert (ids == vase).sum() > 1000
     np.testing.assert_array_equal(household.mask(view, {"red vase"}), ids == vase)
-    np.testing.assert_array_equal(
-        household.mask(view, both), np.isin(ids, [number[name] for name in both])
-    )
+    np.testing.assert_array_equal(household.mask(view, both), np.isin(ids, [number[name] for name in both]))
     assert not household.mask(view, ()).any()
 
 
@@ -75,9 +70,7 @@ def test_centres_are_where_the_things_are(household_story: Story, household_fold
     assert np.linalg.norm(vase.center - centers["red vase"]) < 0.1  # metres
 
 
-def test_held_out_photos_were_not_registered(
-    household_story: Story, household_folder: Path
-) -> None:
+def test_held_out_photos_were_not_registered(household_story: Story, household_folder: Path) -> None:
     held_out = {view.name for view in household_story.held_out}
     assert held_out == set(read_household(household_folder).held_out)
     assert len(held_out) == 6
@@ -89,9 +82,7 @@ def test_held_out_photos_were_not_registered(
     assert not masked & {Path(name).stem for name in held_out}
 
 
-def test_iou_is_over_the_pixels_of_the_held_out_photos(
-    household_story: Story, household_folder: Path
-) -> None:
+def test_iou_is_over_the_pixels_of_the_held_out_photos(household_story: Story, household_folder: Path) -> None:
     answer = next(a for a in household_story.verdicts if a.probe.text == "toy duck")
     household, both, either = read_household(household_folder), 0, 0
     for view in household_story.held_out:
@@ -107,10 +98,7 @@ def made_up(answer: Verdict, iou: float | None, places: int) -> Verdict:
 
 def test_misses_are_told_as_misses(household_story: Story) -> None:
     present, absent = household_story.verdicts[0], household_story.verdicts[-1]
-    assert (made_up(present, 0.8, 1).is_right, note(made_up(present, 0.8, 1))) == (
-        True,
-        "1 match, IoU 0.80",
-    )
+    assert (made_up(present, 0.8, 1).is_right, note(made_up(present, 0.8, 1))) == (True, "1 match, IoU 0.80")
     assert note(made_up(present, 0.2, 2)) == "miss: 2 matches, IoU 0.20"
     assert not made_up(present, 0.0, 0).is_right
     assert note(made_up(present, 0.0, 0)).startswith("miss: no match")
@@ -139,9 +127,7 @@ def test_album_and_page_show_every_answer(household_story: Story, tmp_path: Path
     pictures = {path.stem: np.asarray(Image.open(path), int) for path in paths}
     assert len({picture.shape for name, picture in pictures.items() if name != "overview"}) == 1
     red = pictures["red_vase"]
-    assert (
-        (red[..., 0] > 100) & (red[..., 1:].max(-1) < 90)
-    ).sum() > 500  # the vase, in its colour
+    assert ((red[..., 0] > 100) & (red[..., 1:].max(-1) < 90)).sum() > 500  # the vase, in its colour
     page = write_page(tmp_path, household_story, paths[1:])
     shown = Sources()
     shown.feed(page.read_text(encoding="utf-8"))

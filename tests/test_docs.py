@@ -23,9 +23,7 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "
 WITH_SNIPPETS = ["README.md", "docs/api.md"]
 CODE_FOLDERS = ("", "src/drsplat", "native")
 
-every_document = pytest.mark.parametrize(
-    "document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT))
-)
+every_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +62,7 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     endless = {"view", "serve", "mcp"}
     assert {command[1] for command in commands} - endless == set(VERBS) - endless - {"demo"}
     commands = [
-        command[1:]
-        for command in commands
-        if command[1] not in ("train", "embed", "codebook", "evaluate", *endless)
+        command[1:] for command in commands if command[1] not in ("train", "embed", "codebook", "evaluate", *endless)
     ]
     for file in capture.iterdir():
         (tmp_path / file.name).symlink_to(file)
@@ -109,9 +105,7 @@ def test_lines_are_of_at_most_120_characters(document):
     """But rows of tables and what has no space to break at, such as an address."""
     lines = document.read_text(encoding="utf-8").splitlines()
     too_long = [line for line in lines if len(line) > 120 and not line.startswith("|")]
-    assert document.name == "README.md" or not [
-        line for line in too_long if " " in line.strip("-* ")
-    ]
+    assert document.name == "README.md" or not [line for line in too_long if " " in line.strip("-* ")]
 
 
 def references(document: Path) -> list[tuple[str, str]]:

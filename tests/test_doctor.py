@@ -44,10 +44,7 @@ def test_this_machine_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     answer = asked(capsys)
     assert answer["drsplat"] == version("drsplat")
     assert answer["packages"]["numpy"] == version("numpy")
-    assert answer["native"] == {
-        "instruction_sets": list(available_isas()),
-        "chosen": default_isa(),
-    }
+    assert answer["native"] == {"instruction_sets": list(available_isas()), "chosen": default_isa()}
     assert answer["can"]["register, query, render, train on the CPU"]["ready"]
     models = answer["can"][MODELS]
     assert models["ready"] == (has_torch and find_spec("transformers") is not None)
@@ -70,9 +67,7 @@ def test_extras_that_are_missing_have_their_cure(installed: set[str], name: str)
 
 @pytest.mark.skipif(not has_torch, reason="needs torch")
 def test_torch_is_imported_by_another_process_only() -> None:
-    code = (
-        "import sys; from drsplat.cli import main; main(['doctor']); print('torch' in sys.modules)"
-    )
+    code = "import sys; from drsplat.cli import main; main(['doctor']); print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("False\n")
 
@@ -91,18 +86,13 @@ def test_for_people(installed: set[str], capsys: pytest.CaptureFixture[str]) -> 
     )
 
 
-def test_without_the_hub_nothing_is_known_of_models(
-    installed: set[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_hub_nothing_is_known_of_models(installed: set[str], capsys: pytest.CaptureFixture[str]) -> None:
     installed.remove("huggingface_hub")
     assert {of["cached"] for of in asked(capsys)["models"].values()} == {None}
 
 
 def test_models_in_the_cache_are_found(
-    installed: set[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    installed: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("huggingface_hub", reason="needs huggingface_hub")
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
@@ -137,9 +127,7 @@ def test_the_models_are_the_defaults() -> None:
         ({"torchvision_fault": "RuntimeError: nms"}, "RuntimeError: nms", "pip uninstall torchv"),
     ],
 )
-def test_faults_of_libraries(
-    facts: dict[str, Any], reason: str | None, cure: str | None, installed: set[str]
-) -> None:
+def test_faults_of_libraries(facts: dict[str, Any], reason: str | None, cure: str | None, installed: set[str]) -> None:
     found = doctor.abilities({**FINE, **facts})[MODELS]
     assert found["ready"] == (reason is None)
     assert (reason or "") in (found["reason"] or "")
@@ -153,13 +141,9 @@ def test_training_on_cuda_is_what_training_says(installed: set[str]) -> None:
 
 
 @pytest.mark.skipif(not has_torch, reason="needs torch")
-def test_a_broken_torchvision_is_found_by_importing_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_torchvision_is_found_by_importing_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "torchvision").mkdir()
-    (tmp_path / "torchvision" / "__init__.py").write_text(
-        "raise RuntimeError('no torchvision::nms')"
-    )
+    (tmp_path / "torchvision" / "__init__.py").write_text("raise RuntimeError('no torchvision::nms')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     facts = doctor._probed(doctor._start_probe())
     assert facts["torchvision_fault"] == "RuntimeError: no torchvision::nms"

@@ -193,9 +193,7 @@ def test_photos_that_are_none(tmp_path, views):
     with pytest.raises(InputError, match="none of 3 views has a photo"):
         embed_quietly(bare, tmp_path / "out")
     with pytest.warns(DrSplatWarning, match=r"1 of 3 views have no photo to embed: a\.png"):
-        report = embed(
-            [bare[0], *views[1:]], tmp_path / "out", ColorSegmenter(), ThumbnailEncoder()
-        )
+        report = embed([bare[0], *views[1:]], tmp_path / "out", ColorSegmenter(), ThumbnailEncoder())
     assert report.photos == 2
     views[0].image_path.write_bytes(b"no photo")
     with pytest.raises(FormatError, match=r"a\.png"):
@@ -218,13 +216,19 @@ def test_embeddings_that_are_none_are_not_stored(tmp_path, views, rows):
 
 
 @pytest.mark.parametrize(
-    "text", ["[]", "{", "{}", '{"format": "drsplat embedding 9", "settings": {}, "photos": {}}',
-             '{"format": "drsplat embedding 1", "settings": 1, "photos": {}}'],
-)  # fmt: skip
+    "text",
+    [
+        "[]",
+        "{",
+        "{}",
+        '{"format": "drsplat embedding 9", "settings": {}, "photos": {}}',
+        '{"format": "drsplat embedding 1", "settings": 1, "photos": {}}',
+    ],
+)
 def test_a_damaged_record_is_refused(views, tmp_path, text):
     embed_quietly(views, tmp_path / "out")
     (tmp_path / "out/embedding.json").write_text(text)
-    for read in (lambda: embed_quietly(views, tmp_path / "out"), lambda: recorded_encoder(tmp_path / "out")):  # fmt: skip
+    for read in (lambda: embed_quietly(views, tmp_path / "out"), lambda: recorded_encoder(tmp_path / "out")):
         with pytest.raises(FormatError, match=r"embedding\.json"):
             read()
     assert embed_quietly(views, tmp_path / "out", overwrite=True).redone == 3
@@ -261,13 +265,12 @@ def test_further_photos_leave_finished_ones_alone(views, tmp_path):
     ("change", "said"),
     [
         (lambda: {"segmenter": ColorSegmenter(shades=3)}, "segmenter.settings.shades: 2 -> 3"),
-        (lambda: {"segmenter": ColorSegmenter(grid=[1, 2])},
-         r"segmenter.settings.grid: null -> \[1, 2\]"),
+        (lambda: {"segmenter": ColorSegmenter(grid=[1, 2])}, r"segmenter.settings.grid: null -> \[1, 2\]"),
         (lambda: {"encoder": ThumbnailEncoder("other")}, 'encoder.name: "thumbnails" -> "other"'),
         (lambda: {"encoder": ThumbnailEncoder(dim=8)}, "encoder.dim: 16 -> 8"),
         (lambda: {"max_height": 720}, "max_height: 1080 -> 720"),
     ],
-)  # fmt: skip
+)
 def test_a_changed_setting_redoes_everything_and_says_so(views, tmp_path, change, said):
     embed_quietly(views, tmp_path / "out")
     before = times_of(tmp_path / "out")
@@ -496,15 +499,22 @@ def fake_models(monkeypatch) -> None:
 
 def test_the_command_reports_and_resumes(three_balls, tmp_path, fake_models, capsys):
     out = tmp_path / "features"
-    command = ["embed", three_balls, "--segmenter", "s", "--encoder", "e", "--output", out,
-               "--device", "cpu", "--langsplat"]  # fmt: skip
+    command = [
+        "embed",
+        three_balls,
+        "--segmenter",
+        "s",
+        "--encoder",
+        "e",
+        "--output",
+        out,
+        "--device",
+        "cpu",
+        "--langsplat",
+    ]
     assert cli.main([*map(str, command), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert (answer["num_photos"], answer["num_photos_reused"], answer["num_photos_redone"]) == (
-        12,
-        0,
-        0,
-    )
+    assert (answer["num_photos"], answer["num_photos_reused"], answer["num_photos_redone"]) == (12, 0, 0)
     assert answer["num_masks"] == sum(answer["masks_per_level"].values())
     assert set(answer["masks_per_level"]) == set(LEVELS)
     assert (answer["encoder"], answer["dim"], answer["output"]) == ("e", DIM, str(out))
@@ -529,7 +539,5 @@ def test_an_encoder_of_words_alone_is_refused(three_balls, fake_models, monkeypa
     from drsplat.models import loading
 
     monkeypatch.setattr(loading, "load_encoder", lambda name, device: ds.WordEncoder())
-    assert (
-        cli.main(["embed", str(three_balls), "--encoder", "drsplat-words", "--device", "cpu"]) == 1
-    )
+    assert cli.main(["embed", str(three_balls), "--encoder", "drsplat-words", "--device", "cpu"]) == 1
     assert "embeds words, no images" in capsys.readouterr().err

@@ -46,9 +46,7 @@ def field_of(identity: EncoderIdentity) -> LanguageField:
 
 
 def asked(field: LanguageField, query: Query, encoder: Path | str | None = None) -> Answer:
-    return Scene(field, encoder=lambda: encoder_for(field, encoder=encoder and str(encoder))).ask(
-        query
-    )
+    return Scene(field, encoder=lambda: encoder_for(field, encoder=encoder and str(encoder))).ask(query)
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +73,7 @@ def test_lerfs_relevancy_is_measured_when_asked_for(clip: Path, field: LanguageF
     assert_allclose(answer.values, field.relevancy(query, np.stack(negatives)), atol=1e-4)
 
 
-def test_an_image_is_padded_to_a_square_as_masks_are(
-    clip: Path, field: LanguageField, tmp_path: Path
-) -> None:
+def test_an_image_is_padded_to_a_square_as_masks_are(clip: Path, field: LanguageField, tmp_path: Path) -> None:
     Image.fromarray(THING).save(tmp_path / "thing.png")
     square = np.zeros((20, 20, 3), np.uint8)
     square[4:16] = THING
@@ -147,9 +143,7 @@ def test_the_words_encoder_sees_no_images(tmp_path: Path) -> None:
 
     Image.fromarray(THING).save(tmp_path / "thing.png")
     with pytest.raises(InputError, match="drsplat-words sees no images"):
-        asked(
-            field_of(WordEncoder.identity), Query(image=read_picture(str(tmp_path / "thing.png")))
-        )
+        asked(field_of(WordEncoder.identity), Query(image=read_picture(str(tmp_path / "thing.png"))))
 
 
 def test_pictures(tmp_path: Path) -> None:

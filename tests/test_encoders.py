@@ -32,10 +32,7 @@ KINDS = ("clip", "siglip", "siglip2", "dinov2")
 MEANS = {"clip": [0.48145466, 0.4578275, 0.40821073], "dinov2": [0.485, 0.456, 0.406]}
 STDS = {"clip": [0.26862954, 0.26130258, 0.27577711], "dinov2": [0.229, 0.224, 0.225]}
 SIZES = ((20, 20), (1, 1), (50, 50), (32, 32), (3, 3))
-IMAGES = [
-    np.random.default_rng(seed).integers(0, 256, (*size, 3), np.uint8)
-    for seed, size in enumerate(SIZES)
-]
+IMAGES = [np.random.default_rng(seed).integers(0, 256, (*size, 3), np.uint8) for seed, size in enumerate(SIZES)]
 TEXTS = ["a red mug", "the table", "mug", "a blue mug on the table"]
 
 
@@ -91,9 +88,7 @@ def rows_by_hand(kind: str, folder: Path, images: Sequence[np.ndarray]) -> np.nd
                 n = SIDE // PATCH
                 rows.append(
                     model.get_image_features(
-                        patches_by_hand(values[0]),
-                        torch.ones(1, n * n),
-                        torch.tensor([[n, n]]),
+                        patches_by_hand(values[0]), torch.ones(1, n * n), torch.tensor([[n, n]])
                     ).pooler_output
                 )
             else:
@@ -264,9 +259,7 @@ def test_dinov2_knows_no_words(folders: dict[str, Path]) -> None:
 # --- identities -------------------------------------------------------------------------------
 
 
-def test_identity_is_of_name_weights_and_preprocessing(
-    folders: dict[str, Path], copied: Path, tmp_path: Path
-) -> None:
+def test_identity_is_of_name_weights_and_preprocessing(folders: dict[str, Path], copied: Path, tmp_path: Path) -> None:
     given = tiny(folders["clip"]).identity
     assert (given.name, given.dim, len(given.weights)) == ("tiny-clip", 8, 32)
     assert given.preprocessing.startswith("32 px bicubic cut")
@@ -375,11 +368,7 @@ def test_names_that_are_no_model(tmp_path: Path) -> None:
 
 
 def test_architectures_that_are_no_encoder(copied: Path) -> None:
-    for document, kind in (
-        ({"model_type": "bert"}, InputError),
-        ({}, FormatError),
-        ([], FormatError),
-    ):
+    for document, kind in (({"model_type": "bert"}, InputError), ({}, FormatError), ([], FormatError)):
         (copied / "config.json").write_text(json.dumps(document))
         with pytest.raises(kind, match=r"bert|model_type"):
             tiny(copied)
@@ -423,9 +412,7 @@ def test_missing_tensors_are_never_made_up(copied: Path) -> None:
 def test_weights_in_shards(copied: Path, folders: dict[str, Path]) -> None:
     by_transformers(folders["clip"]).save_pretrained(copied, max_shard_size="8KB")
     (copied / "model.safetensors").unlink(missing_ok=True)
-    assert_array_equal(
-        tiny(copied).encode_images(IMAGES), tiny(folders["clip"]).encode_images(IMAGES)
-    )
+    assert_array_equal(tiny(copied).encode_images(IMAGES), tiny(folders["clip"]).encode_images(IMAGES))
     last = max(copied.glob("model-*.safetensors"))
     last.unlink()
     with pytest.raises(FormatError, match="is not there"):
@@ -488,9 +475,7 @@ def test_a_cached_model_needs_no_network(empty_cache: Path, folders: dict[str, P
         ("HfHubHTTPError", DrSplatError, "cannot be reached"),
     ],
 )
-def test_what_the_hub_refuses(
-    kind: str, expected: type, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_hub_refuses(kind: str, expected: type, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> str:
         error_type = getattr(hub.errors, kind)
         raise error_type.__new__(error_type, "no")

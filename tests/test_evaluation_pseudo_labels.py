@@ -10,21 +10,14 @@ from scipy.spatial.transform import Rotation
 from drsplat.errors import InputError
 from drsplat.evaluation import pseudo_labels as module
 from drsplat.evaluation import reference
-from drsplat.evaluation.pseudo_labels import (
-    LabelledPoints,
-    density_labels,
-    printed_labels,
-    pseudo_labels,
-)
+from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels, pseudo_labels
 from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
 
 
-def random_points(
-    count: int, num_labels: int, seed: int = 0, extent: float = 2.0
-) -> LabelledPoints:
+def random_points(count: int, num_labels: int, seed: int = 0, extent: float = 2.0) -> LabelledPoints:
     """Labels in clumps, as things are."""
     rng = np.random.default_rng(seed)
     positions = rng.uniform(-extent, extent, (count, 3)).astype(np.float32)
@@ -75,9 +68,7 @@ def test_density_labels_are_the_twins(seed: int, size: float, num_labels: int) -
     gaussians = random_gaussians(200, seed, size=size)
     points = random_points(1500, num_labels, seed)
     got = density_labels(gaussians, points)
-    votes = reference.density_votes(
-        gaussians, points.positions.astype(np.float64), points.labels, module.CUT_OFF
-    )
+    votes = reference.density_votes(gaussians, points.positions.astype(np.float64), points.labels, module.CUT_OFF)
     clear = decided(votes)
     assert clear.any()
     assert_array_equal(got[clear], votes.argmax(1)[clear])
@@ -104,9 +95,7 @@ def test_crowded_gaussians_are_judged_by_a_sample() -> None:
     gaussians = random_gaussians(60, 3, size=2.0)
     points = random_points(40_000, 3, 1)
     assert len(points.labels) > module.MOST_CANDIDATES
-    votes = reference.density_votes(
-        gaussians, points.positions.astype(np.float64), points.labels, 3.0
-    )
+    votes = reference.density_votes(gaussians, points.positions.astype(np.float64), points.labels, 3.0)
     clear = decided(votes, margin=0.3)
     assert clear.sum() > 10
     assert_array_equal(density_labels(gaussians, points)[clear], votes.argmax(1)[clear])
@@ -137,28 +126,19 @@ def moved(gaussians: Gaussians, turn: Rotation, scale: float, shift: np.ndarray)
 @given(st.integers(0, 1000), st.floats(0.05, 40))
 def test_rigid_motion_and_scale_change_nothing(seed: int, scale: float) -> None:
     gaussians, points = random_gaussians(200, seed), random_points(2000, 4, seed)
-    votes = reference.density_votes(
-        gaussians, points.positions.astype(np.float64), points.labels, 3.0
-    )
+    votes = reference.density_votes(gaussians, points.positions.astype(np.float64), points.labels, 3.0)
     turn = Rotation.random(rng=np.random.default_rng(seed))
     shift = np.array([1.0, -2.0, 0.5]) * scale
-    there = LabelledPoints(
-        (scale * turn.apply(points.positions) + shift).astype(np.float32), points.labels
-    )
+    there = LabelledPoints((scale * turn.apply(points.positions) + shift).astype(np.float32), points.labels)
     clear = decided(votes, 1e-3)
-    one, other = (
-        density_labels(gaussians, points),
-        density_labels(moved(gaussians, turn, scale, shift), there),
-    )
+    one, other = (density_labels(gaussians, points), density_labels(moved(gaussians, turn, scale, shift), there))
     assert_array_equal(one[clear], other[clear])
 
 
 def test_order_of_gaussians_changes_nothing() -> None:
     gaussians, points = random_gaussians(500, 2), random_points(3000, 4)
     order = np.random.default_rng(0).permutation(500)
-    assert_array_equal(
-        density_labels(gaussians.subset(order), points), density_labels(gaussians, points)[order]
-    )
+    assert_array_equal(density_labels(gaussians.subset(order), points), density_labels(gaussians, points)[order])
 
 
 @pytest.mark.parametrize(("x", "expected"), [(1.0, 4), (3.9, 4), (5.1, -1)])
@@ -181,9 +161,7 @@ def test_the_vote_comes_before_the_nearest() -> None:
     assert_array_equal(pseudo_labels(many, scattered)[voted >= 0], voted[voted >= 0])
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"), [([(0, 0, np.nan, 1)], "finite"), ([(0, 0, 0, -1)], "0 or more")]
-)
+@pytest.mark.parametrize(("rows", "message"), [([(0, 0, np.nan, 1)], "finite"), ([(0, 0, 0, -1)], "0 or more")])
 def test_bad_points_are_refused(rows: list, message: str) -> None:
     for run in (density_labels, printed_labels):
         with pytest.raises(InputError, match=message):

@@ -16,13 +16,7 @@ from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import published, report, svg, tables, thresholds
 from drsplat.evaluation.choosers import automatic_choosers
 from drsplat.evaluation.report import Figure, write_report
-from drsplat.evaluation.scorers import (
-    cosine_scorer,
-    feature_scorer,
-    hashed,
-    read_features,
-    relevant,
-)
+from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, read_features, relevant
 from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 from test_lerf_ovs import PER_THING, THINGS, balls, data  # noqa: F401
@@ -118,11 +112,7 @@ def test_the_automatic_threshold_is_the_encoders_own_where_it_has_one() -> None:
 
 def lerf_result(pairs: dict[str, int], miou: float = 0.5) -> dict:
     numbers = {"miou": miou, "acc@0.25": 0.75, "acc@0.5": 0.5, "localization": 1.0}
-    summary = {
-        "scene_macro": numbers,
-        "query_micro": numbers,
-        "by_scene": dict.fromkeys(pairs, numbers),
-    }
+    summary = {"scene_macro": numbers, "query_micro": numbers, "by_scene": dict.fromkeys(pairs, numbers)}
     return {
         "protocol": "lerf-ovs@1",
         "method": "ours",
@@ -148,21 +138,14 @@ def test_differences_are_shown_on_the_same_data_only() -> None:
 
 def test_fixed_and_tuned_are_never_one_row() -> None:
     first, *_ = tables.tables_of([lerf_result({"room": 3}), lerf_result({"room": 3}, 0.6)])
-    assert [row[1] for row in first.rows] == [
-        "fixed",
-        "fixed",
-        "tuned on test",
-        "tuned on test",
-    ] * 2
+    assert [row[1] for row in first.rows] == ["fixed", "fixed", "tuned on test", "tuned on test"] * 2
     assert "tuned on test: 0.4" in first.note
 
 
 def test_report_is_one_page_that_needs_nothing_else(tmp_path: Path) -> None:
     picture = np.zeros((20, 30, 3), np.uint8)
     results = [lerf_result({"<b>": 3}, float("nan"))]
-    written = write_report(
-        tmp_path, results, [Figure("a < b", picture)], [svg.bars([("x", 2.0)], "s", "t")]
-    )
+    written = write_report(tmp_path, results, [Figure("a < b", picture)], [svg.bars([("x", 2.0)], "s", "t")])
     page = (tmp_path / "report.html").read_text()
     assert written == [tmp_path / "results.json", tmp_path / "report.html"]
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
@@ -175,9 +158,7 @@ def test_report_is_one_page_that_needs_nothing_else(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="overwrite"):
         write_report(tmp_path, results)
     before = [path.read_bytes() for path in written]
-    write_report(
-        tmp_path, results, [Figure("a < b", picture)], [svg.bars([("x", 2.0)], "s", "t")], True
-    )
+    write_report(tmp_path, results, [Figure("a < b", picture)], [svg.bars([("x", 2.0)], "s", "t")], True)
     assert [path.read_bytes() for path in written] == before
 
 
@@ -187,9 +168,7 @@ def test_scatter_puts_points_where_they_are() -> None:
     circles = root.findall("{http://www.w3.org/2000/svg}circle")
     (ax, ay), (cx, cy) = ((float(c.get("cx")), float(c.get("cy"))) for c in circles)  # type: ignore[arg-type]
     assert cx - svg.MARGIN == pytest.approx(4 * (ax - svg.MARGIN), abs=0.2)
-    assert svg.HEIGHT - svg.MARGIN - cy == pytest.approx(
-        2 * (svg.HEIGHT - svg.MARGIN - ay), abs=0.2
-    )
+    assert svg.HEIGHT - svg.MARGIN - cy == pytest.approx(2 * (svg.HEIGHT - svg.MARGIN - ay), abs=0.2)
     assert "a & b" in circles[0][0].text  # type: ignore[operator]
 
 
@@ -209,23 +188,17 @@ def judged(data: Path, tmp_path: Path) -> dict[str, str]:  # noqa: F811
     words = dict(zip(THINGS, vectors.tolist(), strict=True))
     (tmp_path / "words.json").write_text(json.dumps(words))
     return {
-        "data": str(data), "scene": str(tmp_path / "scene.ply"), "features": str(tmp_path / "features.npy"),
-        "words": str(tmp_path / "words.json"), "report": str(tmp_path / "report"),
-    }  # fmt: skip
+        "data": str(data),
+        "scene": str(tmp_path / "scene.ply"),
+        "features": str(tmp_path / "features.npy"),
+        "words": str(tmp_path / "words.json"),
+        "report": str(tmp_path / "report"),
+    }
 
 
 def evaluate(judged: dict[str, str], *more: str, protocol: str = "lerf-ovs") -> int:
-    given = [
-        "--scene",
-        judged["scene"],
-        "--features",
-        judged["features"],
-        "--vocabulary",
-        judged["words"],
-    ]
-    return cli.main(
-        ["evaluate", protocol, judged["data"], *given, "--report", judged["report"], *more]
-    )
+    given = ["--scene", judged["scene"], "--features", judged["features"], "--vocabulary", judged["words"]]
+    return cli.main(["evaluate", protocol, judged["data"], *given, "--report", judged["report"], *more])
 
 
 def test_command_scores_features_of_others(judged: dict[str, str], capsys) -> None:
@@ -272,9 +245,7 @@ def test_command_scores_scannet_scenes(protocol: str, tmp_path: Path, capsys) ->
     labels.write_text("1\twall\n2\tfloor\n7\ttable\n")
     texts = ["wall", "floor", "table"]
     vectors = unit_rows(np.random.default_rng(0), 3, 16)
-    (tmp_path / "words.json").write_text(
-        json.dumps(dict(zip(texts, vectors.tolist(), strict=True)))
-    )
+    (tmp_path / "words.json").write_text(json.dumps(dict(zip(texts, vectors.tolist(), strict=True))))
     np.save(tmp_path / "features.npy", vectors[np.arange(len(gaussians)) % 3])
     given = ["evaluate", protocol, str(place.parent), "--label-set", str(labels), "--json"]
     given += ["--scene", str(tmp_path / "scene.ply"), "--features", str(tmp_path / "features.npy")]

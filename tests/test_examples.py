@@ -24,12 +24,7 @@ Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def demo(
-    household_story: Story,
-    household_folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Story:
+def demo(household_story: Story, household_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Story:
     """An empty folder, but for what `drsplat demo` wrote."""
     (tmp_path / "drsplat-demo").symlink_to(household_folder)
     monkeypatch.chdir(tmp_path)
@@ -75,9 +70,7 @@ def test_registering_gives_the_field_of_the_demo(demo: Story, capsys: Capture) -
     assert ds.load_field("registered.field").fingerprint == demo.field.fingerprint
 
 
-def test_registering_features_of_langsplat(
-    demo: Story, household_folder: Path, capsys: Capture
-) -> None:
+def test_registering_features_of_langsplat(demo: Story, household_folder: Path, capsys: Capture) -> None:
     """Of three photos, in LangSplat's own files, which do not name their encoder."""
     features = ds.read_features(household_folder / "language_features")
     for name in list(features)[:3]:
@@ -121,12 +114,7 @@ def test_a_click_cuts_the_vase_out(demo: Story, capsys: Capture) -> None:
 def test_things_are_counted(demo: Story, capsys: Capture) -> None:
     printed = run("04", capsys)
     counts = re.findall(r"^(\d+) x (.+)$", printed, re.MULTILINE)
-    assert counts == [
-        ("2", "something to eat"),
-        ("1", "red vase"),
-        ("1", "toy duck"),
-        ("0", "laptop"),
-    ]
+    assert counts == [("2", "something to eat"), ("1", "red vase"), ("1", "toy duck"), ("0", "laptop")]
     assert f"at {center(demo, 'red vase').round(2)}" in printed
     assert run("04", capsys, "drsplat-demo", "teddy bear").splitlines() == ["0 x teddy bear"]
 
@@ -183,9 +171,7 @@ def test_classes_are_columns_and_colours(demo: Story, capsys: Capture) -> None:
     assert len(np.unique(np.concatenate(colors), axis=0)) == 5
 
 
-@pytest.mark.skipif(
-    find_spec("fastapi") is None, reason="the extra drsplat[serve] is not installed"
-)
+@pytest.mark.skipif(find_spec("fastapi") is None, reason="the extra drsplat[serve] is not installed")
 def test_asking_over_http(demo: Story, capsys: Capture) -> None:
     with contextlib.closing(socket.socket()) as free:
         free.bind(("127.0.0.1", 0))
@@ -202,11 +188,7 @@ def test_asking_over_http(demo: Story, capsys: Capture) -> None:
 
 def test_a_page_has_scene_and_answers(demo: Story, capsys: Capture) -> None:
     printed = run("10", capsys)
-    assert printed.splitlines()[:3] == [
-        "red vase: 1 found",
-        "couch: 1 found",
-        "laptop: nothing found",
-    ]
+    assert printed.splitlines()[:3] == ["red vase: 1 found", "couch: 1 found", "laptop: nothing found"]
     page = Path("page.html").read_text(encoding="utf-8")
     assert "A room, asked in words" in page
     assert '"red vase"' in page

@@ -18,12 +18,7 @@ RNG = np.random.default_rng(0)
 ROWS = RNG.normal(size=(11, 8)).astype(np.float32)
 ROWS /= np.linalg.norm(ROWS, axis=1, keepdims=True)
 MAPS = np.stack(
-    [
-        [[-1, 0, 0], [2, 2, -1]],
-        [[3, 3, 3], [4, 5, 3]],
-        [[6, -1, 6], [-1, 8, 8]],
-        [[9, 9, 10], [9, -1, 10]],
-    ]
+    [[[-1, 0, 0], [2, 2, -1]], [[3, 3, 3], [4, 5, 3]], [[6, -1, 6], [-1, 8, 8]], [[9, 9, 10], [9, -1, 10]]]
 ).astype(np.int32)
 
 
@@ -117,8 +112,7 @@ def test_round_trip(tmp_path_factory, maps, level):
 
 
 @pytest.mark.parametrize(
-    ("value", "dtype"),
-    [(11, np.int32), (-2, np.int32), (9.5, np.float32), (np.nan, np.float32), (np.inf, np.float32)],
+    ("value", "dtype"), [(11, np.int32), (-2, np.int32), (9.5, np.float32), (np.nan, np.float32), (np.inf, np.float32)]
 )
 def test_ids_that_are_none(tmp_path, value, dtype):
     maps = MAPS.astype(dtype)
@@ -172,17 +166,8 @@ def test_missing_files(folder, tmp_path_factory):
 def test_keys_and_names_of_views(folder):
     features = read_features(folder)
     assert (list(features), len(features)) == (["a", "cam0/b"], 2)
-    found = {
-        name: features.key(name) for name in ("a", "a.jpg", "x/a.png", "cam0/b.jpg", "b.jpg", "")
-    }
-    assert found == {
-        "a": "a",
-        "a.jpg": "a",
-        "x/a.png": "a",
-        "cam0/b.jpg": "cam0/b",
-        "b.jpg": None,
-        "": None,
-    }
+    found = {name: features.key(name) for name in ("a", "a.jpg", "x/a.png", "cam0/b.jpg", "b.jpg", "")}
+    assert found == {"a": "a", "a.jpg": "a", "x/a.png": "a", "cam0/b.jpg": "cam0/b", "b.jpg": None, "": None}
     assert "a.jpg" in features
     assert "b" not in features
     assert 3 not in features
@@ -210,12 +195,7 @@ def test_the_encoder_is_kept_and_checked(folder):
 
 
 def test_writing_what_cannot_be_read_back(tmp_path):
-    for maps in (
-        MAPS[:3],
-        MAPS[None],
-        np.full((2, 3), 11, np.int32),
-        np.full((2, 3), -2, np.int32),
-    ):
+    for maps in (MAPS[:3], MAPS[None], np.full((2, 3), 11, np.int32), np.full((2, 3), -2, np.int32)):
         with pytest.raises(InputError, match="mask_ids"):
             write_features(tmp_path, "a", maps, ROWS)
     for stem in ("../a", "/a", ""):
@@ -238,9 +218,7 @@ def test_files_are_what_langsplat_writes(folder):
     np.testing.assert_array_equal(rows, ROWS)
 
 
-@pytest.mark.parametrize(
-    "array", [np.arange(5), np.zeros((0, 3), np.float16), np.eye(3, order="F")]
-)
+@pytest.mark.parametrize("array", [np.arange(5), np.zeros((0, 3), np.float16), np.eye(3, order="F")])
 def test_npy_is_numpys(tmp_path, array):
     write_npy(tmp_path / "a.npy", array)
     mapped = map_npy(tmp_path / "a.npy")

@@ -159,9 +159,7 @@ def test_building_shares_the_weights_and_never_copies_them() -> None:
     field = build_field(evidence, SCENE, TOY)
     assert field.evidence is not None
     assert np.shares_memory(field.evidence.weights.data, evidence.weights.data)
-    assert_array_equal(
-        field.evidence.weights.toarray(), evidence.weights.toarray()[field.gaussian_ids]
-    )
+    assert_array_equal(field.evidence.weights.toarray(), evidence.weights.toarray()[field.gaussian_ids])
 
 
 def test_some_rows_of_the_evidence() -> None:
@@ -174,14 +172,8 @@ def test_a_mixture_is_of_the_votes_that_count_and_names_columns_of_the_evidence(
     rng = np.random.default_rng(8)
     evidence = random_evidence(rng)
     shuffled = rng.permutation(40)
-    masks = MaskIds(
-        evidence.masks.view_names,
-        evidence.masks.views[shuffled],
-        evidence.masks.ids[shuffled],
-    )
-    mixed_up = Evidence(
-        csr_array(evidence.weights[:, shuffled]), masks, evidence.embeddings[shuffled]
-    )
+    masks = MaskIds(evidence.masks.view_names, evidence.masks.views[shuffled], evidence.masks.ids[shuffled])
+    mixed_up = Evidence(csr_array(evidence.weights[:, shuffled]), masks, evidence.embeddings[shuffled])
     field = build_field(mixed_up, SCENE, TOY, Mixture(16))
     code = field.code
     assert isinstance(code, MixtureCode)
@@ -248,9 +240,7 @@ def is_mapped(array: np.ndarray) -> bool:
 
 def test_a_field_without_evidence_is_saved_without_it(tmp_path: Path) -> None:
     field = toy_field()
-    bare = LanguageField(
-        field.gaussian_ids, field.code, field.encoder, field.scene, field.num_gaussians
-    )
+    bare = LanguageField(field.gaussian_ids, field.code, field.encoder, field.scene, field.num_gaussians)
     bare.save(tmp_path / "a.field")
     assert sorted(os.listdir(tmp_path / "a.field")) == ["codes.safetensors", "field.json"]
     again = load_field(tmp_path / "a.field")
@@ -492,9 +482,7 @@ def test_a_missing_file_is_noticed(file: str, saved: Path) -> None:
         ("negatives", ["one"], "1 negative texts for 2"),
     ],
 )
-def test_a_changed_manifest_is_refused(
-    entry: str, value: object, message: str, saved: Path
-) -> None:
+def test_a_changed_manifest_is_refused(entry: str, value: object, message: str, saved: Path) -> None:
     (saved / "field.json").write_text(json.dumps(sealed(manifest_of(saved) | {entry: value})))
     with pytest.raises((FormatError, MismatchError), match=message):
         load_field(saved)
@@ -534,9 +522,7 @@ def rewritten(path: Path, **changes: np.ndarray | None) -> None:
         ("negatives", {"embeddings": np.zeros((2, 31), np.float32)}),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(
-    file: str, changes: dict[str, np.ndarray | None], saved: Path
-) -> None:
+def test_arrays_that_do_not_fit_are_refused(file: str, changes: dict[str, np.ndarray | None], saved: Path) -> None:
     rewritten(saved / f"{file}.safetensors", **changes)
     with pytest.raises(FormatError):
         load_field(saved)
@@ -564,7 +550,5 @@ def test_rows_of_gaussians() -> None:
     assert (field.rows_of(absent) == -1).all()
     assert field.rows_of(np.array([2**40, -(2**40)])).tolist() == [-1, -1]
     nothing = np.empty(0, np.int64)
-    none = replace(
-        field, gaussian_ids=field.gaussian_ids[:0], code=field.code.rows(nothing), evidence=None
-    )
+    none = replace(field, gaussian_ids=field.gaussian_ids[:0], code=field.code.rows(nothing), evidence=None)
     assert none.rows_of(ids[:2]).tolist() == [-1, -1]

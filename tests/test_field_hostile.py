@@ -104,9 +104,7 @@ def use_field(path: Path) -> None:
         ("negatives.safetensors", quota(300), False),
     ],
 )
-def test_damaged_fields(
-    name: str, count: int, mixture: bool, tmp_path: Path, bounded_memory: None
-) -> None:
+def test_damaged_fields(name: str, count: int, mixture: bool, tmp_path: Path, bounded_memory: None) -> None:
     for file, content in field_files(mixture).items():
         (tmp_path / file).write_bytes(content)
     read = use_field if name != "field.json" else lambda path: load_field(path.parent)
@@ -198,9 +196,7 @@ def test_files_too_short_for_their_header(content: bytes, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("offset", [4, 37, 57, 90])  # dim, lists, coarse dim, coarse numbers
-def test_faiss_counts_are_checked_before_they_are_believed(
-    offset: int, tmp_path: Path, bounded_memory: None
-) -> None:
+def test_faiss_counts_are_checked_before_they_are_believed(offset: int, tmp_path: Path, bounded_memory: None) -> None:
     path = tmp_path / "a.faiss"
     content = bytearray(faiss_bytes(True))
     for value in (0, 2**31 - 1, 2**32 - 1):

@@ -1,6 +1,7 @@
 """One engine: the same queries through Python, the command line, HTTP, MCP and the viewer have the same answers.
 
-Whoever cannot ask something (a language model has no vectors, the viewer no exclusions) is not asked it. HTTP and MCP round
+Whoever cannot ask something (a language model has no vectors, the viewer no exclusions) is not asked it. HTTP and MCP
+round
 what they tell to about a ten-thousandth of the scene.
 """
 
@@ -64,12 +65,7 @@ def with_vector(name: str, **more: Any) -> Asked:
     words = text(name, "red vase", **more)
     body = {**words.body, "vector": vector("red vase").tolist()}
     body.pop("text")
-    return Asked(
-        name,
-        {"vector": vector("red vase"), **more},
-        ("--vector", "FOLDER/q.npy", *words.argv[1:]),
-        body,
-    )
+    return Asked(name, {"vector": vector("red vase"), **more}, ("--vector", "FOLDER/q.npy", *words.argv[1:]), body)
 
 
 def encoded(picture: np.ndarray) -> bytes:
@@ -89,31 +85,61 @@ GOOD = [
     text("not there", "laptop"),
     text("not there either", "teddy bear"),
     text("negation", "toys, not green"),
-    Asked("exclusion", {"text": "toys", "exclude": ("green",)}, ("toys", "--exclude", "green"), {"text": "toys", "exclude": ["green"]}),
+    Asked(
+        "exclusion",
+        {"text": "toys", "exclude": ("green",)},
+        ("toys", "--exclude", "green"),
+        {"text": "toys", "exclude": ["green"]},
+    ),
     text("relevancy", "red vase", relevancy=True),
-    Asked("negatives", {"text": "red vase", "negatives": ("table", "wall")}, ("red vase", "--negatives", "table,wall"),
-          {"text": "red vase", "negatives": ["table", "wall"]}),
+    Asked(
+        "negatives",
+        {"text": "red vase", "negatives": ("table", "wall")},
+        ("red vase", "--negatives", "table,wall"),
+        {"text": "red vase", "negatives": ["table", "wall"]},
+    ),
     text("a share", "red vase", top_share=0.02),
     text("a fixed threshold", "red vase", threshold=0.7),
     text("the automatic threshold", "red vase", threshold="auto"),
     with_vector("a vector"),
     with_vector("a vector and a fixed threshold", threshold=0.25),
     with_vector("a vector's share", top_share=0.01),
-    Asked("a picture", {"image": PICTURE}, ("--image", "FOLDER/q.png"), {"image": base64.b64encode(encoded(PICTURE)).decode()}),
+    Asked(
+        "a picture",
+        {"image": PICTURE},
+        ("--image", "FOLDER/q.png"),
+        {"image": base64.b64encode(encoded(PICTURE)).decode()},
+    ),
     Asked("a point", {"point": AT}, ("--point", ",".join(map(str, AT))), {"point": list(AT)}),
     Asked("a click", {"click": CLICK}, ("--click", "frame_00001:280,250"), {"click": PIXEL}),
-]  # fmt: skip
+]
 BAD = [
     text("no such word", "zeppelin"),
     text("half a negation", "mug, not"),
     text("two cuts", "mug", threshold="auto", relevancy=True),
-    Asked("two things", {"text": "mug", "point": AT}, ("mug", "--point", "0.3,0.14,0.82"), {"text": "mug", "point": list(AT)}),
-    Asked("an exclusion without words", {"point": AT, "exclude": ("red",)}, ("--point", "0.3,0.14,0.82", "--exclude", "red"),
-          {"point": list(AT), "exclude": ["red"]}),
-    Asked("a short vector", {"vector": np.ones(7, np.float32)}, ("--vector", "FOLDER/short.npy"), {"vector": [1.0] * 7}),
+    Asked(
+        "two things",
+        {"text": "mug", "point": AT},
+        ("mug", "--point", "0.3,0.14,0.82"),
+        {"text": "mug", "point": list(AT)},
+    ),
+    Asked(
+        "an exclusion without words",
+        {"point": AT, "exclude": ("red",)},
+        ("--point", "0.3,0.14,0.82", "--exclude", "red"),
+        {"point": list(AT), "exclude": ["red"]},
+    ),
+    Asked(
+        "a short vector", {"vector": np.ones(7, np.float32)}, ("--vector", "FOLDER/short.npy"), {"vector": [1.0] * 7}
+    ),
     Asked("nothing there", {"point": (90.0, 0.0, 0.0)}, ("--point", "90,0,0"), {"point": [90.0, 0.0, 0.0]}),
-    Asked("no such photo", {"click": ("nowhere", 1.0, 1.0)}, ("--click", "nowhere:1,1"), {"click": {"view": "nowhere", "x": 1, "y": 1}}),
-]  # fmt: skip
+    Asked(
+        "no such photo",
+        {"click": ("nowhere", 1.0, 1.0)},
+        ("--click", "nowhere:1,1"),
+        {"click": {"view": "nowhere", "x": 1, "y": 1}},
+    ),
+]
 
 
 def named(asked: list[Asked]) -> Any:
@@ -164,9 +190,7 @@ def same_matches(told: list[dict[str, Any]], expected: list[Match], exactly: boo
 
 
 @named(GOOD)
-def test_the_command_line(
-    asked: Asked, room: Scene, files: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_the_command_line(asked: Asked, room: Scene, files: Path, tmp_path: Path, capsys: Capture) -> None:
     expected = room.ask(Query(**asked.query))
     argv, folder = on_the_command_line(files, asked), files_of(room)
     told = answer_of(capsys, "select", folder, *argv, "--save", tmp_path / "ids.npy")

@@ -54,9 +54,7 @@ def test_placing_is_a_rigid_motion() -> None:
     surface = CONVEX["box"][0]
     moved = surface.placed((1, 2, 3), yaw=90, pitch=90)
     # pitch takes z to -y and y to z; yaw then takes x to y and y to -x
-    np.testing.assert_allclose(
-        moved.points, surface.points @ np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + [1, 2, 3]
-    )
+    np.testing.assert_allclose(moved.points, surface.points @ np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + [1, 2, 3])
 
 
 def test_quaternions_turn_z_to_the_normal() -> None:
@@ -101,9 +99,7 @@ def test_labels_are_those_of_the_largest_share() -> None:
     shares = np.zeros((36, 48, len(room.names)))
     for k in range(ids.shape[2]):
         rows, columns = np.nonzero(ids[..., k] >= 0)
-        np.add.at(
-            shares, (rows, columns, room.labels[ids[rows, columns, k]]), weights[rows, columns, k]
-        )
+        np.add.at(shares, (rows, columns, room.labels[ids[rows, columns, k]]), weights[rows, columns, k])
     two = np.sort(shares, axis=-1)[..., -2:]
     clear = (two[..., 1] - two[..., 0] > 1e-3) & (abs(shares.sum(-1) - 0.5) > 1e-3)
     expected = np.where(shares.sum(-1) < 0.5, -1, shares.argmax(-1))

@@ -54,9 +54,7 @@ def same(a: Gaussians, b: Gaussians) -> None:
 
 @quick
 @given(seeds, degrees, st.sampled_from("<>a"), st.booleans())
-def test_ply_of_any_order_type_and_encoding(
-    seed: int, degree: int, order: str, doubles: bool
-) -> None:
+def test_ply_of_any_order_type_and_encoding(seed: int, degree: int, order: str, doubles: bool) -> None:
     rng = np.random.default_rng(seed)
     g = random_gaussians(rng, int(rng.integers(0, 40)), degree)
     columns = scene_files.ply_columns(g)
@@ -77,19 +75,13 @@ def test_ply_of_any_order_type_and_encoding(
 
 @quick
 @given(seeds, degrees)
-def test_written_scene_reads_back(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, degree: int
-) -> None:
+def test_written_scene_reads_back(tmp_path_factory: pytest.TempPathFactory, seed: int, degree: int) -> None:
     rng = np.random.default_rng(seed)
     g = random_gaussians(rng, int(rng.integers(0, 5000)), degree)
-    g.opacities[: len(g) // 3] = rng.choice(
-        np.array([0, 1, 1e-30, 1 - 2**-24], np.float32), len(g) // 3
-    )
+    g.opacities[: len(g) // 3] = rng.choice(np.array([0, 1, 1e-30, 1 - 2**-24], np.float32), len(g) // 3)
     path = tmp_path_factory.mktemp("scene") / "scene.ply"
     ids = np.arange(len(g), dtype=np.int32)
-    write_gaussians(
-        path, Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh, {"a": ids}), {"b": -ids}
-    )
+    write_gaussians(path, Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh, {"a": ids}), {"b": -ids})
     back = read_gaussians(path)
     same(back, g)
     assert back.fingerprint == g.fingerprint
@@ -126,9 +118,7 @@ def test_elements_in_front_are_stepped_over(order: str) -> None:
 
 
 def test_bytes_after_the_last_row_are_reported() -> None:
-    data = scene_files.ply_bytes(
-        scene_files.ply_columns(random_gaussians(np.random.default_rng(2)))
-    )
+    data = scene_files.ply_bytes(scene_files.ply_columns(random_gaussians(np.random.default_rng(2))))
     with pytest.warns(DrSplatWarning, match="3 bytes after"):
         parsed(data + b"abc")
 
@@ -142,11 +132,7 @@ def test_crlf_header() -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        *(
-            (name, value)
-            for name in ("y", "rot_1", "scale_2", "f_rest_7", "f_dc_0")
-            for value in (np.nan, np.inf)
-        ),
+        *((name, value) for name in ("y", "rot_1", "scale_2", "f_rest_7", "f_dc_0") for value in (np.nan, np.inf)),
         ("x", -np.inf),
         ("scale_0", -np.inf),
         ("opacity", np.nan),
@@ -268,10 +254,7 @@ def test_compressed_ply_of_the_first_kind_has_no_colour_bounds() -> None:
     g = random_gaussians(np.random.default_rng(11), 10, 0)
     g.sh[:] = np.clip(g.sh, -1, 1)
     data = scene_files.compressed_ply_bytes(g)
-    low, high = (
-        (g.sh[:, 0] * scene_files.C0 + 0.5).min(0),
-        (g.sh[:, 0] * scene_files.C0 + 0.5).max(0),
-    )
+    low, high = ((g.sh[:, 0] * scene_files.C0 + 0.5).min(0), (g.sh[:, 0] * scene_files.C0 + 0.5).max(0))
     head, body = data.split(b"end_header\n")
     lines = [line for line in head.split(b"\n") if line[-2:] not in (b"_r", b"_g", b"_b")]
     old = b"\n".join([*lines[:-1], b"end_header\n"]) + body[:48] + body[72:]
@@ -284,9 +267,7 @@ def test_compressed_ply_of_the_first_kind_has_no_colour_bounds() -> None:
 def test_splat(seed: int) -> None:
     g = random_gaussians(np.random.default_rng(seed), 30, 0)
     back = parsed(scene_files.splat_bytes(g), ".splat")
-    assert_close(
-        back, g, means=0, scales=0, opacities=0.0021, sh=0.0021 / scene_files.C0, quats=0.025
-    )
+    assert_close(back, g, means=0, scales=0, opacities=0.0021, sh=0.0021 / scene_files.C0, quats=0.025)
 
 
 @quick
@@ -303,12 +284,9 @@ def test_spz_comes_back_in_the_axes_of_a_ply(seed: int, degree: int, version: in
 
 @pytest.mark.parametrize("version", [3, 4])
 @pytest.mark.parametrize(
-    ("system", "signs"),
-    [(6, (1, 1, 1)), (4, (1, -1, -1)), (7, (-1, -1, 1)), (1, (-1, 1, -1)), (8, (1, -1, 1))],
+    ("system", "signs"), [(6, (1, 1, 1)), (4, (1, -1, -1)), (7, (-1, -1, 1)), (1, (-1, 1, -1)), (8, (1, -1, 1))]
 )
-def test_spz_that_names_its_axes_is_believed(
-    version: int, system: int, signs: tuple[int, int, int]
-) -> None:
+def test_spz_that_names_its_axes_is_believed(version: int, system: int, signs: tuple[int, int, int]) -> None:
     g = random_gaussians(np.random.default_rng(12), 8)
     unknown = struct.pack("<II3s", 0x12340001, 3, b"abc")
     axes = unknown + struct.pack("<III", 0xADBE0003, 4, system)
@@ -339,9 +317,7 @@ def test_spz_of_degree_four_says_what_it_leaves_out() -> None:
     data = struct.pack("<4sIIBBB", b"NGSP", 4, 5, 4, 12, 0) + scene_files.v4_body(planes)
     with pytest.warns(DrSplatWarning, match="degree 4"):
         back = parsed(data)
-    assert_close(
-        turned(back), g, means=1.3e-4, scales=0.032, opacities=0.0021, sh=0.0135, quats=6e-3
-    )
+    assert_close(turned(back), g, means=1.3e-4, scales=0.032, opacities=0.0021, sh=0.0135, quats=6e-3)
 
 
 @pytest.mark.parametrize(
@@ -373,10 +349,7 @@ def test_spz_headers_that_do_not_fit(edit: dict, message: str) -> None:
 @pytest.fixture(scope="module")
 def biker() -> tuple[Gaussians, Gaussians]:
     """The same scene as compressed PLY and as SPZ, the second's rows matched to the first's."""
-    packed, spz = (
-        read_gaussians(SPLATS / "biker.compressed.ply"),
-        read_gaussians(SPLATS / "biker.spz"),
-    )
+    packed, spz = (read_gaussians(SPLATS / "biker.compressed.ply"), read_gaussians(SPLATS / "biker.spz"))
     assert len(packed) == len(spz) == 152_746
     _, nearest = cKDTree(spz.means).query(packed.means)
     return packed, spz.subset(nearest)
@@ -387,9 +360,7 @@ def biker() -> tuple[Gaussians, Gaussians]:
 def test_biker_is_the_same_as_compressed_ply_and_as_spz(biker: tuple[Gaussians, Gaussians]) -> None:
     a, b = biker
     assert np.abs(a.means - b.means).max() < 2**-12
-    matched = (
-        np.abs(a.opacities - b.opacities) < 1e-6
-    )  # nearest is another row for coincident points
+    matched = np.abs(a.opacities - b.opacities) < 1e-6  # nearest is another row for coincident points
     assert matched.mean() > 0.997
     assert np.percentile(np.abs(np.log(a.scales / b.scales))[matched], 99.9) < 1 / 32 + 1e-3
     assert np.percentile(np.abs(a.sh - b.sh)[matched], 99.9) < 0.5 / 255 / 0.15 + 1e-3
@@ -416,9 +387,7 @@ def test_gsply_reads_what_we_write(tmp_path: Path) -> None:
         theirs = gsply.plyread(str(tmp_path / f"{degree}.ply"))
         np.testing.assert_array_equal(theirs.means, g.means)
         np.testing.assert_allclose(theirs.scales, np.log(g.scales), atol=1e-6)
-        np.testing.assert_allclose(
-            1 / (1 + np.exp(-theirs.opacities.ravel())), g.opacities, atol=1e-6
-        )
+        np.testing.assert_allclose(1 / (1 + np.exp(-theirs.opacities.ravel())), g.opacities, atol=1e-6)
         np.testing.assert_allclose(theirs.quats, g.quats, atol=1e-6)
         np.testing.assert_array_equal(theirs.sh0.reshape(-1, 3), g.sh[:, 0])
         if degree:
@@ -435,15 +404,11 @@ def test_gsply_agrees_on_real_files(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         theirs = (gsply.read_spz if name.endswith("spz") else gsply.plyread)(str(SPLATS / name))
-    signs = (
-        (1, -1, -1) if name.endswith("spz") else (1, 1, 1)
-    )  # gsply leaves the axes of SPZ as stored
+    signs = (1, -1, -1) if name.endswith("spz") else (1, 1, 1)  # gsply leaves the axes of SPZ as stored
     g = turned(
         Gaussians(
             np.asarray(theirs.means, np.float32),
-            np.asarray(
-                theirs.quats / np.linalg.norm(theirs.quats, axis=1, keepdims=True), np.float32
-            ),
+            np.asarray(theirs.quats / np.linalg.norm(theirs.quats, axis=1, keepdims=True), np.float32),
             np.exp(np.asarray(theirs.scales, np.float32)),
             (1 / (1 + np.exp(-np.asarray(theirs.opacities, np.float32).ravel()))),
             np.asarray(theirs.sh0, np.float32).reshape(-1, 1, 3),
@@ -459,11 +424,7 @@ def test_spz_written_by_gsply(tmp_path: Path) -> None:
     g = random_gaussians(np.random.default_rng(20), 60, 2)
     write_gaussians(tmp_path / "g.ply", turned(g))  # gsply stores the numbers it is given as if RUB
     for version in (3, 4):
-        gsply.write_spz(
-            str(tmp_path / f"{version}.spz"),
-            gsply.plyread(str(tmp_path / "g.ply")),
-            version=version,
-        )
+        gsply.write_spz(str(tmp_path / f"{version}.spz"), gsply.plyread(str(tmp_path / "g.ply")), version=version)
         back = read_gaussians(tmp_path / f"{version}.spz")
         assert_close(back, g, means=2.6e-4, scales=0.064, opacities=0.0042, sh=0.07, quats=6e-3)
 

@@ -35,10 +35,7 @@ def seeds(family: str) -> list[tuple[bytes, str]]:
     match family:
         case "ply":
             columns = [scene_files.ply_columns(g) for g in scenes]
-            columns[1] |= {
-                "object_id": np.arange(24, dtype=np.int32),
-                "nx": np.ones(24, np.float32),
-            }
+            columns[1] |= {"object_id": np.arange(24, dtype=np.int32), "nx": np.ones(24, np.float32)}
             lists = "element face 2\nproperty list uchar int vertex_indices"
             before = bytes([1, 0, 0, 0, 0, 1, 1, 0, 0, 0])
             files = [scene_files.ply_bytes(c, order) for c in columns[::3] for order in "<>"]
@@ -46,9 +43,7 @@ def seeds(family: str) -> list[tuple[bytes, str]]:
             files += [scene_files.ply_bytes(columns[1], "<", before, lists)]
         case "compressed":
             files = [scene_files.compressed_ply_bytes(g) for g in scenes]
-            files += [
-                scene_files.compressed_ply_bytes(random_gaussians(np.random.default_rng(9), 257, 1))
-            ]
+            files += [scene_files.compressed_ply_bytes(random_gaussians(np.random.default_rng(9), 257, 1))]
         case "splat":
             return [(scene_files.splat_bytes(g), ".splat") for g in scenes]
         case "ksplat":
@@ -139,9 +134,7 @@ def lying_zstd(count: int) -> bytes:
 
 
 def claiming_ply(count: int) -> bytes:
-    data = scene_files.ply_bytes(
-        scene_files.ply_columns(random_gaussians(np.random.default_rng(0), 4))
-    )
+    data = scene_files.ply_bytes(scene_files.ply_columns(random_gaussians(np.random.default_rng(0), 4)))
     return data.replace(b"element vertex 4", b"element vertex %d" % count)
 
 
@@ -162,14 +155,10 @@ def list_ply(length: int) -> bytes:
         pytest.param(claiming_ply(10**17), id="ply-count"),
         pytest.param(claiming_ply(10**9), id="ply-count-gigabytes"),
         pytest.param(claiming_ply(2**63), id="ply-count-overflow"),
-        pytest.param(
-            claiming_ply(10**9).replace(b"binary_little_endian", b"ascii"), id="ply-ascii-count"
-        ),
+        pytest.param(claiming_ply(10**9).replace(b"binary_little_endian", b"ascii"), id="ply-ascii-count"),
         pytest.param(list_ply(2**32 - 1), id="ply-list-length"),
         pytest.param(list_ply(0), id="ply-list-count"),
-        pytest.param(
-            b"ply\nformat ascii 1.0\n" + b"comment a\n" * 400_000, id="ply-endless-header"
-        ),
+        pytest.param(b"ply\nformat ascii 1.0\n" + b"comment a\n" * 400_000, id="ply-endless-header"),
     ],
 )
 def test_bombs_are_refused_before_they_unfold(data: bytes) -> None:

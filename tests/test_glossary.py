@@ -100,24 +100,14 @@ def json_keys() -> Iterator[str]:
         for path in (ROOT / "src/drsplat" / folder).glob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 keys = node.keys if isinstance(node, ast.Dict) else []
-                yield from (
-                    key.value
-                    for key in keys
-                    if isinstance(key, ast.Constant) and isinstance(key.value, str)
-                )
+                yield from (key.value for key in keys if isinstance(key, ast.Constant) and isinstance(key.value, str))
 
 
 def schema_keys(node: Any) -> Iterator[str]:
     """Properties and parameters of a JSON schema or an OpenAPI document."""
     if isinstance(node, dict):
-        yield from (
-            (node.get("properties") or {}) if isinstance(node.get("properties"), dict) else ()
-        )
-        yield from (
-            one["name"]
-            for one in node.get("parameters") or ()
-            if isinstance(one, dict) and "name" in one
-        )
+        yield from ((node.get("properties") or {}) if isinstance(node.get("properties"), dict) else ())
+        yield from (one["name"] for one in node.get("parameters") or () if isinstance(one, dict) and "name" in one)
         for value in node.values():
             yield from schema_keys(value)
     elif isinstance(node, list):
@@ -127,11 +117,7 @@ def schema_keys(node: Any) -> Iterator[str]:
 
 def descriptions(node: Any) -> Iterator[str]:
     if isinstance(node, dict):
-        yield from (
-            value
-            for key, value in node.items()
-            if key in ("description", "title") and isinstance(value, str)
-        )
+        yield from (value for key, value in node.items() if key in ("description", "title") and isinstance(value, str))
         for value in node.values():
             yield from descriptions(value)
     elif isinstance(node, list):
@@ -167,17 +153,7 @@ def test_the_glossary_names_what_is_retired() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "segment_id",
-        "num_segments",
-        "Segments",
-        "--things",
-        "found",
-        "asked_for",
-        "instance_index",
-        "ThingCount",
-    ],
+    "name", ["segment_id", "num_segments", "Segments", "--things", "found", "asked_for", "instance_index", "ThingCount"]
 )
 def test_it_can_fail(name: str) -> None:
     assert offenders([name], retired()) == {name}
@@ -185,8 +161,7 @@ def test_it_can_fail(name: str) -> None:
 
 def test_verbs_and_longer_words_may_stay() -> None:
     assert not offenders(
-        ["segment", "load_segmenter", "Segmentation", "nothing", "find_scene_up"[5:], "foundry"],
-        retired(),
+        ["segment", "load_segmenter", "Segmentation", "nothing", "find_scene_up"[5:], "foundry"], retired()
     )
 
 
@@ -226,15 +201,9 @@ def test_headings_and_options_of_documents() -> None:
     for document in DOCUMENTS:
         text = document.read_text(encoding="utf-8")
         plain = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
-        headings = [
-            re.sub(r"`[^`]*`", "", one) for one in re.findall(r"^#+ (.+)$", plain, re.MULTILINE)
-        ]
+        headings = [re.sub(r"`[^`]*`", "", one) for one in re.findall(r"^#+ (.+)$", plain, re.MULTILINE)]
         flags = re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)
-        bad = [
-            one
-            for one in headings
-            if any(f" {word} " in parts(one) for word in retired() - {"asked"})
-        ]
+        bad = [one for one in headings if any(f" {word} " in parts(one) for word in retired() - {"asked"})]
         assert not bad, document.name
         assert not offenders(set(flags), retired()), document.name
 
@@ -249,13 +218,8 @@ def test_helps_begin_with_a_noun_or_a_verb(option: str, text: str) -> None:
 def test_nobody_speaks_of_things(openapi: dict[str, Any], tools: list[Any]) -> None:
     told = [text for _, text in helps()] + [parser.description or "" for parser in verbs().values()]
     told += [*descriptions(openapi), *(tool.description or "" for tool in tools)]
-    told += [
-        text for tool in tools for text in descriptions([tool.input_schema, tool.output_schema])
-    ]
+    told += [text for tool in tools for text in descriptions([tool.input_schema, tool.output_schema])]
     told = [
-        text.replace("object,things,stuff,texture", "").replace(
-            "object, things, stuff, texture", ""
-        )
-        for text in told
+        text.replace("object,things,stuff,texture", "").replace("object, things, stuff, texture", "") for text in told
     ]
     assert not [text for text in told if any(re.search(rf"\b{phrase}\b", text) for phrase in PROSE)]

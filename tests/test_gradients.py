@@ -41,9 +41,7 @@ class Case(NamedTuple):
 
 CASES = {
     "outside": Case(120, 0, (0.0, -5.0, 1.0), {"width": 48, "height": 40}),
-    "off-centre": Case(
-        100, 1, (3.0, -3.0, 2.0), {"width": 48, "height": 40, "principal": (15.0, 28.0)}
-    ),
+    "off-centre": Case(100, 1, (3.0, -3.0, 2.0), {"width": 48, "height": 40, "principal": (15.0, 28.0)}),
     "inside": Case(150, 2, (0.1, 0.2, 0.0), {"width": 48, "height": 40, **INSIDE}),
     "black": Case(60, 3, (0.0, -3.5, 0.5), {"width": 45, "height": 37}, (0.0, 0.0, 0.0)),
 }
@@ -83,9 +81,7 @@ def background_of(case: str) -> np.ndarray:
 
 @lru_cache
 def decisions_of(case: str) -> reference_training.Decisions:
-    return reference_training.decide(
-        Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree
-    )
+    return reference_training.decide(Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree)
 
 
 @lru_cache
@@ -104,18 +100,12 @@ def off_the_boundary(unsure: np.ndarray, view: View, seed: int = 0) -> np.ndarra
 def slopes_of(case: str) -> reference_gradients.Gradients:
     """The finite differences."""
     return reference_gradients.gradients(
-        Parameters(*scene_of(case)),
-        view_of(case),
-        CASES[case].sh_degree,
-        background_of(case),
-        image_gradient_of(case),
+        Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree, background_of(case), image_gradient_of(case)
     )
 
 
 def native_pass(case: str, **options):
-    return forward(
-        scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), **options
-    )
+    return forward(scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), **options)
 
 
 def relative_error(kind: str, found: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -171,14 +161,10 @@ def test_the_cases_hold_every_rule():
 def test_held_decisions_change_no_image(case):
     """With the parameters they were taken for, the image is that of the compositing twin."""
     scene, view, degree = scene_of(case), view_of(case), CASES[case].sh_degree
-    image = reference_training.image(
-        Parameters(*scene), view, degree, background_of(case), decisions_of(case)
-    )
+    image = reference_training.image(Parameters(*scene), view, degree, background_of(case), decisions_of(case))
     gaussians = activated(scene)
     colors = reference.sh_colors(gaussians.sh, gaussians.means, view.center)
-    expected = reference.render_channels(
-        splat_arrays(gaussians), view, colors, background_of(case)
-    ).channels
+    expected = reference.render_channels(splat_arrays(gaussians), view, colors, background_of(case)).channels
     sure = ~decisions_of(case).unsure
     assert_allclose(image[sure], expected[sure], rtol=0, atol=2e-5)  # theirs activated in float32
 
@@ -205,11 +191,7 @@ def test_gradients_are_those_of_finite_differences(case, isa):
 def test_the_image_is_that_of_the_twin(case, isa):
     view = native_pass(case, isa=isa)
     expected = reference_training.image(
-        Parameters(*scene_of(case)),
-        view_of(case),
-        CASES[case].sh_degree,
-        background_of(case),
-        decisions_of(case),
+        Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree, background_of(case), decisions_of(case)
     )
     sure = ~decisions_of(case).unsure
     assert_allclose(view.image[sure], expected[sure], rtol=0, atol=1e-5)
@@ -372,9 +354,7 @@ def autograd(scene, view, sh_degree, background, image_gradient) -> reference_gr
 
     import dense_torch
 
-    leaves = dense_torch.Scene(
-        *(torch.tensor(c.astype(np.float64), requires_grad=True) for c in scene)
-    )
+    leaves = dense_torch.Scene(*(torch.tensor(c.astype(np.float64), requires_grad=True) for c in scene))
     behind = torch.tensor(background.astype(np.float64))
     dense = dense_torch.render(leaves, view, sh_degree, behind)
     (dense.image * torch.tensor(image_gradient.astype(np.float64))).sum().backward()
@@ -384,9 +364,7 @@ def autograd(scene, view, sh_degree, background, image_gradient) -> reference_gr
     return reference_gradients.Gradients(*slopes, screen)
 
 
-oracle = pytest.mark.skipif(
-    importlib.util.find_spec("torch") is None, reason="the oracle needs torch"
-)
+oracle = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="the oracle needs torch")
 
 
 @pytest.mark.oracle
@@ -395,11 +373,7 @@ oracle = pytest.mark.skipif(
 def test_finite_differences_are_those_of_autograd(case):
     """The twin and torch, both in float64: two ways to the truth."""
     expected = autograd(
-        scene_of(case),
-        view_of(case),
-        CASES[case].sh_degree,
-        background_of(case),
-        image_gradient_of(case),
+        scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), image_gradient_of(case)
     )
     assert_gradients_agree(slopes_of(case), expected, 3e-5)
 

@@ -23,24 +23,10 @@ from drsplat.masks.selection import paint
 from drsplat.models.graph import GraphSegmenter
 from drsplat.models.graph.features import pair_features
 from drsplat.models.graph.merging import Merging
-from drsplat.models.graph.regions import (
-    WORKING_PIXELS,
-    enlarged,
-    lab_colors,
-    small_regions,
-    working_image,
-)
+from drsplat.models.graph.regions import WORKING_PIXELS, enlarged, lab_colors, small_regions, working_image
 from drsplat.models.graph.rule import MergeRule, shipped_rule
 from drsplat.models.graph.segmenter import GraphSettings, label_masks, segment_labels
-from drsplat.models.graph.statistics import (
-    AREA,
-    AROUND,
-    FRAME,
-    LENGTH,
-    STEP,
-    RegionGraph,
-    region_graph,
-)
+from drsplat.models.graph.statistics import AREA, AROUND, FRAME, LENGTH, STEP, RegionGraph, region_graph
 from drsplat.models.point_masks import PointMaskSettings
 from drsplat.models.sam import load_segmenter
 
@@ -215,9 +201,7 @@ def test_features_do_not_depend_on_the_order_of_a_pair(image: np.ndarray) -> Non
 # Merging
 
 
-def merged_plainly(
-    labels: np.ndarray, lab: np.ndarray, rule: MergeRule, threshold: float
-) -> np.ndarray:
+def merged_plainly(labels: np.ndarray, lab: np.ndarray, rule: MergeRule, threshold: float) -> np.ndarray:
     """All sums anew from region sums after each merge, all pairs scored each time, no queue."""
     labels, whole = labels.copy(), region_graph(labels, lab)
     owner = np.arange(len(whole.sums))
@@ -328,9 +312,7 @@ def test_it_is_loaded_by_its_name_and_has_no_points() -> None:
         load_segmenter("graph", "cpu", PointMaskSettings())
 
 
-@pytest.mark.parametrize(
-    "option", [["--points", "8"], ["--crop-layers", "0"], ["--levels", "four"]]
-)
+@pytest.mark.parametrize("option", [["--points", "8"], ["--crop-layers", "0"], ["--levels", "four"]])
 def test_the_command_refuses_options_of_sam(option: list[str], captured: Path, capsys) -> None:
     command = ["embed", str(captured), "--segmenter", "graph", "--encoder", "drsplat-mini"]
     assert main([*command, *option]) == 1
@@ -369,9 +351,7 @@ def made_photo(seed: int) -> Photo:
     """Squares of random colours on a striped floor."""
     rng = np.random.default_rng(seed)
     truth = np.ones((120, 160), np.int64)
-    image = np.where((np.arange(160) // 6 % 2)[None, :, None] == 0, 110, 140) + np.zeros(
-        (120, 1, 3)
-    )
+    image = np.where((np.arange(160) // 6 % 2)[None, :, None] == 0, 110, 140) + np.zeros((120, 1, 3))
     for thing in (2, 3, 4):
         y, x = rng.integers(0, (80, 120))
         truth[y : y + 36, x : x + 36] = thing

@@ -60,16 +60,12 @@ def twin_of(scene: str, first_hits: int | None = None) -> reference.Contributors
 
 
 @lru_cache
-def without_boundary(
-    scene: str, k: int | None, first_hits: int | None = None
-) -> tuple[np.ndarray, reference.Triples]:
+def without_boundary(scene: str, k: int | None, first_hits: int | None = None) -> tuple[np.ndarray, reference.Triples]:
     """The scene's mask map less the boundary pixels, and the twin's weights on it."""
     return masked(twin_of(scene, first_hits), segments_of(scene), k)
 
 
-def masked(
-    twin: reference.Contributors, mask_ids: np.ndarray, k: int | None
-) -> tuple[np.ndarray, reference.Triples]:
+def masked(twin: reference.Contributors, mask_ids: np.ndarray, k: int | None) -> tuple[np.ndarray, reference.Triples]:
     sure = np.where(reference.on_boundary(twin, k), np.int32(-1), mask_ids)
     return sure, reference.mask_sums(reference.largest(twin, k), sure)
 
@@ -119,9 +115,7 @@ def test_differences_in_the_boundary_band_are_few_and_small(scene, k):
 def test_first_hits_cuts_before_the_top_k(first_hits, k, isa):
     scene = "off-centre"
     mask_ids, expected = without_boundary(scene, k, first_hits)
-    native = view_weights(
-        arrays_of(scene), view_of(scene), mask_ids, k, first_hits=first_hits, isa=isa
-    )
+    native = view_weights(arrays_of(scene), view_of(scene), mask_ids, k, first_hits=first_hits, isa=isa)
     assert_same_triples(native, expected)
 
 
@@ -131,9 +125,7 @@ def test_as_many_first_hits_as_there_can_be_are_all(most, isa):
     given = arrays_of("off-centre"), view_of("off-centre"), segments_of("off-centre")
     expected = view_weights(*given, 5, isa=isa)
     assert len(expected.weights) > 100
-    for found, column in zip(
-        view_weights(*given, 5, first_hits=most, isa=isa), expected, strict=True
-    ):
+    for found, column in zip(view_weights(*given, 5, first_hits=most, isa=isa), expected, strict=True):
         assert_array_equal(found, column)
     everything = view_weights(*given, None, isa=isa)
     assert_array_equal(view_weights(*given, most, isa=isa).weights, everything.weights)
@@ -169,9 +161,7 @@ def test_instruction_sets_agree(scene):
 
 
 @every_isa
-@pytest.mark.parametrize(
-    ("width", "height"), [(1, 1), (17, 16), (31, 33), (129, 1), (1, 50), (8, 2)]
-)
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (17, 16), (31, 33), (129, 1), (1, 50), (8, 2)])
 def test_rasters_that_fill_no_whole_tiles(width, height, isa):
     arrays, view = arrays_of("outside"), look_at_view((0, -5, 1), width=width, height=height)
     twin = reference.contributors(arrays, view)
@@ -203,9 +193,7 @@ def test_any_camera_sees_what_the_twin_sees(seed):
 
 
 def test_a_map_without_masks_gives_nothing():
-    empty = view_weights(
-        arrays_of("outside"), view_of("outside"), np.full((HEIGHT, WIDTH), -1, np.int32)
-    )
+    empty = view_weights(arrays_of("outside"), view_of("outside"), np.full((HEIGHT, WIDTH), -1, np.int32))
     assert [len(column) for column in empty] == [0, 0, 0]
     assert [column.dtype for column in empty] == [np.uint32, np.int32, np.float32]
 
@@ -255,9 +243,7 @@ def test_gaussians_that_cover_the_screen(isa):
 
 def test_more_than_all_contributors_is_all():
     arguments = (arrays_of("outside"), view_of("outside"), segments_of("outside"))
-    for generous, unlimited in zip(
-        view_weights(*arguments, 1000), view_weights(*arguments, None), strict=True
-    ):
+    for generous, unlimited in zip(view_weights(*arguments, 1000), view_weights(*arguments, None), strict=True):
         assert_array_equal(generous, unlimited)
 
 
@@ -292,10 +278,7 @@ def test_contributions_sum_to_the_weights(first_hits):
     sums: dict[tuple[int, int], float] = {}
     owners = np.broadcast_to(mask_ids[..., None], owned.shape)[owned]
     for gaussian, mask, weight in zip(
-        per_pixel.ids[owned].tolist(),
-        owners.tolist(),
-        per_pixel.weights[owned].tolist(),
-        strict=True,
+        per_pixel.ids[owned].tolist(), owners.tolist(), per_pixel.weights[owned].tolist(), strict=True
     ):
         sums[gaussian, mask] = sums.get((gaussian, mask), 0.0) + weight
     native = table(view_weights(arrays, view, mask_ids, 20, first_hits=first_hits))

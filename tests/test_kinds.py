@@ -60,16 +60,24 @@ def test_the_mistakes_that_people_make(room: Path) -> None:
     field = ds.register(gaussians, views, features).to_field()
 
     mistakes = {
-        r"render: view: expected View \(one of read_views\(...\)\), got 'frame_00001' \(str\)": lambda: ds.render(gaussians, "frame_00001"),
+        r"render: view: expected View \(one of read_views\(...\)\), got 'frame_00001' \(str\)": lambda: ds.render(
+            gaussians, "frame_00001"
+        ),
         r"Query: text: expected a text or None, got Gaussians": lambda: ds.Query(gaussians),
-        r"register: gaussians: expected Gaussians \(read_gaussians\(...\)\), got list of View": lambda: ds.register(views, gaussians, features),
+        r"register: gaussians: expected Gaussians \(read_gaussians\(...\)\), got list of View": lambda: ds.register(
+            views, gaussians, features
+        ),
         r"Scene: field: expected LanguageField .*, got Gaussians": lambda: ds.Scene(gaussians, field),
         r"Query: text: expected a text or None, got list of str": lambda: ds.Query(["mug"]),
-        r"Query: negatives: expected a list of a text or .*, got 'object' \(str\)": lambda: ds.Query("mug", negatives="object"),
+        r"Query: negatives: expected a list of a text or .*, got 'object' \(str\)": lambda: ds.Query(
+            "mug", negatives="object"
+        ),
         r"render: gaussians: expected Gaussians .*, got LanguageField": lambda: ds.render(field, views[0]),
         r"View: K: expected an array \(3 3\), got list": lambda: ds.View("x", [[1, 0], [0, 1]], np.eye(4), 4, 4),
-        r"read_views: max_side: expected a whole number or None, got '640' \(str\)": lambda: ds.read_views(room, max_side="640"),
-    }  # fmt: skip
+        r"read_views: max_side: expected a whole number or None, got '640' \(str\)": lambda: ds.read_views(
+            room, max_side="640"
+        ),
+    }
     for said, mistake in mistakes.items():
         with pytest.raises(InputError, match=said):
             mistake()
@@ -85,9 +93,7 @@ def test_what_is_right_goes_through(room: Path) -> None:
         ds.render(gaussians, views[0], colour=3)
 
 
-def test_a_warning_points_at_the_line_of_the_caller(
-    room: Path, request: pytest.FixtureRequest
-) -> None:
+def test_a_warning_points_at_the_line_of_the_caller(room: Path, request: pytest.FixtureRequest) -> None:
     if request.config.getoption("jaxtyping_packages", None):
         pytest.skip("type checkers put frames of their own between")
     features = dict(ds.read_features(room / "capture/language_features"))

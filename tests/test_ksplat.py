@@ -62,11 +62,7 @@ def test_sections_follow_each_other(level: int) -> None:
     for start, part in zip(starts, parts, strict=False):
         rows = slice(start, start + len(part))
         piece = ds.Gaussians(
-            found.means[rows],
-            found.quats[rows],
-            found.scales[rows],
-            found.opacities[rows],
-            found.sh[rows],
+            found.means[rows], found.quats[rows], found.scales[rows], found.opacities[rows], found.sh[rows]
         )
         assert_close(piece, part, level)
 
@@ -160,12 +156,8 @@ NO_GAUSSIANS = [(level, 1, np.inf, "scales") for level in LEVELS]
 NO_GAUSSIANS += [(level, 2, np.nan, "rotations") for level in LEVELS]
 
 
-@pytest.mark.parametrize(
-    ("level", "field", "value", "said"), [(0, 0, np.nan, "positions"), *NO_GAUSSIANS]
-)
-def test_rows_that_are_no_gaussians_are_named(
-    level: int, field: int, value: float, said: str
-) -> None:
+@pytest.mark.parametrize(("level", "field", "value", "said"), [(0, 0, np.nan, "positions"), *NO_GAUSSIANS])
+def test_rows_that_are_no_gaussians_are_named(level: int, field: int, value: float, said: str) -> None:
     widths = (6, 6, 8, 4) if level else (12, 12, 16, 4)
     data = bytearray(ksplat_bytes([scene(0)], level))
     start = len(data) - 2 * sum(widths) + sum(widths[:field])
@@ -240,9 +232,7 @@ def test_any_number_in_any_field(level: int) -> None:
         tracemalloc.stop()
 
 
-def test_a_file_is_told_by_its_beginning_and_serves_as_a_scene(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_file_is_told_by_its_beginning_and_serves_as_a_scene(tmp_path: Path, capsys: Capture) -> None:
     for name in ("a.ksplat", "a.ply", "a.splat"):
         (tmp_path / name).write_bytes(ksplat_bytes([scene()], 1))
         assert len(ds.read_gaussians(tmp_path / name)) == 45

@@ -44,13 +44,7 @@ def test_a_step_that_leaves_nothing_is_an_error(step: str) -> None:
 def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Capture) -> None:
     room = write_toy_capture(tmp_path)
     capture, output = room / "capture", room / "a.field"
-    register = [
-        "register",
-        room / "scene.ply",
-        capture,
-        "--features",
-        capture / "language_features",
-    ]
+    register = ["register", room / "scene.ply", capture, "--features", capture / "language_features"]
     parts = ["--parts", room / "parts", "--output", output]
     answer_of(capsys, *register, *parts)
     answer = answer_of(capsys, *register, *parts, "--without", "every:2", "--overwrite")
@@ -63,9 +57,7 @@ def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Ca
     answer = answer_of(capsys, "embed", capture, *models, "--without", "every:3")
     assert (answer["num_photos"], answer["left_out"]) == (2, ["photo_0.png", "photo_3.png"])
     assert sorted(ds.read_features(room / "made")) == ["photo_1", "photo_2"]
-    assert "no photo has" in error_of(
-        capsys, *register, "-o", room / "b.field", "--without", _names(room)
-    )
+    assert "no photo has" in error_of(capsys, *register, "-o", room / "b.field", "--without", _names(room))
 
 
 def _names(room: Path) -> Path:
@@ -75,15 +67,5 @@ def _names(room: Path) -> Path:
 
 
 def test_only_photos_can_be_left_out_of_an_evaluation(tmp_path: Path, capsys: Capture) -> None:
-    argv = [
-        "evaluate",
-        "voxel",
-        tmp_path,
-        "--scene",
-        "s",
-        "--field",
-        "f",
-        "--report",
-        tmp_path / "r",
-    ]
+    argv = ["evaluate", "voxel", tmp_path, "--scene", "s", "--field", "f", "--report", tmp_path / "r"]
     assert "--without is for lerf-ovs" in error_of(capsys, *argv, "--without", "every:2")

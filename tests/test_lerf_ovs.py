@@ -34,12 +34,7 @@ def balls() -> ds.Gaussians:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     means = 0.3 * directions + np.repeat(list(THINGS.values()), PER_THING, axis=0)
     count = len(means)
-    columns = (
-        means,
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        np.full((count, 3), 0.05),
-        np.full(count, 0.9),
-    )
+    columns = (means, np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 0.05), np.full(count, 0.9))
     return ds.Gaussians(*(c.astype(np.float32) for c in (*columns, np.zeros((count, 1, 3)))))
 
 
@@ -124,9 +119,7 @@ def test_predictions_are_silhouettes_of_what_is_selected(room: LerfScene, tmp_pa
     path = mask_path(tmp_path, "room", "fixed", frame.name, "red mug")
     assert path == tmp_path / "room" / "fixed" / "frame_00003_red mug.png"
     assert_array_equal(np.asarray(Image.open(path)) > 10, expected)
-    everything = np.asarray(
-        Image.open(mask_path(tmp_path, "room", "sweep 0.200", frame.name, "red mug"))
-    )
+    everything = np.asarray(Image.open(mask_path(tmp_path, "room", "sweep 0.200", frame.name, "red mug")))
     assert (everything > 10).sum() > 1.5 * expected.sum()
 
 
@@ -152,9 +145,7 @@ def test_what_stands_behind_something_else_is_not_seen(tmp_path: Path) -> None:
     assert 2 * columns["seen"] == pytest.approx(metrics.mask_iou(mug, frame.mask("red mug")))
 
 
-def test_predictions_without_what_is_seen_have_no_such_number(
-    room: LerfScene, tmp_path: Path
-) -> None:
+def test_predictions_without_what_is_seen_have_no_such_number(room: LerfScene, tmp_path: Path) -> None:
     predict(room, balls(), PERFECT, tmp_path)
     shutil.rmtree(tmp_path / "room" / "seen fixed")
     result = score([room], tmp_path)
@@ -185,26 +176,19 @@ def test_missing_predictions_count_zero(room: LerfScene, tmp_path: Path) -> None
 
 
 def test_empty_predictions_score_zero(room: LerfScene, tmp_path: Path) -> None:
-    nothing = Scorer(
-        "nothing", 2 * PER_THING, lambda _: np.full(300, np.nan, np.float32), 0.5, (0.5,)
-    )
+    nothing = Scorer("nothing", 2 * PER_THING, lambda _: np.full(300, np.nan, np.float32), 0.5, (0.5,))
     predict(room, balls(), nothing, tmp_path)
     for column in score([room], tmp_path)["columns"].values():
         assert set(column["scene_macro"].values()) == {0.0}
 
 
-def test_macro_and_micro_differ_where_scenes_have_other_sizes(
-    room: LerfScene, tmp_path: Path
-) -> None:
+def test_macro_and_micro_differ_where_scenes_have_other_sizes(room: LerfScene, tmp_path: Path) -> None:
     small = LerfScene("small", room.frames[:1], room.views)
     for scene in (room, small):
         predict(scene, balls(), PERFECT, tmp_path)
     write_truth(room, tmp_path)
     for frame, category in small.pairs:
-        write_mask(
-            mask_path(tmp_path, "small", "fixed", frame.name, category),
-            np.zeros((HEIGHT, WIDTH), bool),
-        )
+        write_mask(mask_path(tmp_path, "small", "fixed", frame.name, category), np.zeros((HEIGHT, WIDTH), bool))
     fixed = score([room, small], tmp_path)["columns"]["fixed"]
     assert fixed["scene_macro"]["miou"] == pytest.approx(1 / 2)
     assert fixed["query_micro"]["miou"] == pytest.approx(4 / 6)
@@ -214,9 +198,7 @@ def test_choosers_are_columns_of_their_own(room: LerfScene, tmp_path: Path) -> N
     def halfway(scores: np.ndarray) -> float:
         return float(np.nanmin(scores) + np.nanmax(scores)) / 2
 
-    predict(
-        room, balls(), PERFECT, tmp_path, choosers={"halfway": (halfway, "between least and most")}
-    )
+    predict(room, balls(), PERFECT, tmp_path, choosers={"halfway": (halfway, "between least and most")})
     result = score([room], tmp_path)
     assert result["thresholds"]["halfway"] == "between least and most"
     assert result["columns"]["halfway"]["scene_macro"] == result["columns"]["fixed"]["scene_macro"]
@@ -224,8 +206,7 @@ def test_choosers_are_columns_of_their_own(room: LerfScene, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("views", "leaked"),
-    [(None, None), ((), []), (("frame_00001.png", "frame_00002.png"), ["frame_00001"])],
+    ("views", "leaked"), [(None, None), ((), []), (("frame_00001.png", "frame_00002.png"), ["frame_00001"])]
 )
 def test_leakage_is_told(views, leaked, room: LerfScene, tmp_path: Path) -> None:
     scorer = Scorer("s", 300, scores_of, 0.5, (), views=views)
@@ -241,9 +222,7 @@ def test_labelled_photos_can_be_left_out(room: LerfScene, data: Path) -> None:
 def test_scoring_the_same_again_is_the_same_to_the_byte(room: LerfScene, tmp_path: Path) -> None:
     for name in ("a", "b"):
         predict(room, balls(), PERFECT, tmp_path / name)
-    one, other = (
-        sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("a", "b")
-    )
+    one, other = (sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("a", "b"))
     assert len(one) == 2 + 2 * 4 * 4  # alone and seen, four columns, four pairs
     assert [p.read_bytes() for p in one] == [p.read_bytes() for p in other]
     assert score([room], tmp_path / "a") == score([room], tmp_path / "b")
@@ -271,9 +250,7 @@ def test_predictions_of_another_size_are_refused(room: LerfScene, tmp_path: Path
         ('{"protocol": "lerf-ovs@1", "scene": "room", "columns": {"../a": ""}}', FormatError, "name a folder"),
     ],
 )  # fmt: skip
-def test_damaged_manifests_are_named(
-    content, error, message, room: LerfScene, tmp_path: Path
-) -> None:
+def test_damaged_manifests_are_named(content, error, message, room: LerfScene, tmp_path: Path) -> None:
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "predictions.json").write_text(content)
     with pytest.raises(error, match=message):
@@ -306,9 +283,7 @@ def test_damaged_peaks_are_named(room: LerfScene, tmp_path: Path) -> None:
         score([room], tmp_path)
 
 
-def test_what_does_not_belong_together_is_refused(
-    room: LerfScene, data: Path, tmp_path: Path
-) -> None:
+def test_what_does_not_belong_together_is_refused(room: LerfScene, data: Path, tmp_path: Path) -> None:
     with pytest.raises(MismatchError, match="scores 300 Gaussians, the scene has 150"):
         predict(room, balls().subset(np.arange(150)), PERFECT, tmp_path)
     with pytest.raises(InputError, match="predict before scoring"):
@@ -320,9 +295,7 @@ def test_what_does_not_belong_together_is_refused(
     with pytest.raises(MismatchError, match="its labels are 96x50"):
         read_lerf_scene(data, "room")
     label.rename(label.with_name("frame_00009.json"))
-    label.with_name("frame_00009.json").write_text(
-        '{"info": {"width": 9, "height": 9}, "objects": []}'
-    )
+    label.with_name("frame_00009.json").write_text('{"info": {"width": 9, "height": 9}, "objects": []}')
     with pytest.raises(InputError, match="no pose, first 'frame_00009'"):
         read_lerf_scene(data, "room")
 

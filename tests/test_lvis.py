@@ -103,9 +103,7 @@ def inside(points: np.ndarray, x: float, y: float) -> bool:
 
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(
-    st.lists(st.tuples(st.integers(-12, 50), st.integers(-12, 50)), max_size=9),
-    st.integers(1, 11),
-    st.integers(1, 11),
+    st.lists(st.tuples(st.integers(-12, 50), st.integers(-12, 50)), max_size=9), st.integers(1, 11), st.integers(1, 11)
 )
 def test_polygons_by_a_plain_loop(corners, height, width):
     """Corners on quarters of pixels, centres among them, some outside the image."""
@@ -116,9 +114,7 @@ def test_polygons_by_a_plain_loop(corners, height, width):
 
 def test_a_rectangle_has_its_pixels():
     points = np.array([[2, 1], [5, 1], [5, 3], [2, 3]], float)
-    np.testing.assert_array_equal(
-        np.argwhere(fill_polygon(points, 4, 7))[[0, -1]], [[1, 2], [2, 4]]
-    )
+    np.testing.assert_array_equal(np.argwhere(fill_polygon(points, 4, 7))[[0, -1]], [[1, 2], [2, 4]])
     assert fill_polygon(points, 4, 7).sum() == 6
     np.testing.assert_array_equal(fill_polygon(points + 0.5, 4, 7), fill_polygon(points, 4, 7))
 
@@ -243,9 +239,7 @@ def test_errors_name_file_entry_and_field(tmp_path, path, value, said):
 def test_errors_of_runs_name_the_annotation(tmp_path):
     content = with_value(("annotations", 2, "segmentation", "counts"), "61X13")
     annotations = read_annotations(write_set(tmp_path, content))
-    with pytest.raises(
-        FormatError, match=r"annotations\.json, annotation 3: segmentation: the runs"
-    ):
+    with pytest.raises(FormatError, match=r"annotations\.json, annotation 3: segmentation: the runs"):
         annotations.mask(annotations.instances[2])
 
 
@@ -271,9 +265,7 @@ def test_patches_are_the_things_on_black(tmp_path):
     assert (source.num_wanted, source.left_out, source.missing) == (4, 1, ())  # 5 has 16 pixels
     made = list(patches(source, source.photos))
     assert [len(crops) for crops in made] == [2, 1, 1]
-    for number, patch in zip(
-        (1, 2, 3, 4), (patch for crops in made for patch in crops), strict=True
-    ):
+    for number, patch in zip((1, 2, 3, 4), (patch for crops in made for patch in crops), strict=True):
         x0, y0, x1, y1 = BOXES[number]
         whole = np.ones((y1 - y0, x1 - x0), bool)
         np.testing.assert_array_equal(patch, crop(pixels_of(PHOTOS[number]), whole, BOXES[number]))
@@ -441,15 +433,7 @@ def test_a_codebook_from_embeddings(tmp_path, capsys):
     rows = rng.normal(size=(12, 32))[rng.integers(0, 12, 2000)] + 0.01 * rng.normal(size=(2000, 32))
     np.save(tmp_path / "rows.npy", (rows * rng.uniform(0.1, 9, (2000, 1))).astype(np.float16))
     output = tmp_path / "book.safetensors"
-    command = [
-        tmp_path / "rows.npy",
-        "--encoder-name",
-        "toy",
-        "--output",
-        output,
-        "--subvectors",
-        8,
-    ]
+    command = [tmp_path / "rows.npy", "--encoder-name", "toy", "--output", output, "--subvectors", 8]
     answer = json.loads(run(capsys, *command, "--json"))
     book = ds.load_codebook(output)
     assert (book.encoder, answer["num_held_out"]) == (ds.EncoderIdentity("toy", 32), 100)

@@ -36,9 +36,7 @@ def many_masks(draw):
             if kind == "part":
                 mask &= np.arange(width) <= draw(st.integers(0, width))
         full.append(mask)
-    scores = draw(
-        st.lists(st.sampled_from([0.3, 0.7, 0.71, 0.9]), min_size=len(full), max_size=len(full))
-    )
+    scores = draw(st.lists(st.sampled_from([0.3, 0.7, 0.71, 0.9]), min_size=len(full), max_size=len(full)))
     stacked = np.array(full, bool).reshape(-1, height, width)
     return stacked, np.array(scores, np.float32)
 
@@ -118,10 +116,7 @@ def test_blobs_of_a_photo_are_kept_as_a_plain_loop_keeps_them():
     rng = np.random.default_rng(3)
     y, x = np.mgrid[:60, :80]
     full = np.array(
-        [
-            (x - rng.uniform(0, 80)) ** 2 + (y - rng.uniform(0, 60)) ** 2 < rng.uniform(1, 30) ** 2
-            for _ in range(60)
-        ]
+        [(x - rng.uniform(0, 80)) ** 2 + (y - rng.uniform(0, 60)) ** 2 < rng.uniform(1, 30) ** 2 for _ in range(60)]
     )
     scores = rng.uniform(0.65, 1, 60).astype(np.float32)
     kept = mask_nms(cut_masks(full, scores)).tolist()
@@ -169,9 +164,7 @@ def test_no_masks_at_all():
 
 
 def test_later_masks_paint_over_earlier_ones():
-    np.testing.assert_array_equal(
-        paint(of("##../##..", ".##./....")), [[0, 1, 1, -1], [0, 0, -1, -1]]
-    )
+    np.testing.assert_array_equal(paint(of("##../##..", ".##./....")), [[0, 1, 1, -1], [0, 0, -1, -1]])
 
 
 @given(many_masks())

@@ -30,8 +30,17 @@ from mcp import Client, StdioServerParameters
 
 COMMAND = ["-W", "ignore", "-m", "drsplat", "mcp"]
 TOOLS = {
-    "list_scenes", "about_scene", "locate", "count", "where_is", "how_far_apart", "what_is_at", "what_is_at_pixel", "describe_region", "show",
-}  # fmt: skip
+    "list_scenes",
+    "about_scene",
+    "locate",
+    "count",
+    "where_is",
+    "how_far_apart",
+    "what_is_at",
+    "what_is_at_pixel",
+    "describe_region",
+    "show",
+}
 Talk = Callable[[Client], Awaitable[Any]]
 
 
@@ -102,23 +111,15 @@ def test_ten_calls_tell_how_many_toys_are_on_the_table_and_which_is_nearest_to_t
         assert toys["num_matches"] == 2
         on_table = await told(client, "count", text="toys", on="table", scene=name)
         assert (on_table["count"], on_table["of"]) == (2, 2)
-        near = [
-            np.linalg.norm(np.array(on_table["centers"]) - at, axis=1).min() for at in (duck, car)
-        ]
+        near = [np.linalg.norm(np.array(on_table["centers"]) - at, axis=1).min() for at in (duck, car)]
         assert max(near) < 0.03
         where = await told(client, "where_is", text="candle", scene=name)
         assert np.linalg.norm(np.array(where["best"]["center"]) - candle) < 0.03
         first, second = on_table["centers"]
-        names = [
-            (await told(client, "what_is_at", point=at, scene=name))["words"][0]["name"]
-            for at in (first, second)
-        ]
+        names = [(await told(client, "what_is_at", point=at, scene=name))["words"][0]["name"] for at in (first, second)]
         names.sort(reverse=True)
         assert names == ["green toy duck", "green toy car"]
-        distances = [
-            await told(client, "how_far_apart", first=toy, second="candle", scene=name)
-            for toy in names
-        ]
+        distances = [await told(client, "how_far_apart", first=toy, second="candle", scene=name) for toy in names]
         for told_, at in zip(distances, (duck, car), strict=True):
             assert told_["center_distance"] == pytest.approx(np.linalg.norm(at - candle), abs=0.03)
             assert 0 < told_["gap"] < told_["center_distance"]
@@ -151,23 +152,15 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         assert (await told(client, "count", text="laptop"))["count"] == 0
         assert "It knows apple" in await refused(client, "locate", text="zeppelin")
         for name in ("../..", "/etc", "room/../room", "room\0"):
-            assert f"there are: {room.name!r}" in await refused(
-                client, "locate", text="toy", scene=name
-            )
-        assert "no match for 'laptop'" in await refused(
-            client, "how_far_apart", first="laptop", second="candle"
-        )
-        assert "same place" in await refused(
-            client, "how_far_apart", first="candle", second="candles"
-        )
+            assert f"there are: {room.name!r}" in await refused(client, "locate", text="toy", scene=name)
+        assert "no match for 'laptop'" in await refused(client, "how_far_apart", first="laptop", second="candle")
+        assert "same place" in await refused(client, "how_far_apart", first="candle", second="candles")
         far = await refused(client, "what_is_at", point=[50.0, 0.0, 0.0])
         assert "the nearest Gaussian is" in far
         assert str(room) not in far
         assert "at most 200" in await refused(client, "locate", text="x" * 300)
         assert "no view 'photo'" in await refused(client, "show", view="photo")
-        assert "640x480" in await refused(
-            client, "what_is_at_pixel", view="frame_00001", x=1e9, y=0
-        )
+        assert "640x480" in await refused(client, "what_is_at_pixel", view="frame_00001", x=1e9, y=0)
         none_on = await told(client, "count", text="toys", on="sofa")
         assert (none_on["count"], none_on["of"]) == (0, 2)
         assert "none on the sofa" in none_on["advice"]
@@ -176,11 +169,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
             ("locate", {"text": "toy", "top": 21}, "locate: top: Input should be less than"),
             ("locate", {"text": 5}, "locate: text: Input should be a valid string"),
             ("locate", {}, "locate: text: Field required"),
-            (
-                "show",
-                {"save": "x.png"},
-                "show: no argument save; there are: text, view, scene",
-            ),
+            ("show", {"save": "x.png"}, "show: no argument save; there are: text, view, scene"),
             ("show", {"view": "photo"}, "there is no view 'photo'"),
             ("count", {"text": "toys", "on": ""}, "count: on: "),
             ("what_is_at", {"point": ["a", 0, 0]}, "what_is_at: point.0: "),
@@ -197,9 +186,7 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
         every = await told(client, "locate", text="toys")
         on_table = await told(client, "locate", text="toys", on="table")
         assert (every["num_matches"], on_table["num_matches"]) == (2, 2)
-        assert [one for one in every["matches"] if one in on_table["matches"]] == on_table[
-            "matches"
-        ]
+        assert [one for one in every["matches"] if one in on_table["matches"]] == on_table["matches"]
         nothing = await told(client, "locate", text="toys", on="sofa")
         assert (nothing["num_matches"], "none on the sofa" in nothing["advice"]) == (0, True)
         about = await told(client, "about_scene")
@@ -221,12 +208,10 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
-def test_a_signal_ends_it_while_it_waits_for_a_line(
-    number: signal.Signals, code: int, tmp_path: Path
-) -> None:
+def test_a_signal_ends_it_while_it_waits_for_a_line(number: signal.Signals, code: int, tmp_path: Path) -> None:
     command = [sys.executable, *COMMAND, str(tmp_path)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    client = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "x", "version": "1"}}  # fmt: skip
+    client = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "x", "version": "1"}}
     greeting = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": client}
     with subprocess.Popen(command, stderr=subprocess.PIPE, **pipes) as server:  # type: ignore[call-overload]
         server.stdin.write(json.dumps(greeting).encode() + b"\n")
@@ -267,9 +252,7 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
             assert "name a scene" in await refused(client, "locate", text="candle")
             found = await told(client, "locate", text="candle", scene="a room")
             pixel = {"view": "frame_00008", "x": 10.0, "y": 10.0}
-            here = await told(
-                client, "what_is_at_pixel", **pixel, scene="another", names=["wall", "floor"]
-            )
+            here = await told(client, "what_is_at_pixel", **pixel, scene="another", names=["wall", "floor"])
             assert {word["name"] for word in here["words"]} == {"wall", "floor"}
             assert found["num_matches"] == 1
 
@@ -279,9 +262,7 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
 
 def test_what_cannot_start_says_why(tmp_path: Path, capsys: Capture) -> None:
     assert "no such folder" in error_of(capsys, "mcp", tmp_path / "none")
-    assert "stdout speaks the protocol" in json.dumps(
-        error_json(capsys, "mcp", str(tmp_path), "--json")
-    )
+    assert "stdout speaks the protocol" in json.dumps(error_json(capsys, "mcp", str(tmp_path), "--json"))
 
 
 def error_json(capsys: Capture, *argv: str) -> dict[str, Any]:

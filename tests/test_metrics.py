@@ -33,19 +33,13 @@ def test_class_ious_are_jaccard_scores() -> None:
     rng = np.random.default_rng(0)
     truth, predicted = rng.integers(1, 6, (2, 500))
     weights = rng.random(500)
-    expected = sklearn.jaccard_score(
-        truth, predicted, average=None, labels=[1, 2, 3, 4, 5], sample_weight=weights
-    )
+    expected = sklearn.jaccard_score(truth, predicted, average=None, labels=[1, 2, 3, 4, 5], sample_weight=weights)
     assert_allclose(metrics.class_ious(predicted, truth, 5, weights), expected)
 
 
 # sklearn.metrics.jaccard_score(truth, predicted, average=None) of these, worked out as fractions
 JACCARD = [
-    (
-        [1, 2, 3, 1, 2, 3, 3],
-        [1, 2, 1, 1, 3, 3, 3],
-        [Fraction(2, 3), Fraction(1, 2), Fraction(1, 2)],
-    ),
+    ([1, 2, 3, 1, 2, 3, 3], [1, 2, 1, 1, 3, 3, 3], [Fraction(2, 3), Fraction(1, 2), Fraction(1, 2)]),
     ([1, 1, 2, 2], [2, 2, 1, 1], [Fraction(0), Fraction(0)]),
     ([1, 1, 1, 2], [1, 1, 1, 1], [Fraction(3, 4), Fraction(0)]),
 ]
@@ -87,9 +81,7 @@ def test_class_iou_is_the_weighted_iou_of_its_masks(rows) -> None:
     counted = truth > 0
     got = metrics.class_ious(predicted, truth, 4, weights)
     for label in range(1, 5):
-        alone = metrics.weighted_iou(
-            (predicted == label) & counted, truth == label, weights.astype(float)
-        )
+        alone = metrics.weighted_iou((predicted == label) & counted, truth == label, weights.astype(float))
         if (truth == label).any():
             assert got[label - 1] == pytest.approx(alone)
         else:

@@ -47,9 +47,7 @@ def test_it_is_an_encoder_of_words_and_images(mini: MiniEncoder) -> None:
     assert -1 < mini.threshold < 1
 
 
-def plain_convolution(
-    x: np.ndarray, weight: np.ndarray, bias: np.ndarray, stride: int
-) -> np.ndarray:
+def plain_convolution(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, stride: int) -> np.ndarray:
     """Pixel by pixel, (h, w, c)."""
     h, w, c = x.shape
     out = np.zeros((-(-h // stride), -(-w // stride), weight.shape[1]))
@@ -174,10 +172,7 @@ def test_it_tells_painted_shapes_apart(mini: MiniEncoder) -> None:
     y, x = np.mgrid[:80, :80] - 40
     disc = (x**2 + y**2 < 35**2)[..., None]
     shaded = disc * (1 - 0.3 * (x + y)[..., None] / 80)
-    images = [
-        np.clip(shaded * color, 0, 255).astype(np.uint8)
-        for color in ([235, 120, 25], [30, 80, 180])
-    ]
+    images = [np.clip(shaded * color, 0, 255).astype(np.uint8) for color in ([235, 120, 25], [30, 80, 180])]
     scores = mini.encode_images(images) @ mini.encode_texts(["orange thing", "blue thing"]).T
     assert scores.argmax(1).tolist() == [0, 1]
 
@@ -191,15 +186,11 @@ def test_what_is_said_of_a_thing_is_true() -> None:
         label = (name, COLORS[rng.integers(len(COLORS))], MATERIALS[rng.integers(len(MATERIALS))])
         assert (truth([label], [said_of(label, rng) for _ in range(40)]) == 1).all()
     for name in STRUCTURES:
-        assert (
-            truth([(name, "", "")], [said_of((name, "", ""), rng) for _ in range(40)]) == 1
-        ).all()
+        assert (truth([(name, "", "")], [said_of((name, "", ""), rng) for _ in range(40)]) == 1).all()
 
 
 def test_nobody_knows_the_colour_of_a_wall() -> None:
-    found = truth(
-        [("wall", "", "")], [("red", "wall"), ("red",), ("red", "mug"), ("wall",), ("wood",)]
-    )
+    found = truth([("wall", "", "")], [("red", "wall"), ("red",), ("red", "mug"), ("wall",), ("wood",)])
     assert_array_equal(found, [[np.nan, np.nan, 0, 1, np.nan]])
 
 

@@ -7,16 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.codes import (
-    PQ,
-    Code,
-    Codebook,
-    Mixture,
-    Smaller,
-    choose_code,
-    official_bytes,
-    train_codebook,
-)
+from drsplat.codes import PQ, Code, Codebook, Mixture, Smaller, choose_code, official_bytes, train_codebook
 from drsplat.codes.mixture import (
     MixtureCode,
     encode_mixture,
@@ -78,9 +69,7 @@ def test_rows_of_up_to_four_masks_are_kept() -> None:
     features = evidence().features(0, 900)[short]
     decoded = encode_mixture(evidence(), scene_atoms=0).decode(np.flatnonzero(short))
     assert short.sum() > 500
-    assert (
-        np.einsum("nd,nd->n", features, decoded).min() > 0.998
-    )  # of eight bits per number and weight
+    assert np.einsum("nd,nd->n", features, decoded).min() > 0.998  # of eight bits per number and weight
 
 
 def test_decoded_rows_have_unit_length_or_none() -> None:

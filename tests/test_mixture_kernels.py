@@ -70,7 +70,7 @@ def test_of_orthogonal_atoms_the_heaviest_are_chosen(isa: str) -> None:
     features = rng.random((50, 20)).astype(np.float32)
     everything = np.tile(np.arange(20, dtype=np.int32), 50)
     given = Candidates(np.arange(51) * 20, everything, np.empty((50, 0), np.int32))
-    ids, weights, scales = mixture_encode(features, quantised(np.eye(20, dtype=np.float32)), given, 5, isa=isa)  # fmt: skip
+    ids, weights, scales = mixture_encode(features, quantised(np.eye(20, dtype=np.float32)), given, 5, isa=isa)
     heaviest = np.argsort(-features, axis=1)[:, :5]
     assert_array_equal(ids, heaviest)
     chosen = np.take_along_axis(features, heaviest, axis=1)
@@ -88,9 +88,7 @@ def test_a_row_of_few_atoms_is_found_again(isa: str, dim: int) -> None:
     picked = np.stack([rng.choice(30, wanted, replace=False) for _ in range(60)])
     features = np.einsum("nk,nkd->nd", rng.uniform(0.3, 1, picked.shape), table[picked])
     features = (features / np.linalg.norm(features, axis=1, keepdims=True)).astype(np.float32)
-    given = Candidates(
-        np.arange(61) * wanted, picked.ravel().astype(np.int32), np.empty((60, 0), np.int32)
-    )
+    given = Candidates(np.arange(61) * wanted, picked.ravel().astype(np.int32), np.empty((60, 0), np.int32))
     found = mixture_encode(features, dictionary, given, wanted, isa=isa)
     assert cosines(decoded(found, dictionary), features).min() > 0.9999
     assert_allclose(np.linalg.norm(decoded(found, dictionary), axis=1), 1, atol=1e-5)
@@ -139,9 +137,7 @@ def test_rows_without_candidates_or_direction_are_zero() -> None:
     dictionary = quantised(unit_rows(rng, 5, 8))
     opposite = -reference_mixture.atoms(dictionary)[2:3].astype(np.float32)
     features = np.concatenate([unit_rows(rng, 1, 8), np.zeros((1, 8), np.float32), opposite])
-    given = Candidates(
-        np.array([0, 0, 3, 4]), np.array([0, 1, 2, 2], np.int32), np.empty((3, 0), np.int32)
-    )
+    given = Candidates(np.array([0, 0, 3, 4]), np.array([0, 1, 2, 2], np.int32), np.empty((3, 0), np.int32))
     ids, weights, scales = mixture_encode(features, dictionary, given, 4)
     assert not ids[:1].any()
     assert not weights.any()
@@ -356,4 +352,4 @@ def test_bad_arguments_are_refused() -> None:
     with pytest.raises(InputError, match="centres"):
         nearest_centres(features, np.empty((0, 48), np.float32))
     with pytest.raises(InputError, match="members"):
-        nearest_members(features, dictionary, np.array([0, 3], np.int32), np.zeros((3, 2), np.int32), 2)  # fmt: skip
+        nearest_members(features, dictionary, np.array([0, 3], np.int32), np.zeros((3, 2), np.int32), 2)

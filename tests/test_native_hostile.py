@@ -23,9 +23,7 @@ CALLS = quota(600)
 
 def in_own_process(code: str, seconds: float = 60) -> str:
     """What it prints; fails if it does not end by itself."""
-    ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=seconds, check=False
-    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=seconds, check=False)
     assert ended.returncode == 0, ended.stderr[-2000:]
     return ended.stdout
 
@@ -163,10 +161,7 @@ def test_what_a_scan_reads_is_held_until_its_end() -> None:
 
 def test_what_a_mixture_scan_reads_is_held_until_its_end() -> None:
     rng = np.random.default_rng(0)
-    ids, weights = (
-        rng.integers(0, 20, (3, 4, 64), np.uint16),
-        rng.integers(1, 256, (3, 4, 64), np.uint8),
-    )
+    ids, weights = (rng.integers(0, 20, (3, 4, 64), np.uint16), rng.integers(1, 256, (3, 4, 64), np.uint8))
     scales = rng.uniform(1, 2, 150).astype(np.float16).view(np.uint16)
     parts = ids, weights, scales, rng.integers(1, 100, (20, 6), np.int8), np.ones(20, np.float32)
     queries = rng.random((2, 6), np.float32)

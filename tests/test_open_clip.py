@@ -78,9 +78,7 @@ def as_open_clip(model: Any) -> dict[str, Any]:
                     ("mlp.c_proj", "mlp.fc2"),
                 ):
                     ours[f"{block}.{new}.{end}"] = theirs[f"{layer}.{old}.{end}"]
-    assert sum(tensor.numel() for tensor in ours.values()) == sum(
-        tensor.numel() for tensor in theirs.values()
-    )
+    assert sum(tensor.numel() for tensor in ours.values()) == sum(tensor.numel() for tensor in theirs.values())
     return {name: tensor.contiguous() for name, tensor in ours.items()}
 
 
@@ -205,14 +203,10 @@ def test_same_vectors_beside_config_json(direct: Path, renamed: Path) -> None:
     encoder = tiny(renamed)
     check_same(encoder, tiny(direct))
     assert encoder.identity.dim == 8
-    assert encoder.identity.weights == pretrained.weights_hash(
-        [renamed / "open_clip_model.safetensors"]
-    )
+    assert encoder.identity.weights == pretrained.weights_hash([renamed / "open_clip_model.safetensors"])
 
 
-def test_same_vectors_where_the_text_tower_has_a_prefix(
-    direct: Path, renamed: Path, tensors: dict[str, Any]
-) -> None:
+def test_same_vectors_where_the_text_tower_has_a_prefix(direct: Path, renamed: Path, tensors: dict[str, Any]) -> None:
     save(renamed, with_text_prefix(tensors))
     check_same(tiny(renamed), tiny(direct))
 
@@ -234,9 +228,7 @@ def test_other_heads_or_another_curve_are_other_models(pair: tuple[Path, Path], 
         assert np.abs(rows - tiny(pair[0]).encode_images(IMAGES)).max() > 1e-4
 
 
-def test_half_precision_weights_are_computed_in_single(
-    direct: Path, renamed: Path, tensors: dict[str, Any]
-) -> None:
+def test_half_precision_weights_are_computed_in_single(direct: Path, renamed: Path, tensors: dict[str, Any]) -> None:
     save(renamed, {name: tensor.half() for name, tensor in tensors.items()})
     encoder = tiny(renamed)
     assert {weight.dtype for weight in encoder._model.parameters()} == {torch.float32}
@@ -295,9 +287,7 @@ def test_tensors_left_over(name: str, direct: Path, tensors: dict[str, Any]) -> 
         open_clip.renamed(twice, config, "here")
 
 
-def test_what_is_wrong_is_said_when_the_model_is_asked_for(
-    renamed: Path, tensors: dict[str, Any]
-) -> None:
+def test_what_is_wrong_is_said_when_the_model_is_asked_for(renamed: Path, tensors: dict[str, Any]) -> None:
     save(renamed, {name: t for name, t in tensors.items() if name != "visual.proj"})
     with pytest.raises(FormatError, match=r"open_clip_model\.safetensors: lacks .*'visual\.proj'"):
         tiny(renamed)
@@ -314,9 +304,7 @@ def test_sizes_from_strangers_are_compared_before_they_are_made(own: Path) -> No
         ("vision_cfg", {"image_size": 10**12}, "visual.positional_embedding"),
     ):
         shutil.copy(own / "open_clip_config.json", own / "kept")
-        rewrite(
-            own / "open_clip_config.json", lambda d, t=tower, s=size: d["model_cfg"][t].update(s)
-        )
+        rewrite(own / "open_clip_config.json", lambda d, t=tower, s=size: d["model_cfg"][t].update(s))
         with pytest.raises(FormatError, match=re.escape(f"'{name}'")):
             tiny(own)
         shutil.move(own / "kept", own / "open_clip_config.json")
@@ -435,9 +423,7 @@ def test_preprocessing_that_is_refused(given: Any, kind: type, message: str, own
 
 
 def test_preprocessor_config_json_comes_first(own: Path) -> None:
-    rewrite(
-        own / "open_clip_config.json", lambda d: d.update(preprocess_cfg={"mean": [0.5, 0.5, 0.5]})
-    )
+    rewrite(own / "open_clip_config.json", lambda d: d.update(preprocess_cfg={"mean": [0.5, 0.5, 0.5]}))
     (own / "preprocessor_config.json").write_text(json.dumps({"image_mean": [0.25, 0.25, 0.25]}))
     assert "mean 0.25 0.25 0.25" in tiny(own).identity.preprocessing
 
@@ -460,17 +446,13 @@ def test_tokenizers_without_config_json(pair: tuple[Path, Path], own: Path) -> N
     assert_allclose(encoder.encode_texts(TEXTS), rows, atol=1e-6)
 
 
-def test_pickles_are_converted_by_the_command_that_is_given(
-    pair: tuple[Path, Path], own: Path
-) -> None:
+def test_pickles_are_converted_by_the_command_that_is_given(pair: tuple[Path, Path], own: Path) -> None:
     from safetensors.torch import load_file
 
     path = own / "open_clip_model.safetensors"
     torch.save(load_file(path), own / "open_clip_pytorch_model.bin")
     path.unlink()
-    with pytest.raises(
-        InputError, match=r"open_clip_pytorch_model\.bin.*Convert it once"
-    ) as caught:
+    with pytest.raises(InputError, match=r"open_clip_pytorch_model\.bin.*Convert it once") as caught:
         tiny(own)
     command = re.search(r'python -c "(.*)"', str(caught.value))
     assert command is not None

@@ -15,9 +15,7 @@ from drsplat.reference import loss as reference_loss
 every_isa = pytest.mark.parametrize("isa", available_isas())
 every_weight = pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
 SIZES = [(19, 23), (32, 16), (5, 40), (1, 1)]  # smaller than the window, too
-oracle = pytest.mark.skipif(
-    importlib.util.find_spec("torch") is None, reason="the oracle needs torch"
-)
+oracle = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="the oracle needs torch")
 
 
 def two_images(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

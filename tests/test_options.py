@@ -17,8 +17,20 @@ from drsplat.commands.options import LARGEST, MOST, finite, length, whole, words
 from toy_capture import write_toy_capture
 
 NO_NUMBERS = [
-    "", "-1", "1.5", "²", "１２", "1e3", "0x10", " 1", "+1", "2147483648", "99999999999999999999", "9" * 5000, "nan"
-]  # fmt: skip
+    "",
+    "-1",
+    "1.5",
+    "²",
+    "１２",
+    "1e3",
+    "0x10",
+    " 1",
+    "+1",
+    "2147483648",
+    "99999999999999999999",
+    "9" * 5000,
+    "nan",
+]
 NO_FLOATS = ["", "nan", "inf", "-inf", "1e39", "-1e999", "9" * 5000, "high", "²"]
 NUMBERS = ["0", "1", "2147483647", "3e38", "-3e38"]  # extreme, and of an option that takes them
 TEXTS = ["\ud800", "x\udc80", "\x1b[2J", "", "/dev/null", "9" * 5000]
@@ -96,27 +108,52 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
     field, scene, capture = (str(room / name) for name in ("room.field", "scene.ply", "capture"))
     asked = ["--scene", scene, "--views", capture]
     return {
-        "train": [capture, "-o", str(out / "model"), "--iterations", "1", "--overwrite", "--resolution", "32", "--max-gaussians", "50"],
+        "train": [
+            capture,
+            "-o",
+            str(out / "model"),
+            "--iterations",
+            "1",
+            "--overwrite",
+            "--resolution",
+            "32",
+            "--max-gaussians",
+            "50",
+        ],
         "inspect": [capture],
         "embed": [capture, "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", str(out / "lf")],
         "codebook": ["train", str(out / "none.npy"), "--encoder-name", "x", "-o", str(out / "b.safetensors")],
-        "register": [scene, capture, "--features", f"{capture}/language_features", "-o", str(out / "a.field"), "--overwrite"],
+        "register": [
+            scene,
+            capture,
+            "--features",
+            f"{capture}/language_features",
+            "-o",
+            str(out / "a.field"),
+            "--overwrite",
+        ],
         "select": [field, "red mug", *asked],
         "locate": [field, "red mug", *asked],
         "segment": [field, "--classes", "red mug,blue plate", *asked],
         "render": [scene, "--views", capture, "--view", "photo_0", "-o", str(out), "--overwrite"],
-        "view": [field, *asked, "--export", str(out / "page.html"), "--ask", "red mug", "--overwrite", "--words", "mug"],
+        "view": [
+            field,
+            *asked,
+            "--export",
+            str(out / "page.html"),
+            "--ask",
+            "red mug",
+            "--overwrite",
+            "--words",
+            "mug",
+        ],
         "evaluate": ["voxel", str(out), "--name", "x", "--scene", scene, "--field", field, "--report", str(out / "r")],
-    }[verb]  # fmt: skip
+    }[verb]
 
 
 @pytest.mark.parametrize("verb", [verb for verb in cli.VERBS if verb not in LASTING])
 def test_no_value_of_an_option_is_a_traceback(
-    verb: str,
-    room: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    verb: str, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
@@ -136,9 +173,7 @@ def test_no_value_of_an_option_is_a_traceback(
 @pytest.mark.parametrize("argv", [["inspect", "{room}/scene.ply"], ["inspect", "nowhere"]])
 @pytest.mark.parametrize("json", [[], ["--json"]])
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_a_full_disk_behind_stdout_is_one_line(
-    argv: list[str], json: list[str], room: Path
-) -> None:
+def test_a_full_disk_behind_stdout_is_one_line(argv: list[str], json: list[str], room: Path) -> None:
     command = [sys.executable, "-m", "drsplat", *(part.format(room=room) for part in argv), *json]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -149,13 +184,7 @@ def test_a_full_disk_behind_stdout_is_one_line(
 
 def test_arguments_that_are_no_text_are_refused(room: Path) -> None:
     """As bytes, which is how a shell hands them over."""
-    command = [
-        os.fsencode(sys.executable),
-        b"-m",
-        b"drsplat",
-        b"select",
-        os.fsencode(room / "room.field"),
-    ]
+    command = [os.fsencode(sys.executable), b"-m", b"drsplat", b"select", os.fsencode(room / "room.field")]
     done = subprocess.run([*command, b"red \x80"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "expected text in UTF-8, got 'red \\udc80'" in done.stderr

@@ -21,10 +21,7 @@ from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians
 
 missing = [name for name in ("torch", "gsplat") if importlib.util.find_spec(name) is None]
-pytestmark = [
-    pytest.mark.oracle,
-    pytest.mark.skipif(bool(missing), reason=f"the oracle needs {' and '.join(missing)}"),
-]
+pytestmark = [pytest.mark.oracle, pytest.mark.skipif(bool(missing), reason=f"the oracle needs {' and '.join(missing)}")]
 
 VIEWS = {
     "outside": look_at_view((0, -6, 1), width=160, height=112),
@@ -92,18 +89,13 @@ def test_covariances_agree(gsplat):
 def test_projections_agree(gsplat, name, seed):
     """Within twice the float32 error that the twin itself predicts, and closely in the median."""
     gaussians, view = random_gaussians(3000, seed), VIEWS[name]
-    theirs, ours = (
-        gsplat_projection(gsplat, gaussians, view),
-        project(splat_arrays(gaussians), view),
-    )
+    theirs, ours = (gsplat_projection(gsplat, gaussians, view), project(splat_arrays(gaussians), view))
     ids = ours.ids
     assert len(ids) > 1000
     assert (np.abs(theirs.depths[ids] - ours.depths) <= 2 * ours.depth_error).all()
     assert (np.abs(theirs.centers[ids] - ours.centers) <= 2 * ours.center_error).all()
 
-    shared = (
-        np.ones(len(ids), bool) if name != "off-centre" else in_both_clamps(gaussians, view)[ids]
-    )
+    shared = np.ones(len(ids), bool) if name != "off-centre" else in_both_clamps(gaussians, view)[ids]
     assert shared.sum() > 1000
     error, size = relative_conic_errors(theirs.conics[ids], ours.conics)
     predicted = (ours.covariance_error * size + 1e-6) * ours.cancellation
@@ -120,10 +112,7 @@ def relative_conic_errors(theirs: np.ndarray, ours: np.ndarray) -> tuple[np.ndar
 def test_the_clamps_agree_far_outside_the_image(gsplat):
     gaussians = random_gaussians(3000, 2, extent=8.0)
     view = VIEWS["inside"]
-    ours, theirs = (
-        project(splat_arrays(gaussians), view),
-        gsplat_projection(gsplat, gaussians, view),
-    )
+    ours, theirs = (project(splat_arrays(gaussians), view), gsplat_projection(gsplat, gaussians, view))
     outside = ~in_both_clamps(gaussians, view)[ours.ids]
     assert outside.sum() > 300
     error, _ = relative_conic_errors(theirs.conics[ours.ids], ours.conics)

@@ -50,19 +50,11 @@ def test_distortion_by_hand():
 
 
 @settings(deadline=None, derandomize=True, max_examples=100)
-@given(
-    st.tuples(*[st.floats(-0.08, 0.08)] * 2, *[st.floats(-0.005, 0.005)] * 2),
-    st.floats(0, 200),
-    st.floats(0, 150),
-)
+@given(st.tuples(*[st.floats(-0.08, 0.08)] * 2, *[st.floats(-0.005, 0.005)] * 2), st.floats(0, 200), st.floats(0, 150))
 def test_undistort_inverts_distort(distortion, x, y):
     view, pixel = camera(distortion), np.array([[x, y]])
-    np.testing.assert_allclose(
-        distort_points(view, undistort_points(view, pixel)), pixel, atol=1e-6
-    )
-    np.testing.assert_allclose(
-        undistort_points(view, distort_points(view, pixel)), pixel, atol=1e-6
-    )
+    np.testing.assert_allclose(distort_points(view, undistort_points(view, pixel)), pixel, atol=1e-6)
+    np.testing.assert_allclose(undistort_points(view, distort_points(view, pixel)), pixel, atol=1e-6)
 
 
 @pytest.mark.parametrize("k1", [-0.3, -1.0])
@@ -82,13 +74,7 @@ def test_beyond_the_fold_there_is_no_light(k1):
 
 @pytest.mark.parametrize(
     ("k1", "k2", "expected"),
-    [
-        (0.1, 0.0, np.inf),
-        (0.0, 0.0, np.inf),
-        (0.0, -0.2, 1.0),
-        (-1.0, 0.25, 0.4),
-        (-0.1, 0.5, np.inf),
-    ],
+    [(0.1, 0.0, np.inf), (0.0, 0.0, np.inf), (0.0, -0.2, 1.0), (-1.0, 0.25, 0.4), (-0.1, 0.5, np.inf)],
 )
 def test_fold_radius(k1, k2, expected):
     s = fold_radius2((k1, k2, 0.0, 0.0))
@@ -182,9 +168,7 @@ def test_label_maps_have_their_own_raster():
     """A checkerboard of half the size, undistorted as it is and at full size, agrees."""
     view, half = camera(), np.add.outer(np.arange(75) // 15, np.arange(100) // 20).astype(np.int32)
     full = np.kron(half, np.ones((2, 2), np.int32))
-    agreement = np.kron(undistort_ids(view, half), np.ones((2, 2), np.int32)) == undistort_ids(
-        view, full
-    )
+    agreement = np.kron(undistort_ids(view, half), np.ones((2, 2), np.int32)) == undistort_ids(view, full)
     assert agreement.mean() > 0.95
 
 
@@ -270,9 +254,7 @@ def test_the_plush_photos():
     corner = distort_points(view, np.array([[0.5, 0.5]])) - 0.5
     x, y = (0.5 - 504) / 819.228928244, (0.5 - 378) / 819.228928244
     factor = 1 + 0.032123238578 * (x * x + y * y)
-    np.testing.assert_allclose(
-        corner[0], [504 + (0.5 - 504) * factor - 0.5, 378 + (0.5 - 378) * factor - 0.5]
-    )
+    np.testing.assert_allclose(corner[0], [504 + (0.5 - 504) * factor - 0.5, 378 + (0.5 - 378) * factor - 0.5])
     grid = np.stack(np.meshgrid(np.arange(0, 1008, 31.0), np.arange(0, 756, 31.0)), -1)
     again = distort_points(view, undistort_points(view, grid))
     assert np.abs(again - grid).max() < 1e-3

@@ -51,8 +51,12 @@ def test_scans_are_counted() -> None:
 
 def test_small_jpegs_may_have_more_scans() -> None:
     assert [most_scans(n) for n in (1, 10_000, 1 << 19, 1 << 20, 16_000_000)] == [
-        MORE_SCANS, MORE_SCANS, 2 * MOST_SCANS, MOST_SCANS, MOST_SCANS,
-    ]  # fmt: skip
+        MORE_SCANS,
+        MORE_SCANS,
+        2 * MOST_SCANS,
+        MOST_SCANS,
+        MOST_SCANS,
+    ]
 
 
 def test_a_jpeg_of_many_scans_is_refused_wherever_it_is_opened(tmp_path: Path) -> None:
@@ -85,7 +89,16 @@ def test_a_bitmap_of_runs_is_refused() -> None:
 def tiled(side: int) -> bytes:
     """A TIFF of one pixel in one tile."""
     body = zlib.compress(bytes(side * side))
-    tags = [(256, 3, 1), (257, 3, 1), (258, 3, 8), (259, 3, 8), (262, 3, 1), (277, 3, 1), (322, 4, side), (323, 4, side)]  # fmt: skip
+    tags = [
+        (256, 3, 1),
+        (257, 3, 1),
+        (258, 3, 8),
+        (259, 3, 8),
+        (262, 3, 1),
+        (277, 3, 1),
+        (322, 4, side),
+        (323, 4, side),
+    ]
     end = 8 + 2 + 12 * (len(tags) + 2) + 4
     tags += [(324, 4, end), (325, 4, len(body))]
     entries = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)

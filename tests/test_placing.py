@@ -41,9 +41,7 @@ def scaled(gaussians: Gaussians, views: list[View], by: float) -> tuple[Gaussian
     poses = [view.cam_from_world.copy() for view in views]
     for pose in poses:
         pose[:3, 3] *= by
-    return small, [
-        replace(view, cam_from_world=pose) for view, pose in zip(views, poses, strict=True)
-    ]
+    return small, [replace(view, cam_from_world=pose) for view, pose in zip(views, poses, strict=True)]
 
 
 def moved(views: list[View], by: np.ndarray) -> list[View]:
@@ -186,9 +184,7 @@ def test_the_fingerprint_does_not_depend_on_the_origin(gaussians) -> None:
 def test_single_positions_far_away_are_warned_of_with_the_number(gaussians, tmp_path) -> None:
     far = (gaussians.means + FAR).astype(np.float32)
     ds.write_gaussians(tmp_path / "a.ply", replace(gaussians, means=far))
-    with pytest.warns(
-        DrSplatWarning, match=r"5\.4e\+06 units from zero.*to 0\.25 units.*as double"
-    ):
+    with pytest.warns(DrSplatWarning, match=r"5\.4e\+06 units from zero.*to 0\.25 units.*as double"):
         read = ds.read_gaussians(tmp_path / "a.ply")
     assert read.fingerprint == replace(gaussians, means=far).fingerprint
     with warnings.catch_warnings():
@@ -245,9 +241,7 @@ def test_a_small_capture_on_a_map_trains_as_one_about_zero(tmp_path: Path) -> No
     points = perturbed_points(known_scene())
     few = TrainingSettings(iterations=3, sh_degree=0)
     near = train(views, few, points=points, threads=1)
-    far = train(
-        moved(views, FAR), few, tmp_path / "model", points=points.moved(FAR), threads=1
-    ).gaussians
+    far = train(moved(views, FAR), few, tmp_path / "model", points=points.moved(FAR), threads=1).gaussians
     assert_allclose(far.positions, near.gaussians.means + FAR, atol=2e-3)
     assert_allclose(far.opacities, near.gaussians.opacities, atol=1e-3)
     stored = ds.read_gaussians(tmp_path / "model")

@@ -55,9 +55,7 @@ def test_a_query_in_words_and_its_vector_have_the_same_scores(room: Scene) -> No
     same = room.ask(Query(vector=vector("red vase") * 4))
     np.testing.assert_array_equal(words.scores, same.scores)
     assert (words.rule, same.rule) == ("list", "auto")
-    np.testing.assert_array_equal(
-        words.gaussian_ids, room.field.gaussian_ids[words.values > words.threshold]
-    )
+    np.testing.assert_array_equal(words.gaussian_ids, room.field.gaussian_ids[words.values > words.threshold])
 
 
 def test_a_point_a_gaussian_and_a_click_mean_the_thing_that_is_there(
@@ -70,9 +68,7 @@ def test_a_point_a_gaussian_and_a_click_mean_the_thing_that_is_there(
     view = room.best_view(vase.gaussian_ids)
     seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
     click = (view.name, float(seen[0] / seen[2]), float(seen[1] / seen[2]))
-    np.testing.assert_array_equal(
-        room.feature_of(click), feature_at(room.field, room.gaussians, view, click[1:])
-    )
+    np.testing.assert_array_equal(room.feature_of(click), feature_at(room.field, room.gaussians, view, click[1:]))
     nearest = room.nearest(centers["red vase"])
     for place in (centers["red vase"], click, nearest):
         assert room.what_is(place)[0].text == "red vase"
@@ -108,15 +104,11 @@ def test_classes_are_those_that_are_there(room: Scene) -> None:
             room.segment(bad)
 
 
-def test_a_region_is_what_lies_in_it(
-    room: Scene, centers: dict[str, tuple[float, float, float]]
-) -> None:
+def test_a_region_is_what_lies_in_it(room: Scene, centers: dict[str, tuple[float, float, float]]) -> None:
     found = region(room, centers["red vase"], 0.2)
     assert found[0].name == "red vase"
     assert sum(one.share for one in found) <= 1 + 1e-9
-    assert [one.num_gaussians for one in found] == sorted(
-        (one.num_gaussians for one in found), reverse=True
-    )
+    assert [one.num_gaussians for one in found] == sorted((one.num_gaussians for one in found), reverse=True)
     larger = {one.name for one in region(room, centers["red vase"], 0.6)}
     assert {"table", "red vase"} <= larger
     with pytest.raises(InputError, match="positive radius"):

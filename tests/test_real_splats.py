@@ -16,10 +16,7 @@ UP = np.array([0.0, -1.0, 0.0])
 
 THRESHOLD = 0.5
 
-pytestmark = [
-    pytest.mark.data,
-    pytest.mark.skipif(not SPLATS.is_dir(), reason="the shared real splats are not here"),
-]
+pytestmark = [pytest.mark.data, pytest.mark.skipif(not SPLATS.is_dir(), reason="the shared real splats are not here")]
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +102,7 @@ def test_what_is_found_has_the_colour_that_was_asked_for(
 
 
 @pytest.mark.parametrize("colour", ["green", "blue", "red"])
-def test_a_colour_that_is_not_there_is_not_found(
-    guitar: ds.Gaussians, field: ds.LanguageField, colour: str
-) -> None:
+def test_a_colour_that_is_not_there_is_not_found(guitar: ds.Gaussians, field: ds.LanguageField, colour: str) -> None:
     scores = ask(field, colour)
     assert (scores > THRESHOLD).sum() < 0.001 * len(guitar)
 

@@ -109,13 +109,7 @@ def test_opaque_layers_stop_the_ray():
 
 @pytest.mark.parametrize(
     ("depth", "opacity", "visible"),
-    [
-        (0.199, 0.9, False),
-        (0.201, 0.9, True),
-        (-3, 0.9, False),
-        (3, 0.0039, False),
-        (3, 0.004, True),
-    ],
+    [(0.199, 0.9, False), (0.201, 0.9, True), (-3, 0.9, False), (3, 0.0039, False), (3, 0.004, True)],
 )
 def test_what_is_near_or_faint_is_culled(depth, opacity, visible):
     image = weight_images(arrays_of([[0, 0, depth]], [opacity], 0.01), on_axis_view())[0]
@@ -301,9 +295,7 @@ def test_sh_degree_0_and_1():
     expected = np.maximum(0, 0.5 + flat * np.array([0.1, 0.2, -9]) + slope[:, None])
     assert_allclose(reference.sh_colors(sh, means, center), expected, rtol=1e-12)
     assert_allclose(
-        reference.sh_colors(sh[:, :1], means, np.zeros(3))[0],
-        [0.5 + 0.1 * flat, 0.5 + 0.2 * flat, 0],
-        rtol=1e-12,
+        reference.sh_colors(sh[:, :1], means, np.zeros(3))[0], [0.5 + 0.1 * flat, 0.5 + 0.2 * flat, 0], rtol=1e-12
     )
 
 
@@ -369,9 +361,7 @@ def test_moving_scene_and_camera_together_changes_nothing(seed):
 def test_the_unit_of_length_changes_nothing(seed, unit):
     scene, pose = exact_scene(seed), VIEW.cam_from_world.copy()
     pose[:3, 3] *= unit
-    scaled = ExactSplats(
-        scene.means * unit, scene.covariances * unit**2, scene.opacities, scene.near * unit
-    )
+    scaled = ExactSplats(scene.means * unit, scene.covariances * unit**2, scene.opacities, scene.near * unit)
     assert_same_weights(scene, VIEW, scaled, replace(VIEW, cam_from_world=pose))
 
 

@@ -72,9 +72,7 @@ def test_columns_are_those_of_the_twin(gaussians, registration):
     views, features = capture()
     dense = registration.weights.toarray()
     for i, view in enumerate(views):
-        twin = reference.view_weights(
-            splat_arrays(gaussians), view, features[f"{i:03d}"].mask_ids, 10
-        )
+        twin = reference.view_weights(splat_arrays(gaussians), view, features[f"{i:03d}"].mask_ids, 10)
         expected = np.zeros((len(gaussians), 5))
         expected[twin.gaussian_ids, twin.mask_ids] = twin.weights
         ours = dense[:, registration.masks.views == i]
@@ -86,9 +84,7 @@ def test_the_feature_is_the_normalised_weighted_mean(registration):
     norms = np.linalg.norm(expected, axis=1, keepdims=True)
     seen = norms[:, 0] > 0
     ours = registration.evidence.features(0, len(seen))
-    np.testing.assert_allclose(
-        ours[seen], (expected / np.where(norms > 0, norms, 1))[seen], atol=2e-6
-    )
+    np.testing.assert_allclose(ours[seen], (expected / np.where(norms > 0, norms, 1))[seen], atol=2e-6)
     assert not ours[~seen].any()
     assert registration.num_registered == seen.sum()
 
@@ -97,9 +93,7 @@ def test_the_feature_is_the_normalised_weighted_mean(registration):
 @given(st.permutations(range(4)), st.sampled_from([1, 2, 3]))
 def test_neither_the_order_of_views_nor_the_number_of_threads_matters(order, threads):
     gaussians, (views, features) = random_gaussians(400, seed=3), capture()
-    shuffled = register(
-        gaussians, [views[i] for i in order], features, sampling=Sampling(10), threads=threads
-    )
+    shuffled = register(gaussians, [views[i] for i in order], features, sampling=Sampling(10), threads=threads)
     assert same(shuffled, register(gaussians, views, features, sampling=Sampling(10)))
 
 
@@ -111,14 +105,10 @@ def test_merged_shards_are_one_pass(first):
         register(gaussians, [views[i] for i in part], features, sampling=Sampling(10))
         for part in (sorted(first), sorted(set(range(4)) - first))
     ]
-    assert same(
-        shards[0].merged(shards[1]), register(gaussians, views, features, sampling=Sampling(10))
-    )
+    assert same(shards[0].merged(shards[1]), register(gaussians, views, features, sampling=Sampling(10)))
 
 
-def test_a_second_run_computes_nothing_and_a_damaged_part_again(
-    tmp_path: Path, gaussians, registration
-):
+def test_a_second_run_computes_nothing_and_a_damaged_part_again(tmp_path: Path, gaussians, registration):
     views, features = capture()
     first = register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path)
     parts = sorted(tmp_path.iterdir())
@@ -135,10 +125,7 @@ def test_a_second_run_computes_nothing_and_a_damaged_part_again(
         bad = bytearray(good)
         bad[at] ^= 1
         parts[1].write_bytes(bad)
-        assert same(
-            register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path),
-            registration,
-        )
+        assert same(register(gaussians, views, features, sampling=Sampling(10), parts=tmp_path), registration)
         assert parts[1].read_bytes() == good
 
 
@@ -169,10 +156,7 @@ def test_another_encoder_needs_no_photo(gaussians, registration):
     fresh = register(
         gaussians,
         views,
-        {
-            k: ViewFeatures(f.mask_ids, unit_rows(5, 100 + i, 16))
-            for i, (k, f) in enumerate(features.items())
-        },
+        {k: ViewFeatures(f.mask_ids, unit_rows(5, 100 + i, 16)) for i, (k, f) in enumerate(features.items())},
         sampling=Sampling(10),
     )
     assert same(swapped, fresh)
@@ -186,9 +170,7 @@ def test_a_field_gives_its_registration_back(registration):
     back = Registration.from_field(field)
     assert same(back, registration)
     assert len(field) == registration.num_registered
-    bare = type(field)(
-        *(getattr(field, n) for n in ("gaussian_ids", "code", "encoder", "scene", "num_gaussians"))
-    )
+    bare = type(field)(*(getattr(field, n) for n in ("gaussian_ids", "code", "encoder", "scene", "num_gaussians")))
     with pytest.raises(InputError, match="no evidence"):
         Registration.from_field(bare)
 
@@ -219,9 +201,7 @@ def test_views_without_features_are_named(gaussians):
 
 def test_what_does_not_belong_together_is_refused(gaussians, registration):
     views, features = capture(2)
-    with pytest.raises(
-        InputError, match=r"views are named like '000\.png', features like 'elsewhere'"
-    ):
+    with pytest.raises(InputError, match=r"views are named like '000\.png', features like 'elsewhere'"):
         register(gaussians, views, {"elsewhere": features["000"]})
     mixed = features | {"001": ViewFeatures(features["001"].mask_ids, unit_rows(5, 0, 8))}
     with pytest.raises(InputError, match=r"different sizes: 32 .*8 "):
@@ -246,10 +226,7 @@ def test_each_stage_that_takes_long_can_be_followed(gaussians):
     field = followed.to_field(track=follow)
     assert told.keys() == {"registering views", "training the codebook", "coding Gaussians"}
     assert told["registering views"] == 4
-    assert (
-        field.fingerprint
-        == register(gaussians, views, features, sampling=Sampling(20)).to_field().fingerprint
-    )
+    assert field.fingerprint == register(gaussians, views, features, sampling=Sampling(20)).to_field().fingerprint
 
 
 def test_two_views_may_not_share_features(gaussians):

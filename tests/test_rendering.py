@@ -19,15 +19,11 @@ def test_a_part_is_rendered_as_if_the_rest_did_not_exist():
         part = render(scene, VIEW, select=select)
         assert np.array_equal(part.rgb, alone.rgb)
         assert np.array_equal(part.alpha, alone.alpha)
-    assert np.array_equal(
-        render(scene, VIEW, splats=splat_arrays(scene)).rgb, render(scene, VIEW).rgb
-    )
+    assert np.array_equal(render(scene, VIEW, splats=splat_arrays(scene)).rgb, render(scene, VIEW).rgb)
 
 
 def test_nothing_shows_the_background():
-    picture = render(
-        random_gaussians(10), VIEW, select=np.zeros(10, bool), background=(0.1, 0.2, 0.3)
-    )
+    picture = render(random_gaussians(10), VIEW, select=np.zeros(10, bool), background=(0.1, 0.2, 0.3))
     assert np.allclose(picture.rgb, [0.1, 0.2, 0.3])
     assert not picture.alpha.any()
     assert not picture.depth.any()

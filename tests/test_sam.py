@@ -16,22 +16,14 @@ from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraEr
 from drsplat.masks.masks import LEVELS, Segmenter, cut_masks
 from drsplat.masks.selection import mask_maps
 from drsplat.models import sam
-from drsplat.models.mask_geometry import (
-    box_nms,
-    crop_boxes,
-    cut_by_crop,
-    point_grid,
-    without_small_regions,
-)
+from drsplat.models.mask_geometry import box_nms, crop_boxes, cut_by_crop, point_grid, without_small_regions
 from drsplat.models.point_masks import Found, PointMaskSettings, PointSegmenter
 
 # --- where points are asked, which boxes and regions stay -----------------------------------------
 
 
 def test_points_are_the_middles_of_cells_row_by_row():
-    np.testing.assert_allclose(
-        point_grid(2), [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]]
-    )
+    np.testing.assert_allclose(point_grid(2), [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
 
 
 def test_crops_of_a_known_image():
@@ -65,16 +57,10 @@ def test_masks_at_the_edge_of_a_crop_but_not_of_the_image_are_cut():
     assert not cut_by_crop((0, 0, 500, 400), (0, 0, 500, 400), size)
 
 
-@given(
-    st.lists(st.tuples(*[st.integers(0, 9)] * 4), max_size=12),
-    st.data(),
-    st.sampled_from([0.3, 0.5, 0.7, 1.0]),
-)
+@given(st.lists(st.tuples(*[st.integers(0, 9)] * 4), max_size=12), st.data(), st.sampled_from([0.3, 0.5, 0.7, 1.0]))
 def test_box_nms_is_that_of_a_plain_loop(drawn, data, max_iou):
     boxes = [(x, y, x + w + 1, y + h + 1) for x, y, w, h in drawn]
-    scores = data.draw(
-        st.lists(st.sampled_from([0.1, 0.5, 0.9]), min_size=len(boxes), max_size=len(boxes))
-    )
+    scores = data.draw(st.lists(st.sampled_from([0.1, 0.5, 0.9]), min_size=len(boxes), max_size=len(boxes)))
 
     def iou(a, b):
         across = max(0, min(a[2], b[2]) - max(a[0], b[0]) - 1)
@@ -122,9 +108,7 @@ def test_small_holes_are_filled_and_small_islands_removed(mask, limit):
         for place in island if len(island) < limit and island is not largest else ():
             expected[place] = False
     cut = cut_masks(mask[None], np.ones(1, np.float32))
-    box, part, changed = without_small_regions(
-        tuple(int(x) for x in cut.boxes[0]), cut.parts[0], mask.shape, limit
-    )
+    box, part, changed = without_small_regions(tuple(int(x) for x in cut.boxes[0]), cut.parts[0], mask.shape, limit)
     result = np.zeros_like(mask)
     result[box[1] : box[3], box[0] : box[2]] = part
     np.testing.assert_array_equal(result, expected)
@@ -156,9 +140,7 @@ class Drawn:
                 ], bool,
             ).reshape(-1, *crop.shape[:2])  # fmt: skip
             scores = np.array(self.scores[: len(inside)], np.float32)
-            yield Found(
-                masks, scores, np.full(len(inside), 0.95, np.float32), np.arange(len(inside))
-            )
+            yield Found(masks, scores, np.full(len(inside), 0.95, np.float32), np.arange(len(inside)))
 
 
 def placed(height: int, width: int) -> np.ndarray:
@@ -217,9 +199,7 @@ def test_answers_below_the_thresholds_are_dropped():
 def test_crops_are_asked_and_their_masks_put_in_place():
     """A thing between the points of the whole image, which those of a crop hit."""
     small = (52, 32, 61, 44)
-    assert not any(
-        small[0] <= x < small[2] and small[1] <= y < small[3] for x, y in point_grid(8) * (200, 120)
-    )
+    assert not any(small[0] <= x < small[2] and small[1] <= y < small[3] for x, y in point_grid(8) * (200, 120))
     predictor = Drawn(small)
     settings = replace(NO_CROPS, crop_layers=1, min_region=0)
     levels = PointSegmenter(predictor, settings).segment(placed(120, 200))
@@ -248,9 +228,7 @@ def test_masks_are_painted_from_sure_to_unsure():
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (50, 1), (2, 3)])
 def test_images_of_few_pixels(size):
-    levels = PointSegmenter(Drawn((0, 0, 99, 99)), PointMaskSettings(points_per_side=2)).segment(
-        placed(*size)
-    )
+    levels = PointSegmenter(Drawn((0, 0, 99, 99)), PointMaskSettings(points_per_side=2)).segment(placed(*size))
     assert boxes_of(levels)["large"] == [(0, 0, size[1], size[0])]
 
 
@@ -292,9 +270,7 @@ def test_pixels_are_normalised_and_the_rest_is_zero(image):
     """Images that need no scaling, value by value."""
     values = FRAMES[0].pixel_values(image)
     height = len(image)
-    for c, (mean, std) in enumerate(
-        zip((123.675, 116.28, 103.53), (58.395, 57.12, 57.375), strict=True)
-    ):
+    for c, (mean, std) in enumerate(zip((123.675, 116.28, 103.53), (58.395, 57.12, 57.375), strict=True)):
         expected = (image[..., c].astype(np.float64) - mean) / std
         np.testing.assert_allclose(values[c, :height], expected, rtol=1e-5, atol=1e-6)
         assert (values[c, height:] == 0).all()
@@ -437,9 +413,7 @@ def test_equal_identity_means_equal_masks(folder, library, tmp_path):
     again = sam.load_segmenter(str(folder), "cpu", LOOSE)
     assert segmenter.identity == again.identity
     json.dumps(segmenter.identity)
-    for one, two in zip(
-        segmenter.segment(IMAGE).values(), again.segment(IMAGE).values(), strict=True
-    ):
+    for one, two in zip(segmenter.segment(IMAGE).values(), again.segment(IMAGE).values(), strict=True):
         np.testing.assert_array_equal(one.boxes, two.boxes)
         np.testing.assert_array_equal(one.scores, two.scores)
     kind = "sam2" if segmenter.predictor.frame.stretched else "sam"
@@ -486,9 +460,7 @@ def test_answers_are_those_of_the_bare_model(folder, library):
     pixels = torch.tensor(pixels / np.array([0.229, 0.224, 0.225])[:, None, None]).float()[None]
     for i, point in enumerate(points):
         with torch.no_grad():
-            answer = model(
-                pixel_values=pixels, input_points=torch.tensor(point).float()[None, None, None]
-            )
+            answer = model(pixel_values=pixels, input_points=torch.tensor(point).float()[None, None, None])
         logits = torch.nn.functional.interpolate(answer.pred_masks[0], (64, 64), mode="bilinear")
         np.testing.assert_allclose(scores[3 * i : 3 * i + 3], answer.iou_scores[0, 0], atol=1e-4)
         differ = masks[3 * i : 3 * i + 3] != (logits[0] > 0).numpy()

@@ -28,9 +28,7 @@ every_isa = pytest.mark.parametrize("isa", available_isas())
 HYBRID = Scanning(error=2e-3, wide=16)
 
 
-def drawn(
-    seed: int, count: int, subvectors: int, queries: int = 1, coarse: int = 0
-) -> tuple[GroupedRows, QueryTables]:
+def drawn(seed: int, count: int, subvectors: int, queries: int = 1, coarse: int = 0) -> tuple[GroupedRows, QueryTables]:
     """Rows and tables of cosines: a table's range falls with the number of sub-vectors."""
     rng = np.random.default_rng(seed)
     codes = rng.integers(0, 256, (count, subvectors), np.uint8)
@@ -39,10 +37,7 @@ def drawn(
     luts *= rng.gamma(2.0, 0.5, (queries, subvectors, 1))
     ids = rng.integers(0, coarse, count).astype(np.uint16) if coarse else None
     terms = rng.normal(size=(queries, coarse)).astype(np.float32) if coarse else None
-    return (
-        GroupedRows(group_codes(codes), norms, ids),
-        QueryTables(luts.astype(np.float32), terms),
-    )
+    return (GroupedRows(group_codes(codes), norms, ids), QueryTables(luts.astype(np.float32), terms))
 
 
 def test_groups_hold_the_rows_and_zeros_after_them() -> None:
@@ -95,9 +90,7 @@ def test_any_number_of_rows(isa: str, count: int) -> None:
         found, theirs = scan_top(rows, one, 11, how)
         assert_array_equal(found, reference_scan.top(scores[0], 11))
         assert_array_equal(theirs, scores[0, found])
-    for given_, expected in zip(
-        scan_best(rows, tables, how), reference_scan.best(scores), strict=True
-    ):
+    for given_, expected in zip(scan_best(rows, tables, how), reference_scan.best(scores), strict=True):
         assert_array_equal(given_, expected)
 
 
@@ -191,9 +184,7 @@ def test_several_python_threads_at_once(isa: str) -> None:
     alone = [scan_scores(*each, Scanning(isa=isa)) for each in asked]
     with ThreadPoolExecutor(8) as pool:
         for _ in range(3):
-            together = pool.map(
-                lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked
-            )
+            together = pool.map(lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked)
             for a, b in zip(alone, together, strict=True):
                 assert_array_equal(a, b)
 

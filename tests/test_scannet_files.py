@@ -64,9 +64,7 @@ def test_files_are_read(scene: Path) -> None:
     assert_array_equal(cloud.labels, [1, 2, 5, 0, 5, 40])
     assert_array_equal(cloud.positions, np.arange(18).reshape(6, 3))
     assert_array_equal(read_scannet_points(scene / "points3d.ply"), cloud.positions)
-    instances = read_scannet_instances(
-        scene_file(scene, ".segs.json"), scene_file(scene, ".aggregation.json")
-    )
+    instances = read_scannet_instances(scene_file(scene, ".segs.json"), scene_file(scene, ".aggregation.json"))
     assert_array_equal(instances.objects, [-1, -1, 0, 1, 0, 1])
     check_vertices(cloud, instances, "here")
     table = read_label_table(scene / "scannetv2-labels.combined.tsv")
@@ -115,9 +113,7 @@ def test_wrong_instances_are_named(ending: str, content: str, message: str, scen
     path = scene_file(scene, ending)
     path.write_text(content)
     with pytest.raises(FormatError, match=message) as error:
-        read_scannet_instances(
-            scene_file(scene, ".segs.json"), scene_file(scene, ".aggregation.json")
-        )
+        read_scannet_instances(scene_file(scene, ".segs.json"), scene_file(scene, ".aggregation.json"))
     assert path.name in str(error.value)
 
 

@@ -14,12 +14,7 @@ from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import metrics, reference, scannet_points, scannet_volume, voxel
 from drsplat.evaluation.label_sets import LabelSet
 from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest
-from drsplat.evaluation.scannet import (
-    ScannetScene,
-    read_nyu40_scene,
-    read_raw_category_scene,
-    scores_path,
-)
+from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
 from drsplat.evaluation.scorers import Scorer
 from drsplat.evaluation.thresholds import best_sweep, sweep_weighted_ious
 from drsplat.formats.npy import write_npy
@@ -81,9 +76,7 @@ def test_scene_is_read(scene: ScannetScene) -> None:
     expected = random_points(3000, 4, 0).labels
     assert_array_equal(scene.points.labels, expected)
     assert set(np.unique(scene.pseudo_labels)) == {0, 1, 2, 3}
-    assert_allclose(
-        scene.significance, scene.gaussians.scales.prod(1) * scene.gaussians.opacities, rtol=1e-5
-    )
+    assert_allclose(scene.significance, scene.gaussians.scales.prod(1) * scene.gaussians.opacities, rtol=1e-5)
 
 
 def test_raw_categories_are_classes_too(tmp_path: Path) -> None:
@@ -91,9 +84,7 @@ def test_raw_categories_are_classes_too(tmp_path: Path) -> None:
     of_200 = LabelSet("200", (1, 5), ("wall", "office chair"), ("wall", "office chair"))
     raw = read_raw_category_scene(place, of_200, gaussians)
     labels = random_points(3000, 4, 0).labels
-    assert_array_equal(
-        raw.points.labels, np.array([0, 1, 2, 0])[labels]
-    )  # a table is not asked for
+    assert_array_equal(raw.points.labels, np.array([0, 1, 2, 0])[labels])  # a table is not asked for
 
 
 PERFECT_LOCATION = {"miou": 1.0, "iou>0.15": 1.0, "iou>0.30": 1.0, "iou>0.45": 1.0}
@@ -137,9 +128,7 @@ def test_segmentation_is_eq_3(scene: ScannetScene, tmp_path: Path) -> None:
     found = np.load(tmp_path / scene.name / "labels.npy")
     counted = scene.pseudo_labels > 0
     for number, name in enumerate(LABELS.names, 1):
-        expected = metrics.weighted_iou(
-            (found == number) & counted, scene.pseudo_labels == number, scene.significance
-        )
+        expected = metrics.weighted_iou((found == number) & counted, scene.pseudo_labels == number, scene.significance)
         assert record["classes"][name]["iou"] == pytest.approx(expected)
     plain = scannet_volume.segmentation(scene, tmp_path, weighted=False)
     assert plain["miou"] != pytest.approx(record["miou"], abs=1e-3)
@@ -167,20 +156,14 @@ def test_splitting_gaussians_changes_nothing(copies: int) -> None:
 
 
 def small_scene(seed: int) -> ScannetScene:
-    return ScannetScene(
-        "small", random_points(3000, 4, seed), LABELS, random_gaussians(COUNT, seed, size=0.3)
-    )
+    return ScannetScene("small", random_points(3000, 4, seed), LABELS, random_gaussians(COUNT, seed, size=0.3))
 
 
 def test_scale_of_the_scene_changes_nothing() -> None:
     scene = small_scene(2)
     there = replace(
         scene,
-        gaussians=replace(
-            scene.gaussians,
-            means=4 * scene.gaussians.means,
-            scales=4 * scene.gaussians.scales,
-        ),
+        gaussians=replace(scene.gaussians, means=4 * scene.gaussians.means, scales=4 * scene.gaussians.scales),
         points=scene.points._replace(positions=4 * scene.points.positions),
     )
     assert_array_equal(scene.pseudo_labels, there.pseudo_labels)
@@ -221,12 +204,8 @@ def test_the_automatic_column_is_what_is_answered(scene: ScannetScene, tmp_path:
     def scores(text: str) -> np.ndarray:
         return np.where(truth == number[text], 0, 1).astype(np.float32)
 
-    scorer = Scorer(
-        "answers", len(truth), scores, 0.5, (), answer=lambda text: (1 - scores(text), 0.25)
-    )
-    scannet_volume.predict(
-        scene, scorer, tmp_path, choosers={AUTOMATIC: (lambda known: 0.5, "from the scores")}
-    )
+    scorer = Scorer("answers", len(truth), scores, 0.5, (), answer=lambda text: (1 - scores(text), 0.25))
+    scannet_volume.predict(scene, scorer, tmp_path, choosers={AUTOMATIC: (lambda known: 0.5, "from the scores")})
     found = scannet_volume.score([scene], tmp_path)["localization"]
     assert found[FIXED]["scene_macro"]["miou"] == 0
     assert found[AUTOMATIC]["scene_macro"]["miou"] == 1
@@ -272,9 +251,7 @@ def frozen(seed: int = 0) -> ScannetScene:
     points = random_points(COUNT, 4, seed)
     gaussians = random_gaussians(COUNT, seed)
     opacities = np.where(np.arange(COUNT) % 5 == 0, 0.09, 0.5).astype(np.float32)
-    return ScannetScene(
-        "frozen", points, LABELS, replace(gaussians, means=points.positions, opacities=opacities)
-    )
+    return ScannetScene("frozen", points, LABELS, replace(gaussians, means=points.positions, opacities=opacities))
 
 
 def test_points_protocol_counts_gaussians_that_are_not_faint(tmp_path: Path) -> None:
@@ -285,9 +262,7 @@ def test_points_protocol_counts_gaussians_that_are_not_faint(tmp_path: Path) -> 
     assert result["segmentation"]["scene_macro"] == {"miou": 1, "macc": 1}
     guess = np.where(guess == 1, 2, guess)
     scannet_points.predict(scene, knowing(scene, guess), tmp_path)
-    classes = scannet_points.score([scene], tmp_path)["segmentation"]["by_scene"]["frozen"][
-        "classes"
-    ]
+    classes = scannet_points.score([scene], tmp_path)["segmentation"]["by_scene"]["frozen"]["classes"]
     counted = np.arange(COUNT) % 5 != 0
     ones, twos = (((scene.points.labels == k) & counted).sum() for k in (1, 2))
     assert classes["wall"] == {"iou": 0, "acc": 0}
@@ -307,9 +282,7 @@ def test_points_protocol_without_features_scores_zero(tmp_path: Path) -> None:
 def test_points_protocol_refuses_free_gaussians(tmp_path: Path) -> None:
     scene = frozen()
     scannet_points.predict(scene, knowing(scene, scene.points.labels), tmp_path)
-    moved = replace(
-        scene, gaussians=replace(scene.gaussians, means=scene.gaussians.means + np.float32(0.1))
-    )
+    moved = replace(scene, gaussians=replace(scene.gaussians, means=scene.gaussians.means + np.float32(0.1)))
     with pytest.raises(MismatchError, match="away from their points"):
         scannet_points.score([moved], tmp_path)
     fewer = replace(scene, gaussians=scene.gaussians.subset(np.arange(9)))
@@ -360,9 +333,7 @@ def test_voxels_do_not_depend_on_threads_or_slabs(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(voxel, "SLAB_SCORES", 20_000)
     monkeypatch.setattr(voxel, "PAIRS", 3000)
     for one, other in zip(
-        expected,
-        voxel.voxel_labels(gaussians, [labels, 3 - labels], 4, grid, threads=3),
-        strict=True,
+        expected, voxel.voxel_labels(gaussians, [labels, 3 - labels], 4, grid, threads=3), strict=True
     ):
         assert_array_equal(one, other)
 

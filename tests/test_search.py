@@ -103,11 +103,7 @@ WORDS = ("red", "blue", "mug", "plate", "wooden", "old")
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
-@given(
-    st.sets(st.sampled_from(WORDS)),
-    st.sampled_from(WORDS[:2]),
-    st.sets(st.sampled_from(WORDS[2:]), min_size=1),
-)
+@given(st.sets(st.sampled_from(WORDS)), st.sampled_from(WORDS[:2]), st.sets(st.sampled_from(WORDS[2:]), min_size=1))
 def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
     more: set[str], unwanted: str, wanted: set[str]
 ) -> None:
@@ -143,9 +139,7 @@ def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
     return story.field, story.gaussians, story.views[4]
 
 
-def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(
-    clicked: tuple[LanguageField, Gaussians, View],
-) -> None:
+def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked: tuple[LanguageField, Gaussians, View]) -> None:
     field, gaussians, view = clicked
     top = topk_contributions(splat_arrays(gaussians), view, 1)
     rng, seen = np.random.default_rng(0), 0
@@ -173,14 +167,10 @@ def test_combined_queries_are_what_their_parts_say() -> None:
         fits_all(field, others[:0])
 
 
-def test_a_click_passes_over_gaussians_without_feature(
-    clicked: tuple[LanguageField, Gaussians, View],
-) -> None:
+def test_a_click_passes_over_gaussians_without_feature(clicked: tuple[LanguageField, Gaussians, View]) -> None:
     field, gaussians, view = clicked
     top = topk_contributions(splat_arrays(gaussians), view, 2)
-    row, column = np.argwhere(
-        (top.ids >= 0).all(-1) & np.isin(top.ids, field.gaussian_ids).all(-1)
-    )[0]
+    row, column = np.argwhere((top.ids >= 0).all(-1) & np.isin(top.ids, field.gaussian_ids).all(-1))[0]
     first, second = (int(one) for one in top.ids[row, column])
     kept = field.gaussian_ids != first
     fewer = replace(
@@ -195,9 +185,7 @@ def test_a_click_passes_over_gaussians_without_feature(
     assert_array_equal(feature, fewer.feature(np.array([at]))[0])
 
 
-def test_clicks_at_nothing_and_outside_are_refused(
-    clicked: tuple[LanguageField, Gaussians, View],
-) -> None:
+def test_clicks_at_nothing_and_outside_are_refused(clicked: tuple[LanguageField, Gaussians, View]) -> None:
     field, gaussians, view = clicked
     for xy in ((-0.1, 5.0), (320.0, 5.0), (5.0, 240.0)):
         with pytest.raises(InputError, match="outside of view"):

@@ -69,11 +69,7 @@ class Service:
 
 
 @pytest.fixture(scope="module")
-def folder(
-    household_story: household.Story,
-    household_folder: Path,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Path:
+def folder(household_story: household.Story, household_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two names of the demo's room, and a damaged scene."""
     made = tmp_path_factory.mktemp("scenes")
     for name in ("room", "same room"):
@@ -124,9 +120,7 @@ def test_answers_are_those_of_the_library(service: Service, folder: Path) -> Non
     assert answer["measured"]["threshold"] == pytest.approx(asked.threshold)
     by_vector = {"vector": vector.tolist(), "threshold": 0.3, "ids": True}
     same = told(service("POST", "/scenes/room/select", json=by_vector))
-    assert (
-        same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
-    )
+    assert same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
     assert same["gaussian_ids"]
     located = told(service("POST", "/scenes/room/locate", json={"text": "toys", "top": 2}))
     found = scene.locate("toys")
@@ -154,9 +148,7 @@ def test_points_clicks_images_and_classes(service: Service, folder: Path) -> Non
     clicked = told(service("POST", "/scenes/room/select", json={"click": click}))
     assert clicked["score_range"][1] == pytest.approx(1, abs=1e-3)
     image = {"image": encoded(Image.new("RGB", (40, 40), "red"))}
-    assert (
-        told(service("POST", "/scenes/room/select", json=image))["measured"]["measure"] == "cosine"
-    )
+    assert told(service("POST", "/scenes/room/select", json=image))["measured"]["measure"] == "cosine"
     classes = {"classes": ["red vase", "laptop", "orange sofa"], "labels": True}
     segmented = told(service("POST", "/scenes/room/segment", json=classes))
     counts = [one["num_gaussians"] for one in segmented["classes"]]
@@ -173,12 +165,7 @@ def encoded(image: Image.Image) -> str:
 
 
 def test_pictures(service: Service) -> None:
-    for given in (
-        {},
-        {"text": "red vase"},
-        {"text": "laptop"},
-        {"photo": True, "view": "frame_00003"},
-    ):
+    for given in ({}, {"text": "red vase"}, {"text": "laptop"}, {"photo": True, "view": "frame_00003"}):
         answer = service("POST", "/scenes/room/picture", json={**given, "max_side": 160})
         assert answer.headers["content-type"] == "image/png"
         with Image.open(io.BytesIO(answer.content)) as picture:
@@ -260,9 +247,7 @@ WRONG: list[tuple[str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("route", "given", "said"), WRONG)
-def test_what_makes_no_sense_gets_a_reason(
-    route: str, given: Any, said: str, service: Service, folder: Path
-) -> None:
+def test_what_makes_no_sense_gets_a_reason(route: str, given: Any, said: str, service: Service, folder: Path) -> None:
     text = reason(service("POST", f"/scenes/room/{route}", json=given), 422)
     assert said.lower() in text.lower()
     assert str(folder) not in text
@@ -270,15 +255,7 @@ def test_what_makes_no_sense_gets_a_reason(
 
 @pytest.mark.parametrize(
     "body",
-    [
-        b"",
-        b"{",
-        b"\xff\xfe",
-        b'{"text": "\\ud800"}',
-        b'{"point": [NaN, 0, 0]}',
-        b"[" * 20_000,
-        b'{"text": 1e999}',
-    ],
+    [b"", b"{", b"\xff\xfe", b'{"text": "\\ud800"}', b'{"point": [NaN, 0, 0]}', b"[" * 20_000, b'{"text": 1e999}'],
 )
 def test_malformed_bodies(body: bytes, service: Service) -> None:
     json_type = {"content-type": "application/json"}
@@ -377,9 +354,7 @@ def renamed(scene: Path) -> LanguageField:
     return replace(field, code=replace(field.code, codebook=book), encoder=other)
 
 
-def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folder: Path, tmp_path: Path) -> None:
     scene = copied(folder / "room", tmp_path / "one")
     (tmp_path / "other").symlink_to(folder / "room")
     asked = {"vector": [1.0] * 512, "threshold": 0.5}
@@ -444,9 +419,7 @@ def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path)
     half.write_text(half.read_text().replace('"name": "drsplat-mini"', r'"name": "\ud800"'))
     huge = copied(folder / "room", tmp_path / "huge") / "room.field" / "field.json"
     known = json.loads(huge.read_text())["num_registered"]
-    huge.write_text(
-        huge.read_text().replace(f'"num_registered": {known}', '"num_registered": ' + "9" * 4000)
-    )
+    huge.write_text(huge.read_text().replace(f'"num_registered": {known}', '"num_registered": ' + "9" * 4000))
     with closing(Service(tmp_path)) as service:
         listed = {one["name"]: one for one in told(service("GET", "/scenes"))["scenes"]}
         assert set(listed) == {"good", "pipe", "b\\xffd\x1b[2J", "half", "huge"}
@@ -487,9 +460,7 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
 def test_heads_pages_and_origins(service: Service, folder: Path) -> None:
     head = service("HEAD", "/scenes/room")
     assert (head.status_code, head.content) == (200, b"")
-    assert (
-        head.headers["content-length"] == service("GET", "/scenes/room").headers["content-length"]
-    )
+    assert head.headers["content-length"] == service("GET", "/scenes/room").headers["content-length"]
     assert service("HEAD", "/nothing").status_code == 404
     for path in ("/", "/docs"):
         page = service("GET", path)
@@ -519,9 +490,7 @@ def test_few_large_bodies_at_once(folder: Path) -> None:
         told(busy("POST", "/scenes/room/select", json=VASE))
 
 
-def test_what_cannot_be_served_is_said_at_the_start(
-    folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_what_cannot_be_served_is_said_at_the_start(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     assert "no scene is here" in error_of(capsys, "serve", tmp_path)
     words = tmp_path / "words.json"
     words.write_text("{")
@@ -560,17 +529,7 @@ def running(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[byte
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = [
-        sys.executable,
-        "-m",
-        "drsplat",
-        "serve",
-        str(folder),
-        "--port",
-        str(port),
-        "--threads",
-        "1",
-    ]
+    command = [sys.executable, "-m", "drsplat", "serve", str(folder), "--port", str(port), "--threads", "1"]
     environment = {**os.environ, "PYTHONPATH": ""}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     server = subprocess.Popen([*command, *options], env=environment, **quiet)  # type: ignore[call-overload]

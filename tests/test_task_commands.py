@@ -33,9 +33,7 @@ def pixels_of(path: Path) -> np.ndarray:
         return np.asarray(picture, int)
 
 
-def test_select_counts_and_saves_columns(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_select_counts_and_saves_columns(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "sofa.ply"
     argv = ["select", room / "room.field", "green sofa", "--scene", room / "scene.ply"]
     report = answer_of(capsys, *argv, "--save", out)
@@ -54,20 +52,14 @@ def test_select_counts_and_saves_columns(
     assert "threshold 0.6, that of the encoder" in printed
 
 
-def test_select_saves_row_numbers_without_a_scene(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_select_saves_row_numbers_without_a_scene(room: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "ids.npy"
     report = answer_of(capsys, "select", room / "room.field", "mug", "--save", out)
     ids = np.load(out, allow_pickle=False)
     assert (ids.dtype, len(ids)) == (np.int64, report["num_selected"])
     assert "--overwrite" in error_of(capsys, "select", room / "room.field", "mug", "--save", out)
-    assert ".ply or .npy" in error_of(
-        capsys, "select", room / "room.field", "mug", "--save", tmp_path / "ids.txt"
-    )
-    assert "pass --scene SCENE" in error_of(
-        capsys, "select", room / "room.field", "mug", "--save", tmp_path / "a.ply"
-    )
+    assert ".ply or .npy" in error_of(capsys, "select", room / "room.field", "mug", "--save", tmp_path / "ids.txt")
+    assert "pass --scene SCENE" in error_of(capsys, "select", room / "room.field", "mug", "--save", tmp_path / "a.ply")
 
 
 def test_a_share_is_that_of_the_registered(room: Path, story: Story, capsys: Capture) -> None:
@@ -161,9 +153,7 @@ def test_not_needs_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
     assert "mug, not red" in error_of(capsys, "select", room / "room.field", "mug, not ")
 
 
-def test_a_click_finds_the_thing_that_is_clicked(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_click_finds_the_thing_that_is_clicked(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     """The pixel nearest to where the sofa's Gaussians are, on average, and that shows it."""
     from drsplat.drawing.pictures import visible_share
 
@@ -194,18 +184,10 @@ def test_clicks_say_what_they_need(room: Path, capsys: Capture) -> None:
     assert "exactly one of" in error_of(capsys, "locate", field, "mug", *both)
 
 
-CLASSES = {
-    "sofa": "green sofa",
-    "cat": "grey cat",
-    "table": "wooden table",
-    "elephant": None,
-    "teddy": "brown teddy",
-}
+CLASSES = {"sofa": "green sofa", "cat": "grey cat", "table": "wooden table", "elephant": None, "teddy": "brown teddy"}
 
 
-def test_segment_labels_and_colours(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_segment_labels_and_colours(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     out, picture = tmp_path / "classes.ply", tmp_path / "classes.png"
     scene = ["--scene", room / "scene.ply", "--views", room]
     argv = ["segment", room / "room.field", "--classes", ", ".join(CLASSES), *scene]
@@ -222,9 +204,7 @@ def test_segment_labels_and_colours(
     rgb = 0.5 + 0.28209479 * saved.sh[:, 0]
     colors = class_colors(len(CLASSES)) / 255
     np.testing.assert_allclose(
-        rgb[labels == 1],
-        np.broadcast_to(colors[1], (report["classes"][1]["num_gaussians"], 3)),
-        atol=1e-3,
+        rgb[labels == 1], np.broadcast_to(colors[1], (report["classes"][1]["num_gaussians"], 3)), atol=1e-3
     )
     assert np.ptp(rgb[labels < 0], axis=1).max() < 1e-3
     assert saved.fingerprint == story.gaussians.fingerprint
@@ -237,9 +217,7 @@ def test_segment_labels_and_colours(
     assert "elephant" in printed
 
 
-def test_segment_with_other_thresholds(
-    room: Path, story: Story, tmp_path: Path, capsys: Capture
-) -> None:
+def test_segment_with_other_thresholds(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     listed = tmp_path / "classes.txt"
     listed.write_text("sofa\n\nelephant\nmug, not red\n", encoding="utf-8")
     argv = ["segment", room / "room.field", "--classes-file", listed]
@@ -255,9 +233,7 @@ def test_segment_with_other_thresholds(
     assert relevant["num_labelled"] < every["num_labelled"]
 
 
-def test_segment_refuses_what_is_no_list_of_classes(
-    room: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_segment_refuses_what_is_no_list_of_classes(room: Path, tmp_path: Path, capsys: Capture) -> None:
     field = room / "room.field"
     (tmp_path / "bad.txt").write_bytes(b"mug\n\xff\xfe")
     (tmp_path / "empty.txt").write_text("\n\n")
@@ -281,9 +257,7 @@ def test_colours_of_classes_differ() -> None:
 
 
 def test_a_legend_of_many_names_has_more_rows() -> None:
-    few, many = (
-        legend(320, [f"class {i}" for i in range(count)], class_colors(count)) for count in (3, 40)
-    )
+    few, many = (legend(320, [f"class {i}" for i in range(count)], class_colors(count)) for count in (3, 40))
     assert few.shape[1] == many.shape[1] == 320
     assert many.shape[0] > 3 * few.shape[0]
     assert legend(320, [], class_colors(0)).shape[1] == 320
@@ -307,11 +281,4 @@ def test_the_commands_of_the_document_run(
     assert "No match for 'laptop'" in printed
     assert "of 'blue candle'" in printed
     written = {path.name for path in tmp_path.iterdir()} - {"drsplat-demo"}
-    assert written == {
-        "vase.ply",
-        "vase_ids.npy",
-        "duck.ply",
-        "duck.png",
-        "classes.ply",
-        "classes.png",
-    }
+    assert written == {"vase.ply", "vase_ids.npy", "duck.ply", "duck.png", "classes.ply", "classes.png"}

@@ -19,10 +19,7 @@ from drsplat.scene.gaussians import Gaussians
 
 
 def boxes_scene(
-    centers: list[tuple[float, float, float]],
-    size=(0.4, 0.2, 0.1),
-    turn: Rotation | None = None,
-    seed: int = 0,
+    centers: list[tuple[float, float, float]], size=(0.4, 0.2, 0.1), turn: Rotation | None = None, seed: int = 0
 ) -> tuple[Gaussians, np.ndarray]:
     """Filled boxes of 500 Gaussians each, at `centers`, and their labels."""
     rng = np.random.default_rng(seed)
@@ -33,11 +30,7 @@ def boxes_scene(
     quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
     scales = np.full((n, 3), 0.002, np.float32)
     scene = Gaussians(
-        points.astype(np.float32),
-        quats,
-        scales,
-        np.full(n, 0.8, np.float32),
-        np.zeros((n, 1, 3), np.float32),
+        points.astype(np.float32), quats, scales, np.full(n, 0.8, np.float32), np.zeros((n, 1, 3), np.float32)
     )
     return scene, np.repeat(np.arange(len(centers)), 500)
 
@@ -46,14 +39,11 @@ def field_of(scene: Gaussians, labels: np.ndarray):
     """A field in which every Gaussian has exactly the embedding of its label."""
     count = int(labels.max()) + 1
     weights = csr_array(
-        (np.ones(len(scene), np.float32), labels.astype(np.int32), np.arange(len(scene) + 1)),
-        shape=(len(scene), count),
+        (np.ones(len(scene), np.float32), labels.astype(np.int32), np.arange(len(scene) + 1)), shape=(len(scene), count)
     )
     masks = MaskIds(("a.png",), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
     embeddings = np.eye(count, 8, dtype=np.float32)
-    return build_field(
-        Evidence(weights, masks, embeddings), scene.fingerprint, EncoderIdentity("test", 8)
-    )
+    return build_field(Evidence(weights, masks, embeddings), scene.fingerprint, EncoderIdentity("test", 8))
 
 
 def unit(label: int) -> np.ndarray:
@@ -171,16 +161,12 @@ def test_absent_words_find_nothing_and_present_ones_the_thing():
 
 
 classes = st.integers(1, 5).flatmap(
-    lambda count: st.lists(
-        st.lists(st.integers(-4, 4), min_size=count, max_size=count), min_size=1, max_size=12
-    )
+    lambda count: st.lists(st.lists(st.integers(-4, 4), min_size=count, max_size=count), min_size=1, max_size=12)
 )
 
 
 CODEBOOK = Codebook(
-    np.random.default_rng(0).standard_normal((8, 256, 1)).astype(np.float32),
-    None,
-    EncoderIdentity("test", 8),
+    np.random.default_rng(0).standard_normal((8, 256, 1)).astype(np.float32), None, EncoderIdentity("test", 8)
 )
 
 

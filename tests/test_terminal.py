@@ -39,9 +39,7 @@ def test_what_is_harmless_stays() -> None:
 
 def test_hostile_names_in_files_and_errors(tmp_path: Path, capsys: Capture) -> None:
     words = tmp_path / "words.json"
-    words.write_text(
-        json.dumps({EVIL[:-1]: [1.0, 0.0], "vase": [0.0, 1.0]})
-    )  # no half surrogate: no JSON
+    words.write_text(json.dumps({EVIL[:-1]: [1.0, 0.0], "vase": [0.0, 1.0]}))  # no half surrogate: no JSON
     said = text_of(capsys, "inspect", words)
     assert "\\x1b[2J" in said
     assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f]", said)
@@ -82,24 +80,14 @@ def test_tables_cut_nothing(columns: int, terminal: bool, monkeypatch: pytest.Mo
 def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> None:
     """And a scene's folder is enough to ask."""
     room = write_toy_capture(tmp_path)
-    argv = [
-        "register",
-        room / "scene.ply",
-        room / "capture",
-        "--features",
-        room / "capture/language_features",
-    ]
+    argv = ["register", room / "scene.ply", room / "capture", "--features", room / "capture/language_features"]
     text_of(capsys, *argv, "--encoder-name", "drsplat-words", "-o", room / "room.field")
     said = text_of(capsys, "locate", room, "red mug")
-    assert re.search(
-        r"^match 0 is supported by photo_\d.png, photo_\d.png, photo_\d.png$", said, re.MULTILINE
-    )
+    assert re.search(r"^match 0 is supported by photo_\d.png, photo_\d.png, photo_\d.png$", said, re.MULTILINE)
     answer = answer_of(capsys, "locate", room, "red mug")
     assert answer["field"] == str(room)
     assert answer["num_matches"] == 1
-    assert answer_of(capsys, "select", room, "red mug", "--save", room / "found.ply")[
-        "num_selected"
-    ]
+    assert answer_of(capsys, "select", room, "red mug", "--save", room / "found.ply")["num_selected"]
     both = answer_of(capsys, "segment", room, "--classes", "red mug,blue plate")
     assert [one["num_gaussians"] for one in both["classes"]] == [150, 150]
     (room / "room.field").rename(room / "room")
@@ -126,15 +114,9 @@ def test_arguments_are_spelled_as_flags(said: str, shown: str) -> None:
 def test_no_message_of_the_library_names_a_flag() -> None:
     """Flags are the command line's words; others read these messages too."""
     source = Path(sys.modules["drsplat"].__file__ or "").parent
-    files = [
-        path
-        for path in source.rglob("*.py")
-        if path.relative_to(source).parts[0] not in ("commands", "cli.py")
-    ]
+    files = [path for path in source.rglob("*.py") if path.relative_to(source).parts[0] not in ("commands", "cli.py")]
     assert len(files) > 150
-    flag = re.compile(
-        r"\"[^\"]*(?<![\w-])--(?!filter-nan|upgrade|force-reinstall|depth)[a-z][a-z-]+"
-    )
+    flag = re.compile(r"\"[^\"]*(?<![\w-])--(?!filter-nan|upgrade|force-reinstall|depth)[a-z][a-z-]+")
     for path in files:
         lines = (line for line in path.read_text().splitlines() if "drsplat " not in line)
         assert not [line for line in lines if flag.search(line)], path
@@ -142,25 +124,13 @@ def test_no_message_of_the_library_names_a_flag() -> None:
 
 def test_errors_of_the_command_line_speak_its_words(tmp_path: Path, capsys: Capture) -> None:
     room = write_toy_capture(tmp_path)
-    text_of(
-        capsys,
-        "train",
-        room / "capture",
-        "-o",
-        room / "m",
-        "--iterations",
-        "1",
-        "--max-gaussians",
-        "20",
-    )
+    text_of(capsys, "train", room / "capture", "-o", room / "m", "--iterations", "1", "--max-gaussians", "20")
     argv = ["train", str(room / "capture"), "--iterations", "1", "-o"]
     assert main([*argv, str(room / "capture")]) == 1
     said = capsys.readouterr().err
     assert "--overwrite" in said
     assert "overwrite=" not in said
-    assert (
-        main(["train", str(room / "capture"), "-o", str(room / "n"), "--max-gaussians", "1"]) == 1
-    )
+    assert main(["train", str(room / "capture"), "-o", str(room / "n"), "--max-gaussians", "1"]) == 1
     assert "--max-gaussians: expected at least 4, got 1" in capsys.readouterr().err
 
 

@@ -49,12 +49,7 @@ def test_the_automatic_cut_lies_between_the_median_and_the_peak() -> None:
 
 def test_what_rises_no_higher_than_chance_is_absent() -> None:
     scores = np.repeat([0.1, 0.3], [1000, PEAK])
-    for rises, found in (
-        ([0.1, 0.1], True),
-        ([0.2, 0.2], False),
-        ([0.05, 0.25], False),
-        ([], True),
-    ):
+    for rises, found in (([0.1, 0.1], True), ([0.2, 0.2], False), ([0.05, 0.25], False), ([], True)):
         threshold = automatic_threshold(scores, np.array(rises, np.float64))
         assert (threshold == 0.3) is not found, rises
     # 0.1 +- 0.06: two standard deviations above the mean are 0.22
@@ -127,9 +122,7 @@ def test_mixture_cuts_where_two_equal_gaussians_cross() -> None:
 
 @few
 @given(grids, st.integers(0, 20))
-def test_a_share_is_never_exceeded_and_missed_only_by_equals(
-    numbers: list[int], twentieths: int
-) -> None:
+def test_a_share_is_never_exceeded_and_missed_only_by_equals(numbers: list[int], twentieths: int) -> None:
     scores, share = scores_of(numbers), twentieths / 20
     wanted, threshold = round(share * len(scores)), share_threshold(scores, share)
     selected = int((scores > threshold).sum())
@@ -165,9 +158,7 @@ def test_order_does_not_matter(rule, numbers: list[int], seed: int) -> None:
 
 @few
 @given(grids, st.lists(st.integers(0, 100), min_size=1, max_size=8), st.integers(0, 50))
-def test_a_stronger_null_never_selects_more(
-    numbers: list[int], rises: list[int], more: int
-) -> None:
+def test_a_stronger_null_never_selects_more(numbers: list[int], rises: list[int], more: int) -> None:
     scores, null = scores_of(numbers), scores_of(rises)
     weak, strong = (automatic_threshold(scores, one, peak=2) for one in (null, null + more / 16))
     assert strong >= weak

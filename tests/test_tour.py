@@ -93,18 +93,12 @@ def write_poses_and_points(folder: Path) -> None:
     cameras, images = [], []
     for number, view in enumerate(views, 1):
         K, pose = view.K, view.cam_from_world
-        cameras.append(
-            (number, "PINHOLE", view.width, view.height, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-        )
+        cameras.append((number, "PINHOLE", view.width, view.height, (K[0, 0], K[1, 1], K[0, 2], K[1, 2])))
         turned = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
         images.append((number, turned, pose[:3, 3], number, view.name))
     plain = [(n, m, w, h, tuple(map(float, p))) for n, m, w, h, p in cameras]
-    posed = [
-        (n, tuple(map(float, q)), tuple(map(float, t)), c, name) for n, q, t, c, name in images
-    ]
-    points = [
-        (n, tuple(map(float, mean)), (128, 128, 128)) for n, mean in enumerate(means[::30], 1)
-    ]
+    posed = [(n, tuple(map(float, q)), tuple(map(float, t)), c, name) for n, q, t, c, name in images]
+    points = [(n, tuple(map(float, mean)), (128, 128, 128)) for n, mean in enumerate(means[::30], 1)]
     write_colmap_text(folder / "capture/sparse/0", plain, posed, points)
     (folder / "capture/cameras.json").unlink()
 
@@ -127,16 +121,12 @@ def test_the_tour_has_every_verb() -> None:
     assert {command[0] for command in [*tour(), ["demo"]]} == set(VERBS)
 
 
-def test_every_line_runs(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_line_runs(place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """In one go, because each builds on those before."""
     monkeypatch.chdir(place)
     monkeypatch.setattr(sam, "load_segmenter", lambda *_: ColorSegmenter())
     for line in tour():
-        command = [
-            "30" if word == "7000" else word for word in line
-        ]  # iterations: they take minutes
+        command = ["30" if word == "7000" else word for word in line]  # iterations: they take minutes
         if command[0] in LASTING and "--export" not in command:
             started_asked_and_stopped(command, place)
         else:
@@ -147,10 +137,7 @@ def test_every_line_runs(
     for name in ("mug_ids.npy", "found.ply", "classes.ply", "out/results.json", "page.html"):
         assert (place / name).is_file()
     snippet = re.findall(r"^```python\n(.*?)^```$", README.read_text(), re.MULTILINE | re.DOTALL)
-    exec(
-        compile(snippet[0].replace("codebook.safetensors", "clip.safetensors"), "README", "exec"),
-        {},
-    )
+    exec(compile(snippet[0].replace("codebook.safetensors", "clip.safetensors"), "README", "exec"), {})
 
     argv = "register scene.ply capture --features capture/language_features --output other.field"
     assert main([*argv.split(), "--encoder-name", "ViT-B-16/laion2b_s34b_b88k"]) == 1
@@ -175,9 +162,7 @@ def started_asked_and_stopped(command: list[str], place: Path) -> None:
         if command[0] == "mcp":
             process.stdin.write(json.dumps(HELLO) + "\n")
             process.stdin.flush()
-            assert (
-                "drsplat" in json.loads(process.stdout.readline())["result"]["serverInfo"]["name"]
-            )
+            assert "drsplat" in json.loads(process.stdout.readline())["result"]["serverInfo"]["name"]
             process.stdin.close()  # which ends it
         else:
             line = process.stdout.readline()

@@ -26,9 +26,15 @@ from drsplat.training.devices import chosen_device
 from furnished.capture import write_model
 
 BUSY = ds.TrainingSettings(
-    iterations=120, refine_from=20, refine_every=20, reset_every=60, reset_recovery=20,
-    sh_degree=2, sh_degree_every=30, background="random",
-)  # fmt: skip
+    iterations=120,
+    refine_from=20,
+    refine_every=20,
+    reset_every=60,
+    reset_recovery=20,
+    sh_degree=2,
+    sh_degree_every=30,
+    background="random",
+)
 """Everything that happens in 30,000 iterations happens in 120."""
 CHAIN = replace(BUSY, strategy="mcmc", max_gaussians=400)
 both = pytest.mark.parametrize("settings", [BUSY, CHAIN], ids=["default", "mcmc"])
@@ -59,10 +65,7 @@ def capture(scene, views, points, tmp_path_factory) -> Path:
     for view in some:
         (folder / "images" / view.name).write_bytes(view.image_path.read_bytes())
     write_model(folder / "sparse/0", some)
-    lines = [
-        f"{i} {x} {y} {z} {r} {g} {b} 0.5\n"
-        for i, ((x, y, z), (r, g, b)) in enumerate(zip(*points, strict=True))
-    ]
+    lines = [f"{i} {x} {y} {z} {r} {g} {b} 0.5\n" for i, ((x, y, z), (r, g, b)) in enumerate(zip(*points, strict=True))]
     (folder / "sparse/0/points3D.txt").write_text("".join(lines))
     return folder
 
@@ -79,9 +82,7 @@ def test_a_known_scene_is_found_again_from_perturbed_points(views, points):
     assert start.evaluation.psnr < 20
     assert training.evaluation.psnr > 26
     assert training.evaluation.ssim > start.evaluation.ssim + 0.2
-    assert [view.name for view in training.evaluation.views] == [
-        f"photo_{index:02}.png" for index in (0, 8, 16, 24)
-    ]
+    assert [view.name for view in training.evaluation.views] == [f"photo_{index:02}.png" for index in (0, 8, 16, 24)]
 
 
 def test_the_chain_learns_within_its_budget(views, points):
@@ -142,10 +143,7 @@ def ply_of(folder: Path, iterations: int = 120) -> bytes:
 def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_path):
     settings = replace(settings, iterations=60)
     for threads in (1, 2):
-        ds.train(
-            views[::2], settings, tmp_path / str(threads), points=points, threads=threads,
-            device="cpu",
-        )  # fmt: skip
+        ds.train(views[::2], settings, tmp_path / str(threads), points=points, threads=threads, device="cpu")
     assert ply_of(tmp_path / "1", 60) == ply_of(tmp_path / "2", 60)
 
 
@@ -190,9 +188,13 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
     leftover.write_bytes(b"half")
     seen: list[int] = []
     ds.train(
-        views[::2], settings, tmp_path / "killed", points=points, device="cpu",
+        views[::2],
+        settings,
+        tmp_path / "killed",
+        points=points,
+        device="cpu",
         report=lambda status: seen.append(status.iteration),
-    )  # fmt: skip
+    )
     assert seen == list(range(71, 121))
     assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
     assert not leftover.exists()
@@ -252,8 +254,7 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
 
 
 @pytest.mark.parametrize(
-    "how",
-    ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"],
+    "how", ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"]
 )
 def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
     checkpoint = unfinished(tmp_path / "model", views, points)
@@ -335,17 +336,33 @@ def run_verb(capsys, *arguments: str) -> dict[str, object]:
 def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
     folder = tmp_path / "model"
     answer = run_verb(
-        capsys, str(capture), "-o", str(folder), "--iterations", "30", "--save-at", "10",
-        "--eval-every", "10", "--sh-degree", "1",
-    )  # fmt: skip
+        capsys,
+        str(capture),
+        "-o",
+        str(folder),
+        "--iterations",
+        "30",
+        "--save-at",
+        "10",
+        "--eval-every",
+        "10",
+        "--sh-degree",
+        "1",
+    )
     assert answer.keys() >= {"psnr_test", "ssim_test", "num_gaussians", "iterations", "seconds"}
     assert (answer["iterations"], answer["num_gaussians"], answer["num_views"]) == (30, 300, 8)
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
     assert files == {
-        "point_cloud/iteration_10/point_cloud.ply", "point_cloud/iteration_30/point_cloud.ply",
-        "cameras.json", "cfg_args", "checkpoint.safetensors", "input.ply", "results.json",
-        "settings.json", "test/photo_00.png",
-    }  # fmt: skip
+        "point_cloud/iteration_10/point_cloud.ply",
+        "point_cloud/iteration_30/point_cloud.ply",
+        "cameras.json",
+        "cfg_args",
+        "checkpoint.safetensors",
+        "input.ply",
+        "results.json",
+        "settings.json",
+        "test/photo_00.png",
+    }
     assert len(ds.read_gaussians(folder)) == 300
     assert ds.read_gaussians(folder).sh_degree == 1
     with pytest.warns(ds.DrSplatWarning, match="no photo"):
@@ -366,24 +383,16 @@ def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("resolution", "size"),
-    [
-        ((), (96, 72)),
-        (("2",), (48, 36)),
-        (("4",), (24, 18)),
-        (("40",), (40, 30)),
-        (("500",), (96, 72)),
-    ],
+    [((), (96, 72)), (("2",), (48, 36)), (("4",), (24, 18)), (("40",), (40, 30)), (("500",), (96, 72))],
 )
 def test_resolution_divides_or_is_the_longer_side(resolution, size, capture, tmp_path, capsys):
     options = ("--resolution", *resolution) if resolution else ()
-    answer = run_verb(
-        capsys, str(capture), "-o", str(tmp_path / "m"), "--iterations", "1", *options
-    )
+    answer = run_verb(capsys, str(capture), "-o", str(tmp_path / "m"), "--iterations", "1", *options)
     assert (answer["width"], answer["height"]) == size
 
 
 def test_the_verb_tells_people(capture, tmp_path, capsys):
-    assert main(["train", str(capture), "-o", str(tmp_path / "m"), "--iterations", "2", "--device", "cpu"]) == 0  # fmt: skip
+    assert main(["train", str(capture), "-o", str(tmp_path / "m"), "--iterations", "2", "--device", "cpu"]) == 0
     out = capsys.readouterr().out
     for said in ("trained:", "PSNR", "SSIM", "Gaussians", "ms an iteration"):
         assert said in out
@@ -395,7 +404,7 @@ def refused(capsys, *arguments: str) -> str:
 
 
 def test_the_verb_refuses_views_without_photos(capture, tmp_path, capsys):
-    said = refused(capsys, str(capture / "sparse/0/cameras.txt"), "-o", str(tmp_path / "m"), "--images", str(tmp_path))  # fmt: skip
+    said = refused(capsys, str(capture / "sparse/0/cameras.txt"), "-o", str(tmp_path / "m"), "--images", str(tmp_path))
     assert "no photo" in said
     assert "--images" in said
     assert not (tmp_path / "m").exists()
@@ -405,7 +414,7 @@ def test_the_verb_refuses_points_that_are_not_finite(capture, tmp_path, capsys):
     for name in ("cameras.txt", "images.txt"):
         (tmp_path / name).write_bytes((capture / "sparse/0" / name).read_bytes())
     (tmp_path / "points3D.txt").write_text("1 0 0 nan 1 2 3 0\n")
-    said = refused(capsys, str(tmp_path), "--images", str(capture / "images"), "-o", str(tmp_path / "m"))  # fmt: skip
+    said = refused(capsys, str(tmp_path), "--images", str(capture / "images"), "-o", str(tmp_path / "m"))
     assert "not finite" in said
     assert not (tmp_path / "m").exists()
 
@@ -435,7 +444,7 @@ def test_the_verb_starts_from_a_file_of_points(capture, points, tmp_path, capsys
     started = read_sparse_points(capture, points=tmp_path / "m/input.ply")
     assert started.positions == pytest.approx(points.positions, abs=1e-6)
     assert (started.colors == 128).all()
-    assert "no such file of points" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")  # fmt: skip
+    assert "no such file of points" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")
 
 
 # --- going on ---
@@ -455,7 +464,7 @@ def test_a_run_killed_before_its_first_checkpoint_goes_on(views, points, tmp_pat
     few = replace(BUSY, iterations=20)
     ds.train(views[::4], few, tmp_path / "whole", points=points, save_at=(5,), device="cpu")
     with pytest.raises(RuntimeError):
-        ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), report=killed, device="cpu")  # fmt: skip
+        ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), report=killed, device="cpu")
     assert (tmp_path / "m/cfg_args").is_file()
     assert not (tmp_path / "m/results.json").exists()
     ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), device="cpu")
@@ -468,7 +477,7 @@ def test_the_same_command_on_a_finished_run_gives_the_same_files(views, points, 
     before, results = scenes_of(tmp_path), (tmp_path / "results.json").read_text()
     ds.train(views[::4], few, tmp_path, points=points, device="cpu")
     assert scenes_of(tmp_path) == before
-    assert json.loads((tmp_path / "results.json").read_text())["psnr_test"] == json.loads(results)["psnr_test"]  # fmt: skip
+    assert json.loads((tmp_path / "results.json").read_text())["psnr_test"] == json.loads(results)["psnr_test"]
 
 
 @both
@@ -501,10 +510,9 @@ def test_photos_that_changed_are_not_mixed_in(views, points, tmp_path):
 
 def test_a_scene_is_saved_before_the_opacity_reset(views, points, tmp_path):
     settings = replace(BUSY, reset_every=10, evaluate_every=10, iterations=40)
-    training = ds.train(views[::4], settings, tmp_path, points=points, save_at=(10, 11), device="cpu")  # fmt: skip
+    training = ds.train(views[::4], settings, tmp_path, points=points, save_at=(10, 11), device="cpu")
     at, after = (
-        ds.read_gaussians(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply").opacities.max()
-        for i in (10, 11)
+        ds.read_gaussians(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply").opacities.max() for i in (10, 11)
     )
     assert at > 0.1
     assert after < 0.02
@@ -529,7 +537,7 @@ sys.exit(main(["train", *sys.argv[1:]]))
 def test_ctrl_c_writes_a_checkpoint_and_says_how_to_go_on(capture, tmp_path):
     folder = tmp_path / "m"
     command = [sys.executable, "-c", INTERRUPTED, str(capture), "-o", str(folder), "--iterations"]
-    ran = subprocess.run([*command, "30000", "--device", "cpu"], capture_output=True, text=True, check=False)  # fmt: skip
+    ran = subprocess.run([*command, "30000", "--device", "cpu"], capture_output=True, text=True, check=False)
     assert ran.returncode == 130
     assert "the same command, without --overwrite, goes on from there" in ran.stderr
     assert "Traceback" not in ran.stderr
@@ -571,10 +579,7 @@ def test_points_move_with_their_views(capture, tmp_path):
     file = tmp_path / "dataparser_transforms.json"
     turned = [[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
     file.write_text(json.dumps({"transform": turned, "scale": 0.5}))
-    plain, moved = (
-        read_sparse_points(capture),
-        read_sparse_points(capture, dataparser_transforms=file),
-    )
+    plain, moved = (read_sparse_points(capture), read_sparse_points(capture, dataparser_transforms=file))
     view, there = ds.read_views(capture)[0], ds.read_views(capture, dataparser_transforms=file)[0]
 
     def pixels(view: ds.View, positions: np.ndarray) -> np.ndarray:

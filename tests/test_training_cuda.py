@@ -57,9 +57,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         __version__="9.9", version=SimpleNamespace(cuda="12.8"),
         cuda=SimpleNamespace(is_available=lambda: parts.gpu),
     )  # fmt: skip
-    monkeypatch.setattr(
-        cuda, "find_spec", lambda name: object() if getattr(parts, names[name]) else None
-    )
+    monkeypatch.setattr(cuda, "find_spec", lambda name: object() if getattr(parts, names[name]) else None)
     monkeypatch.setattr(cuda, "import_module", {"torch": torch}.__getitem__)
     monkeypatch.setattr(cuda, "_has_cuda_compiler", lambda: parts.nvcc)
     return parts
@@ -335,19 +333,14 @@ def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion
     """Same photos, backgrounds, rates and edges: the same losses, step for step."""
     quiet = replace(BUSY, refine_until=0)
     views = [replace(view, distortion=distortion) for view in views]
-    there, here = (
-        device_run(views, points, quiet, engine_of()),
-        fresh_run(Run, views, points, quiet),
-    )
+    there, here = (device_run(views, points, quiet, engine_of()), fresh_run(Run, views, points, quiet))
     if distortion is not None:
         assert len(here.photos[0].outside) > 10
     for _ in range(15):
         assert there.step().loss == pytest.approx(here.step().loss, rel=2e-4)
     theirs = there.optimizer.parameters._asdict()
     for name, ours in here.optimizer.parameters._asdict().items():
-        if (
-            name != "quats"
-        ):  # of round Gaussians: the slope is rounding alone, and Adam's step its sign
+        if name != "quats":  # of round Gaussians: the slope is rounding alone, and Adam's step its sign
             assert (np.abs(ours - theirs[name]) > 1e-3).mean() < 0.02, name
 
 
@@ -355,14 +348,7 @@ def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion
 def test_the_whole_of_train(views, points, tmp_path):
     from drsplat.training.gsplat_loop import train
 
-    s = replace(
-        BUSY,
-        iterations=40,
-        background="black",
-        reset_every=1000,
-        start_opacity=0.5,
-        scales_rate=0.02,
-    )
+    s = replace(BUSY, iterations=40, background="black", reset_every=1000, start_opacity=0.5, scales_rate=0.02)
     told: list[ds.Status] = []
     folder = tmp_path / "model"
     training = train(Job(views, s, folder, points, save_at=(20,), report=told.append), engine_of())
@@ -373,9 +359,7 @@ def test_the_whole_of_train(views, points, tmp_path):
     assert training.evaluation is not None
     assert len(training.evaluation.views) == 3
     start = first_gaussians(points, s)
-    untrained = ds.training.evaluation.evaluate(
-        start, views[::4], TrainingPhotos(views[::4], 1 << 20), s
-    )
+    untrained = ds.training.evaluation.evaluate(start, views[::4], TrainingPhotos(views[::4], 1 << 20), s)
     assert training.evaluation.psnr > untrained.psnr + 3
     results = json.loads((folder / "results.json").read_text())
     assert results["psnr_test"] == training.evaluation.psnr

@@ -139,9 +139,7 @@ def test_opacity_is_reset_every_3000():
 # --- where it starts ---
 
 
-def circle(
-    count: int = 8, radius: float = 3.0, path: Path | None = Path("photo.png")
-) -> list[View]:
+def circle(count: int = 8, radius: float = 3.0, path: Path | None = Path("photo.png")) -> list[View]:
     turns = 2 * np.pi * np.arange(count) / count
     views = [look_at_view((radius * np.cos(t), radius * np.sin(t), 0.0)) for t in turns]
     return [replace(v, name=f"{i:02}.png", image_path=path) for i, v in enumerate(views)]
@@ -194,9 +192,7 @@ def test_points_that_cannot_be_started_from_are_refused(positions, said):
 
 def test_a_budget_thins_the_points():
     many = points(np.random.default_rng(0).normal(size=(50, 3)))
-    start = start_points(
-        many, circle(), replace(DEFAULT, max_gaussians=20), np.random.default_rng(0)
-    )
+    start = start_points(many, circle(), replace(DEFAULT, max_gaussians=20), np.random.default_rng(0))
     assert start.plain() == {"given": 20, "triangulated": 0, "random": 0}
     kept = start.points
     rows = {tuple(row) for row in many.positions}

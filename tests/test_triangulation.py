@@ -107,9 +107,7 @@ def test_photos_of_a_lens_are_understood_by_it(views, surface, tmp_path):
     for lens in (LENS, None):
         seen = keypoints(replace(curved[0], distortion=lens)).pixels
         off[lens] = np.median(tree.query(seen)[0])
-    assert (
-        off[LENS] < 0.6 < 1.2 < off[None]
-    )  # pixels; without the lens as far as any other keypoint
+    assert off[LENS] < 0.6 < 1.2 < off[None]  # pixels; without the lens as far as any other keypoint
 
 
 def test_a_scene_far_from_its_origin_is_the_same_scene(views):
@@ -134,10 +132,7 @@ def started(views: list[ds.View], **settings):
 
 def test_wrong_poses_are_said_in_numbers(views):
     poses = [view.cam_from_world for view in views]
-    mixed = [
-        replace(view, cam_from_world=pose)
-        for view, pose in zip(views, [*poses[2:], *poses[:2]], strict=True)
-    ]
+    mixed = [replace(view, cam_from_world=pose) for view, pose in zip(views, [*poses[2:], *poses[:2]], strict=True)]
     with pytest.warns(ds.DrSplatWarning) as told:
         started(mixed)
     said = " ".join(str(one.message) for one in told)

@@ -184,9 +184,7 @@ def test_a_flight_is_a_loop_at_one_height_and_distance() -> None:
     eye, target = np.array([2.0, 0, 1]), np.array([0.0, 0, 0.5])
     places = np.array(cameras.flight(eye, target, UP, 24))
     np.testing.assert_allclose(places[0], eye)
-    np.testing.assert_allclose(
-        np.linalg.norm(places - target, axis=1), np.linalg.norm(eye - target)
-    )
+    np.testing.assert_allclose(np.linalg.norm(places - target, axis=1), np.linalg.norm(eye - target))
     np.testing.assert_allclose(places[:, 2], 1)
     assert np.abs(np.diff(np.vstack([places, places[:1]]), axis=0)).max() < 0.4
     with pytest.raises(InputError, match="two frames"):
@@ -349,9 +347,7 @@ def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: P
     assert (session.opacities[rows(0)] == 0).all()
     assert not len(session.selection)
     count = saving.save_scene(tmp_path / "rest.ply", session)
-    assert (
-        count == len(session.scene.gaussians) - EACH == len(read_gaussians(tmp_path / "rest.ply"))
-    )
+    assert count == len(session.scene.gaussians) - EACH == len(read_gaussians(tmp_path / "rest.ply"))
     session.restore()
     assert (session.opacities == session.scene.gaussians.opacities).all()
 
@@ -369,9 +365,7 @@ def test_without_a_selection_nothing_is_changed(session: Session) -> None:
     assert not session.hidden.any()
 
 
-def test_a_saved_scene_has_its_columns_and_stays_the_scene(
-    session: Session, tmp_path: Path
-) -> None:
+def test_a_saved_scene_has_its_columns_and_stays_the_scene(session: Session, tmp_path: Path) -> None:
     session.ask("red mug; tall lamp")
     saving.save_scene(tmp_path / "found.ply", session)
     saved = read_gaussians(tmp_path / "found.ply")
@@ -438,9 +432,7 @@ def test_a_session_saves_so_many_bytes(tmp_path: Path) -> None:
         saves.save("found", ".ply", lambda path: path.write_bytes(b""))
 
 
-def test_without_a_folder_nothing_stays_on_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_folder_nothing_stays_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path, data = saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
     assert data == b"xy"
@@ -456,10 +448,7 @@ def test_without_a_folder_nothing_stays_on_the_disk(
 
 def test_no_text_of_a_stranger_is_more_than_text() -> None:
     hostile = "<img src=x onerror=alert(1)>&\udcff\x1b[2J\u202e\n"
-    assert (
-        texts.escaped(hostile)
-        == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
-    )
+    assert texts.escaped(hostile) == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
     assert texts.printable("é 日本 🍎") == "é 日本 🍎"
     assert len(texts.printable("x" * 10_000)) == texts.MOST_SHOWN
 
@@ -495,9 +484,7 @@ def test_finds_are_numbered_through_all_queries_and_one_alone_is_not(session: Se
 # --- a scene without a field ---
 
 
-def test_a_scene_without_a_field_can_be_looked_at_and_saved_and_says_why_it_is_silent(
-    tmp_path: Path,
-) -> None:
+def test_a_scene_without_a_field_can_be_looked_at_and_saved_and_says_why_it_is_silent(tmp_path: Path) -> None:
     scene = random_gaussians(50)
     write_gaussians(tmp_path / "plain.ply", scene)
     bare = Session(open_bare(tmp_path / "plain.ply"))

@@ -76,9 +76,7 @@ def test_a_page_needs_no_network(folder: Path) -> None:
         (["--ask", "mug", "--up", "up"], "expected one of"),
     ],
 )
-def test_what_is_missing_is_said(
-    folder: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
-) -> None:
+def test_what_is_missing_is_said(folder: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str) -> None:
     assert export(folder, *more) == 1
     assert said in capsys.readouterr().err
     assert not (folder / "page.html").exists()
@@ -135,8 +133,7 @@ def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path) 
 
 
 @pytest.mark.parametrize(
-    ("options", "code"),
-    [(["--port", "99999999999"], 2), (["--host", "300.1.1.1"], 1), (["--host", "a" * 300], 1)],
+    ("options", "code"), [(["--port", "99999999999"], 2), (["--host", "300.1.1.1"], 1), (["--host", "a" * 300], 1)]
 )
 def test_where_it_cannot_listen_is_said(
     folder: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int
@@ -150,9 +147,7 @@ def test_one_gaussian_makes_a_page(folder: Path) -> None:
     assert export(folder, "--ask", "mug", "--max-gaussians", "1") == 0
 
 
-def test_a_page_is_not_overwritten_unasked(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_page_is_not_overwritten_unasked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert export(folder, "--ask", "mug") == 0
     assert export(folder, "--ask", "lamp") == 1
     assert "--overwrite" in capsys.readouterr().err

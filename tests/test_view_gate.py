@@ -57,9 +57,7 @@ def resident() -> int:
         {"Host": "localhost.evil.example:8080"},
     ],
 )
-def test_other_pages_and_names_get_no_page_and_no_socket(
-    panel: Any, headers: dict[str, str]
-) -> None:
+def test_other_pages_and_names_get_no_page_and_no_socket(panel: Any, headers: dict[str, str]) -> None:
     assert refused(panel, **headers) == 403
     answer = get(panel, **headers)
     assert answer.status == 403
@@ -84,7 +82,7 @@ def test_a_page_that_is_framed_or_led_elsewhere_is_not_served(panel: Any) -> Non
 
 
 def test_a_viser_that_goes_round_the_gate_is_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate.Gate, "serve", lambda self, listening, *given, **more: gate.serve(*given, **more))  # fmt: skip
+    monkeypatch.setattr(gate.Gate, "serve", lambda self, listening, *given, **more: gate.serve(*given, **more))
     with pytest.raises(MissingExtraError, match="lets every page in"), a_viewer():
         pass
 
@@ -140,9 +138,7 @@ def test_on_this_machine_there_is_no_token(panel: Any) -> None:
     assert panel.window.address == f"http://127.0.0.1:{port_of(panel)}"
 
 
-@pytest.mark.parametrize(
-    ("host", "port"), [("300.1.1.1", 8080), ("127.0.0.1", 70000), ("no such name", 1)]
-)
+@pytest.mark.parametrize(("host", "port"), [("300.1.1.1", 8080), ("127.0.0.1", 70000), ("no such name", 1)])
 def test_where_nothing_can_listen_is_an_error(host: str, port: int) -> None:
     with pytest.raises(InputError, match=r"listen|port"):
         listening_socket(host, port)
@@ -159,9 +155,7 @@ def test_a_port_that_is_taken_is_passed_over() -> None:
 
 
 def test_connections_that_say_nothing_give_way(panel: Any) -> None:
-    silent = [
-        socket.create_connection(("127.0.0.1", port_of(panel))) for _ in range(gate.MOST_WAITING + 5)
-    ]  # fmt: skip
+    silent = [socket.create_connection(("127.0.0.1", port_of(panel))) for _ in range(gate.MOST_WAITING + 5)]
     assert get(panel).status == 200
     silent[0].settimeout(60)
     assert silent[0].recv(1) == b""  # the oldest was cut off
@@ -202,7 +196,7 @@ def test_no_more_pages_than_there_is_room_for(panel: Any) -> None:
         [1, 2],
         None,
     ],
-)  # fmt: skip
+)
 def test_what_no_page_of_ours_says_is_not_read(message: Any) -> None:
     import msgspec
 
@@ -210,8 +204,7 @@ def test_what_no_page_of_ours_says_is_not_read(message: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "data",
-    [b"", b"\xc1", b"\x91" * 100_000, b"\x81\xa4type\xa1\xff", b"\xdf\xff\xff\xff\xff", b"{}"],
+    "data", [b"", b"\xc1", b"\x91" * 100_000, b"\x81\xa4type\xa1\xff", b"\xdf\xff\xff\xff\xff", b"{}"]
 )
 def test_what_is_no_message_is_not_read(data: bytes) -> None:
     assert messages.read(data) is None
@@ -249,15 +242,16 @@ def test_an_upload_that_never_ends_takes_no_memory(panel: Any) -> None:
     stranger.look()
     button, before = panel.upload._impl.uuid, resident()
     part = {"source_component_uuid": button, "transfer_uuid": "t", "content": bytes(PART)}
-    for name, parts in (
-        ("t", 10**6),
-        ("u", 40),
-        ("v", 40),
-    ):  # too large; then one, and a second beside it
+    for name, parts in (("t", 10**6), ("u", 40), ("v", 40)):  # too large; then one, and a second beside it
         stranger.say(
-            "FileTransferStartUpload", source_component_uuid=button, transfer_uuid=name, filename="x.png",
-            mime_type="image/png", part_count=parts, size_bytes=parts * PART,
-        )  # fmt: skip
+            "FileTransferStartUpload",
+            source_component_uuid=button,
+            transfer_uuid=name,
+            filename="x.png",
+            mime_type="image/png",
+            part_count=parts,
+            size_bytes=parts * PART,
+        )
         for index in range(100):
             stranger.say("FileTransferPart", **part | {"transfer_uuid": name, "part_index": index})
     stranger.press(panel.text, "tall lamp\n")  # said last, so all before has been read
@@ -283,7 +277,7 @@ def test_uploads_are_one_at_a_time_and_of_the_size_that_was_told() -> None:
     one = uploads.Uploads()
 
     def start(name: str, size: int) -> Any:
-        return one.passed({"type": messages.UPLOAD, "transfer_uuid": name, "size_bytes": size, "part_count": 2})  # fmt: skip
+        return one.passed({"type": messages.UPLOAD, "transfer_uuid": name, "size_bytes": size, "part_count": 2})
 
     def part(name: str, size: int) -> Any:
         return one.passed({"type": messages.PART, "transfer_uuid": name, "content": bytes(size)})
@@ -309,15 +303,24 @@ def test_a_picture_that_is_whole_arrives_and_one_that_is_too_large_is_refused(pa
 
     def send(size: int) -> None:
         stranger.say(
-            "FileTransferStartUpload", source_component_uuid=panel.upload._impl.uuid, transfer_uuid=str(size),
-            filename="x.png", mime_type="image/png", part_count=1, size_bytes=size,
-        )  # fmt: skip
-        stranger.say("FileTransferPart", source_component_uuid=panel.upload._impl.uuid, transfer_uuid=str(size), part_index=0, content=data)  # fmt: skip
+            "FileTransferStartUpload",
+            source_component_uuid=panel.upload._impl.uuid,
+            transfer_uuid=str(size),
+            filename="x.png",
+            mime_type="image/png",
+            part_count=1,
+            size_bytes=size,
+        )
+        stranger.say(
+            "FileTransferPart",
+            source_component_uuid=panel.upload._impl.uuid,
+            transfer_uuid=str(size),
+            part_index=0,
+            content=data,
+        )
 
     send(len(data))
-    eventually(
-        lambda: panel.fault.visible and "images" in panel.fault.content
-    )  # words have no eyes
+    eventually(lambda: panel.fault.visible and "images" in panel.fault.content)  # words have no eyes
     send(1 << 30)
     eventually(lambda: "1 to 20,971,520 bytes" in panel.fault.content)
     stranger.close()
@@ -381,10 +384,7 @@ def test_a_stranger_cannot_fill_the_disk(panel: Any) -> None:
         panel.fault.content = ""
         panel._do("save", Press(), lambda event: panel._save_ply(event, False))
         assert panel.actions.settled(60.0), number
-    assert sorted(path.name for path in panel.saves.folder.iterdir()) == [
-        "found-2.ply",
-        "found.ply",
-    ]
+    assert sorted(path.name for path in panel.saves.folder.iterdir()) == ["found-2.ply", "found.ply"]
     assert "saved enough" in panel.fault.content
     stranger.close()
 
@@ -395,9 +395,7 @@ class Press:
     client_id = 0
     client = SimpleNamespace(
         send_file_download=lambda name, data: None,
-        _websock_connection=SimpleNamespace(
-            get_message_buffer=lambda: SimpleNamespace(message_from_id={})
-        ),
+        _websock_connection=SimpleNamespace(get_message_buffer=lambda: SimpleNamespace(message_from_id={})),
     )
 
 

@@ -61,9 +61,7 @@ class Live:
 
 
 @pytest.fixture(scope="module")
-def live(
-    session: Session, chromium: Any, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Live]:
+def live(session: Session, chromium: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     pytest.importorskip("viser")
     from drsplat.viewing.panel import Panel
     from drsplat.viewing.window import Window
@@ -132,9 +130,7 @@ def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Liv
     assert not live.page.get_by_role("button", name=re.compile("^13 ")).is_visible()
     live.page.get_by_text(f"{total - 12} more", exact=True).click()
     live.page.get_by_role("button", name=re.compile("^13 ")).wait_for()
-    assert "1 wooden table" in [
-        mark.text for mark in live.panel.window._marks if hasattr(mark, "text")
-    ]
+    assert "1 wooden table" in [mark.text for mark in live.panel.window._marks if hasattr(mark, "text")]
     live.ask("red vase")
     assert not live.page.get_by_role("button", name=re.compile("^2 ")).is_visible()
 

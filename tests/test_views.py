@@ -319,9 +319,7 @@ def test_points_that_transforms_json_names(tmp_path):
     write_photos(tmp_path / "images", IMAGES[:2])
     document = transforms_document(CAMERAS[:1], IMAGES[:2]) | {"ply_file_path": "sparse_pc.ply"}
     # the PLY is in the frame after it
-    document["applied_transform"] = (np.diag([1.0, 1, -1, 1]) @ np.eye(4)[[1, 0, 2, 3]])[
-        :3
-    ].tolist()
+    document["applied_transform"] = (np.diag([1.0, 1, -1, 1]) @ np.eye(4)[[1, 0, 2, 3]])[:3].tolist()
     write_json(tmp_path / "transforms.json", document)
     with pytest.warns(DrSplatWarning, match=r"ply_file_path, .*sparse_pc\.ply, is missing"):
         assert read_sparse_points(tmp_path) is None
@@ -419,9 +417,7 @@ def test_transforms_of_other_lenses(tmp_path, lens):
         read_views(path)
 
 
-@pytest.mark.parametrize(
-    "linear", [2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.eye(3) + np.eye(3, k=1) * 0.1]
-)
+@pytest.mark.parametrize("linear", [2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.eye(3) + np.eye(3, k=1) * 0.1])
 def test_poses_that_are_not_rigid(tmp_path, linear):
     document = transforms_document(folder="")
     matrix = np.array(document["frames"][1]["transform_matrix"])
@@ -512,14 +508,10 @@ def test_dataparser_transforms_start_from_colmap_for_transforms_json_too(capture
     turned = transforms_document()
     for frame in turned["frames"]:
         frame["transform_matrix"] = (applied @ frame["transform_matrix"]).tolist()
-    path = write_json(
-        capture / "transforms.json", turned | {"applied_transform": applied[:3].tolist()}
-    )
+    path = write_json(capture / "transforms.json", turned | {"applied_transform": applied[:3].tolist()})
     write_json(capture / "dataparser_transforms.json", document)
     for a, b in zip(
-        read_views(
-            capture / "sparse/0", dataparser_transforms=capture / "dataparser_transforms.json"
-        ),
+        read_views(capture / "sparse/0", dataparser_transforms=capture / "dataparser_transforms.json"),
         read_views(path),
         strict=True,
     ):

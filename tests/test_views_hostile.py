@@ -115,9 +115,7 @@ def check_points(capture: Path) -> None:
 def test_colmap_models(memory_path, bounded_memory, write):
     write(memory_path, images=IMAGES[:2])
     write_photos(memory_path, IMAGES[:2])
-    cameras, images, points = (
-        next(memory_path.glob(f"{stem}.*")) for stem in ("cameras", "images", "points3D")
-    )
+    cameras, images, points = (next(memory_path.glob(f"{stem}.*")) for stem in ("cameras", "images", "points3D"))
     survive([cameras, images], lambda: check_views(read_views(memory_path)), quota(MUTANTS - 1500))
     survive([points], lambda: check_points(memory_path), quota(1500))
 
@@ -127,10 +125,7 @@ def test_transforms_json(memory_path, bounded_memory):
     document |= {"applied_transform": np.eye(4)[:3].tolist(), "camera_angle_x": 1.0, "k1": 0.01}
     del document["frames"][1]["fl_x"], document["frames"][1]["fl_y"], document["frames"][1]["w"]
     path = write_json(memory_path / "transforms.json", document)
-    write_json(
-        memory_path / "dataparser_transforms.json",
-        {"transform": np.eye(4)[:3].tolist(), "scale": 0.5},
-    )
+    write_json(memory_path / "dataparser_transforms.json", {"transform": np.eye(4)[:3].tolist(), "scale": 0.5})
     write_photos(memory_path / "images", IMAGES[:2])
     survive([path], lambda: check_views(read_views(path)))
 
@@ -169,9 +164,7 @@ def check_vocabulary(path: Path) -> None:
 
 
 def test_vocabulary_json(memory_path, bounded_memory):
-    path = write_json(
-        memory_path / "words.json", {"sofa": [1.5, -0.25, 1e-3], "red cup": [0.5, 2.0, 3.0]}
-    )
+    path = write_json(memory_path / "words.json", {"sofa": [1.5, -0.25, 1e-3], "red cup": [0.5, 2.0, 3.0]})
     survive([path], lambda: check_vocabulary(path))
 
 
@@ -255,9 +248,7 @@ def test_bytes_after_the_last_record(tmp_path):
         read_views(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "text", ["[" * 100_000, '{"a": ' * 50_000, '"\ud800', "1" * 10_000, "", "\xff"]
-)
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a": ' * 50_000, '"\ud800', "1" * 10_000, "", "\xff"])
 def test_json_that_breaks_parsers(tmp_path, text):
     path = tmp_path / "transforms.json"
     path.write_bytes(text.encode("latin1" if text == "\xff" else "utf-8", "surrogatepass"))
@@ -265,9 +256,7 @@ def test_json_that_breaks_parsers(tmp_path, text):
         read_json(path)
 
 
-@pytest.mark.parametrize(
-    "number", ["1e999", "-1e999", "NaN", "Infinity", "1" * 400, "true", "null", '"1"', "[]"]
-)
+@pytest.mark.parametrize("number", ["1e999", "-1e999", "NaN", "Infinity", "1" * 400, "true", "null", '"1"', "[]"])
 @pytest.mark.parametrize("key", ["w", "fl_x", "cx", "k1"])
 def test_numbers_that_are_none(tmp_path, key, number):
     frame = transforms_document(images=IMAGES[:1])["frames"][0] | {key: "here"}

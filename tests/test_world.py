@@ -149,10 +149,7 @@ def test_names_of_colours_hold_their_shades_apart() -> None:
     for word in looks.COLORS:
         for _ in range(40):
             shade = 255 * np.array(looks.color(rng, word).rgb)
-            away = {
-                w: np.linalg.norm(np.array(a) - shade, axis=1).min()
-                for w, a in looks.COLORS.items()
-            }
+            away = {w: np.linalg.norm(np.array(a) - shade, axis=1).min() for w, a in looks.COLORS.items()}
             assert min(away, key=lambda w: away[w]) == word
 
 
@@ -277,10 +274,7 @@ def painted_shots(made: Room, count: int = 6) -> list[Shot]:
     """Shots without a renderer: discs where the things' centres are, at their depth."""
     shots = []
     for view in views_of(made, count, (96, 72), np.random.default_rng(0)):
-        ids, depth = (
-            np.full((72, 96), len(made.objects), np.int32),
-            np.full((72, 96), 5.0, np.float32),
-        )
+        ids, depth = (np.full((72, 96), len(made.objects), np.int32), np.full((72, 96), 5.0, np.float32))
         rows, columns = np.mgrid[0:72, 0:96]
         for k, placed in enumerate(made.objects):
             x, y, z = view.cam_from_world[:3, :3] @ placed.center + view.cam_from_world[:3, 3]
@@ -351,9 +345,7 @@ def test_the_scannet_layout_reads_back(written: tuple[Path, Room, list[Shot]]) -
     assert b"property ushort label\n" in header
     row = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4), ("label", "<u2")])
     rows = np.frombuffer(body, row)
-    ids = np.array(
-        json.loads((place / "s_vh_clean_2.0.010000.segs.json").read_text())["segIndices"]
-    )
+    ids = np.array(json.loads((place / "s_vh_clean_2.0.010000.segs.json").read_text())["segIndices"])
     assert f"element vertex {len(ids)}\n".encode() in header
     names = [o.thing.name for o in made.objects] + [s.name for s in made.structures]
     assert [layouts.NYU40.get(names[k], 40) for k in ids] == rows["label"].tolist()
@@ -371,9 +363,7 @@ def test_the_truth_is_whole(written: tuple[Path, Room, list[Shot]]) -> None:
         with Image.open(folder / "ids" / f"{stem}.png") as picture:
             ids = np.array(picture).astype(int) - 1
         np.testing.assert_array_equal(ids, shot.ids)
-        np.testing.assert_array_equal(
-            np.load(folder / "depth" / f"{stem}.npz")["depth"], shot.depth
-        )
+        np.testing.assert_array_equal(np.load(folder / "depth" / f"{stem}.npz")["depth"], shot.depth)
 
 
 def test_points_of_surfaces_lie_on_them_and_are_seen() -> None:
@@ -411,9 +401,7 @@ def shots() -> tuple[Room, list[Shot]]:
     return made, list(shoot(made, [views[0], views[2], views[6]], 4, 0))
 
 
-def test_photos_are_lit_and_every_ray_ends_somewhere_sensible(
-    shots: tuple[Room, list[Shot]],
-) -> None:
+def test_photos_are_lit_and_every_ray_ends_somewhere_sensible(shots: tuple[Room, list[Shot]]) -> None:
     made, taken = shots
     for shot in taken:
         assert 60 < shot.image.mean() < 210

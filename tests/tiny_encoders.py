@@ -6,25 +6,12 @@ from typing import Any
 
 SIDE, PATCH, TOKENS = 32, 8, 12
 WORDS = ("a", "red", "blue", "mug", "on", "the", "table")
-_SIZES = {
-    "hidden_size": 16,
-    "intermediate_size": 32,
-    "num_hidden_layers": 2,
-    "num_attention_heads": 2,
-}
-_TEXT = {
-    "vocab_size": 64,
-    "max_position_embeddings": TOKENS,
-    "bos_token_id": 0,
-    "eos_token_id": 1,
-    **_SIZES,
-}
+_SIZES = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}
+_TEXT = {"vocab_size": 64, "max_position_embeddings": TOKENS, "bos_token_id": 0, "eos_token_id": 1, **_SIZES}
 _VISION = {"patch_size": PATCH, "image_size": SIDE, **_SIZES}
 
 
-def write_model(
-    folder: Path, kind: str, seed: int = 0, dim: int | None = None, tokens: int = TOKENS
-) -> Path:
+def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None, tokens: int = TOKENS) -> Path:
     """A model and its tokenizer; the preprocessing is left to the published one. dim: of a clip's vectors.
 
     tokens: that it reads; letters are tokens where a word is none of WORDS.

@@ -40,8 +40,7 @@ def boxes_scene() -> Scene:
     found = labels >= 0
     indptr = np.concatenate([[0], np.cumsum(found)])
     weights = csr_array(
-        (np.ones(found.sum(), np.float32), labels[found].astype(np.int32), indptr),
-        shape=(len(scene), 3),
+        (np.ones(found.sum(), np.float32), labels[found].astype(np.int32), indptr), shape=(len(scene), 3)
     )
     masks = MaskIds(("view.png",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
     evidence = Evidence(weights, masks, words.encode_texts(THINGS))

@@ -40,10 +40,7 @@ def write_colmap_text(folder: Path, cameras=CAMERAS, images=IMAGES, points=POINT
     (folder / "cameras.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
     lines = []
     for i, q, t, camera, name in images:
-        lines += [
-            f"{i} {' '.join(map(repr, (*q, *t)))} {camera} {name}",
-            "1.5 2.5 -1 3.0 4.0 17" if i % 2 else "",
-        ]
+        lines += [f"{i} {' '.join(map(repr, (*q, *t)))} {camera} {name}", "1.5 2.5 -1 3.0 4.0 17" if i % 2 else ""]
     (folder / "images.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
     lines = [f"{i} {' '.join(map(repr, (*x, *c)))} 0.5 1 2 3 4" for i, x, c in points]
     (folder / "points3D.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
@@ -105,17 +102,8 @@ def cameras_json_document(cameras=CAMERAS[:1], images=IMAGES[:2]) -> list:
     for i, q, t, camera, name in images:
         _, _, w, h, (fx, fy, *_) = by_id[camera]
         pose = camera_to_world(q, t)
-        entry = {
-            "id": i,
-            "img_name": name.rsplit(".", 1)[0],
-            "width": w,
-            "height": h,
-            "fx": fx,
-            "fy": fy,
-        }
-        entries.append(
-            entry | {"position": pose[:3, 3].tolist(), "rotation": pose[:3, :3].tolist()}
-        )
+        entry = {"id": i, "img_name": name.rsplit(".", 1)[0], "width": w, "height": h, "fx": fx, "fy": fy}
+        entries.append(entry | {"position": pose[:3, 3].tolist(), "rotation": pose[:3, :3].tolist()})
     return entries
 
 

@@ -50,13 +50,7 @@ def write_scene(folder: Path, plan: argparse.Namespace) -> None:
         print(f"\r{len(shots)}/{plan.views} views, {passed:.0f} s", end="", flush=True)
     print()
     rng, scene = split.rng(seed, 400), f"{split.name}_{seed:04d}"
-    about = {
-        "world": VERSION,
-        "split": split.name,
-        "seed": seed,
-        "cameras": plan.cameras,
-        "spp": plan.spp,
-    }
+    about = {"world": VERSION, "split": split.name, "seed": seed, "cameras": plan.cameras, "spp": plan.spp}
     write_truth(folder, room, shots, {**about, "scene": scene})
     write_lerf(folder / "lerf_ovs", scene, room, shots, from_depth(shots, 20_000, rng))
     write_scannet(folder / "scannet", scene, room, shots, of_surfaces(room, shots, rng))
@@ -69,12 +63,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--output", type=Path, metavar="DIR")
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=_size, default=(640, 480), metavar="WIDTHxHEIGHT")
-    parser.add_argument(
-        "--cameras",
-        choices=PATHS,
-        default="both",
-        help="round the table, through the room, or both",
-    )
+    parser.add_argument("--cameras", choices=PATHS, default="both", help="round the table, through the room, or both")
     parser.add_argument("--spp", type=int, default=16, help="samples per pixel")
     parser.add_argument("--contact-sheet", type=Path, metavar="FILE.jpg")
     arguments = parser.parse_args()

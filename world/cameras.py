@@ -15,9 +15,7 @@ Point = tuple[float, float, float] | Vec
 PATHS = ("both", "orbit", "walk")
 
 
-def look_at(
-    eye: Point, target: Point, size: tuple[int, int], across: float, name: str = ""
-) -> View:
+def look_at(eye: Point, target: Point, size: tuple[int, int], across: float, name: str = "") -> View:
     """An upright camera at `eye`, the target in the middle of its picture; `across` is the
     horizontal angle of view in degrees."""
     width, height = size
@@ -62,9 +60,7 @@ def walk(room: Room, count: int, size: tuple[int, int], rng: np.random.Generator
     return views
 
 
-def _strolling(
-    room: Room, around: float, attempt: int, size: tuple[int, int], rng: np.random.Generator
-) -> View:
+def _strolling(room: Room, around: float, attempt: int, size: tuple[int, int], rng: np.random.Generator) -> View:
     angle = around + rng.normal(0, 0.02 + 0.02 * attempt)
     ring = np.array([np.cos(angle), np.sin(angle)])
     ring /= np.abs(ring).max() ** 0.7  # between a circle and the rectangle of the walls
@@ -116,9 +112,7 @@ def _distance(placed: Placed, eye: Vec) -> float:
     return float(np.linalg.norm(np.maximum(0, np.maximum(low - local, local - high))))
 
 
-def views_of(
-    room: Room, count: int, size: tuple[int, int], rng: np.random.Generator, path: str = "both"
-) -> list[View]:
+def views_of(room: Room, count: int, size: tuple[int, int], rng: np.random.Generator, path: str = "both") -> list[View]:
     """frame_00001.jpg and so on. path: one of PATHS; "both" is three in five in orbit, the rest walking."""
     around = {"orbit": count, "walk": 0, "both": -(-3 * count // 5)}[path]
     views = orbit(room, around, size, rng) + walk(room, count - around, size, rng)

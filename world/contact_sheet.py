@@ -15,9 +15,7 @@ COLUMNS = 3
 LABEL = 13  # pixels
 
 
-def contact_sheet(
-    path: Path, split: Split, seeds: int = 4, side: int = 72, spp: int = 48, quality: int = 72
-) -> None:
+def contact_sheet(path: Path, split: Split, seeds: int = 4, side: int = 72, spp: int = 48, quality: int = 72) -> None:
     """Writes a JPEG: a block of `seeds` pictures per kind of thing."""
     rows = []
     for kind in CATALOGUE:

@@ -46,16 +46,12 @@ class Stage:
     exposure: Float64[np.ndarray, " 3"]
 
 
-def crops(
-    split: Split, seed: int, count: int, side: int = 128, spp: int = 8, batch: int = 64
-) -> Iterator[Crop]:
+def crops(split: Split, seed: int, count: int, side: int = 128, spp: int = 8, batch: int = 64) -> Iterator[Crop]:
     """`count` crops, the kinds of things in turn; deterministic, batch by batch."""
     for start in range(0, count, batch):
         numbers = range(start, min(start + batch, count))
         rng = split.rng(seed, 101, start)
-        stages = [
-            random_stage(split, split.rng(seed, 100, k), k % len(CATALOGUE), side) for k in numbers
-        ]
+        stages = [random_stage(split, split.rng(seed, 100, k), k % len(CATALOGUE), side) for k in numbers]
         yield from shoot(stages, random_sky(rng), spp, int(rng.integers(2**31)))
 
 
@@ -76,9 +72,7 @@ def random_stage(split: Split, rng: np.random.Generator, kind: int, side: int) -
         x, y = gap * np.cos(angle), gap * np.sin(angle)
         actors.append((other, (float(x), float(y), float(rng.uniform(0, 360)), float(scale))))
     height = np.radians(rng.uniform(8, 55))
-    toward = np.array(
-        [np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)]
-    )
+    toward = np.array([np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)])
     middle = np.array([0, 0, 0.5 * star.size[2] * _unit(star)]) + rng.normal(0, 0.05, 3)
     eye = middle + toward * rng.uniform(2.1, 3.4)
     eye[2] = max(eye[2], 0.12)
@@ -106,13 +100,7 @@ def _scenery(split: Split, rng: np.random.Generator, azimuth: float) -> list[tup
 
 def _ground(clothes: Wardrobe, rng: np.random.Generator, use: str) -> Look:
     shade = color(
-        rng,
-        "white",
-        "white",
-        "grey",
-        "brown",
-        "brown",
-        *(["black", "blue", "green", "red", "yellow", "pink"]),
+        rng, "white", "white", "grey", "brown", "brown", *(["black", "blue", "green", "red", "yellow", "pink"])
     )
     pale = washed(shade.rgb, 0.35, 0.6) if rng.random() < 0.5 else shade.rgb
     kind = rng.random()
@@ -128,9 +116,7 @@ def _ground(clothes: Wardrobe, rng: np.random.Generator, use: str) -> Look:
 
 def random_sky(rng: np.random.Generator) -> Any:
     """A pale sky with one or two broad lights in it, warm or cool."""
-    polar, around = np.meshgrid(
-        np.linspace(0, np.pi, 32), np.linspace(0, 2 * np.pi, 64), indexing="ij"
-    )
+    polar, around = np.meshgrid(np.linspace(0, np.pi, 32), np.linspace(0, 2 * np.pi, 64), indexing="ij")
     warm = rng.normal(0, 0.05)
     tint = np.array([1 + warm, 1.0, 1 - warm])
     image = 0.45 * (0.55 + 0.45 * np.cos(polar))[..., None] * np.ones(3)
@@ -150,10 +136,7 @@ def shoot(stages: list[Stage], sky: Any, spp: int, seed: int) -> list[Crop]:
     wide = engine.radiance(world, engine.side_by_side(views, spp), seed)
     hits, _ = engine.first_hits(world, views, lambda name: int(name.split(":")[1]))
     pictures = np.split(wide, len(stages), axis=1)
-    return [
-        _crop(stage, picture, hit)
-        for stage, picture, hit in zip(stages, pictures, hits, strict=True)
-    ]
+    return [_crop(stage, picture, hit) for stage, picture, hit in zip(stages, pictures, hits, strict=True)]
 
 
 def _built(stage: Stage, k: int) -> Iterator[tuple[str, Any]]:

@@ -41,19 +41,14 @@ def _without_fireflies(falling: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndar
     return np.asarray(falling * np.minimum(1, most / np.maximum(level, 1e-6))[..., None])
 
 
-def _overlap(
-    dy: int, dx: int, height: int, width: int
-) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Pixels with a neighbour at (dy, dx), and those neighbours."""
     rows, columns = _span(dy, height), _span(dx, width)
     return (rows[0], columns[0]), (rows[1], columns[1])
 
 
 def _span(shift: int, length: int) -> tuple[slice, slice]:
-    return (
-        slice(max(0, -shift), length - max(0, shift)),
-        slice(max(0, shift), length - max(0, -shift)),
-    )
+    return (slice(max(0, -shift), length - max(0, shift)), slice(max(0, shift), length - max(0, -shift)))
 
 
 def _blurred(image: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

@@ -63,10 +63,7 @@ def points_of(folder: Path, view: View, stride: int = 2) -> tuple[np.ndarray, np
 
 def scene_of(folder: Path, views: list[View]) -> tuple[Gaussians, np.ndarray]:
     """One Gaussian for every occupied cell and id of a grid, and their ids."""
-    points, labels = (
-        np.concatenate(parts)
-        for parts in zip(*(points_of(folder, view) for view in views), strict=True)
-    )
+    points, labels = (np.concatenate(parts) for parts in zip(*(points_of(folder, view) for view in views), strict=True))
     keys = np.column_stack([np.floor(points / SPACING).astype(np.int64), labels])
     kept = np.sort(np.unique(keys, axis=0, return_index=True)[1])
     count = len(kept)
@@ -120,10 +117,7 @@ def prepare(folder: Path, output: Path, encoder: Any) -> None:
     views = read_views(folder, truth)
     gaussians, labels = scene_of(folder, views)
     keys = ("id", "name", "color", "material")
-    things = [
-        {key: thing.get(key, "") for key in keys}
-        for thing in (*truth["objects"], *truth["structures"])
-    ]
+    things = [{key: thing.get(key, "") for key in keys} for thing in (*truth["objects"], *truth["structures"])]
     by_id = {thing["id"]: thing for thing in things}
     features = {view.name: features_of(folder, view, by_id, encoder) for view in views}
     registration = replace(register(gaussians, views, features), encoder=encoder.identity)
@@ -133,20 +127,14 @@ def prepare(folder: Path, output: Path, encoder: Any) -> None:
     write_npy(output / "labels.npy", labels.astype(np.int32))
     (output / "things.json").write_text(json.dumps(things, indent=1))
     field.save(output / "scene.field")
-    print(
-        f"{output}: {len(gaussians):,} Gaussians, {len(field):,} registered, {len(things)} things"
-    )
+    print(f"{output}: {len(gaussians):,} Gaussians, {len(field):,} registered, {len(things)} things")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument(
-        "--encoder", choices=("drsplat-mini", "simulated-clip"), default="drsplat-mini"
-    )
+    parser.add_argument("--encoder", choices=("drsplat-mini", "simulated-clip"), default="drsplat-mini")
     arguments = parser.parse_args()
     encoder = MiniEncoder() if arguments.encoder == "drsplat-mini" else SimulatedClip()
     for folder in arguments.folders:

@@ -70,9 +70,7 @@ def shape(mesh: Mesh, look: Look, name: str) -> Any:
     props = mi.Properties()
     props["bsdf"] = mi.load_dict(_bsdf(look))
     count = len(mesh.faces)
-    built = mi.Mesh(
-        name, 3 * count, count, has_vertex_normals=True, has_vertex_texcoords=True, props=props
-    )
+    built = mi.Mesh(name, 3 * count, count, has_vertex_normals=True, has_vertex_texcoords=True, props=props)
     repeat = 1.0 if look.texture is None else look.texture.metres
     params = mi.traverse(built)
     params["vertex_positions"] = np.ravel(mesh.vertices[mesh.faces]).astype(np.float32)
@@ -86,9 +84,7 @@ def shape(mesh: Mesh, look: Look, name: str) -> Any:
 def linear(rgb: Any) -> Float64[np.ndarray, "*n 3"]:
     """sRGB in 0..1 -> linear."""
     values = np.asarray(rgb, float)
-    return np.asarray(
-        np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    )
+    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
 
 
 def srgb(values: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
@@ -107,12 +103,7 @@ def _bsdf(look: Look) -> dict[str, Any]:
     if material.kind == "roughconductor":
         bsdf = {"type": "roughconductor", "alpha": material.roughness, "specular_reflectance": tint}
     elif material.kind == "principled":
-        bsdf = {
-            "type": "principled",
-            "roughness": material.roughness,
-            "specular": 0.5,
-            "base_color": tint,
-        }
+        bsdf = {"type": "principled", "roughness": material.roughness, "specular": 0.5, "base_color": tint}
     else:
         bsdf = {"type": "diffuse", "reflectance": tint}
     return {"type": "twosided", "bsdf": bsdf}
@@ -196,9 +187,7 @@ def first_hits(
     -1, and the depth along z in metres, 0 where there is nothing. The views are of one size."""
     rays = [pixel_rays(view) for view in views]
     directions = np.stack([direction for _, direction in rays])
-    origins = np.broadcast_to(
-        np.stack([origin for origin, _ in rays])[:, None, None], directions.shape
-    )
+    origins = np.broadcast_to(np.stack([origin for origin, _ in rays])[:, None, None], directions.shape)
     caster = _cast_one_by_one if mitsuba().variant().startswith("scalar") else _cast_together
     indices, depths = caster(world, origins.reshape(-1, 3), directions.reshape(-1, 3), index_of)
     return indices.reshape(directions.shape[:3]), depths.reshape(directions.shape[:3])
@@ -211,10 +200,7 @@ def _cast_together(
     dr: Any = importlib.import_module("drjit")
     starts, ways = (np.ascontiguousarray(x.T, np.float32) for x in (origins, directions))
     hit = world.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(starts), mi.Vector3f(ways)))
-    valid, registered = (
-        np.asarray(hit.is_valid()),
-        np.asarray(dr.reinterpret_array(mi.UInt32, hit.shape)),
-    )
+    valid, registered = (np.asarray(hit.is_valid()), np.asarray(dr.reinterpret_array(mi.UInt32, hit.shape)))
     shapes = world.shapes()
     pointers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in shapes]
     table = np.full(max(pointers) + 1, -1, np.int32)
@@ -228,12 +214,8 @@ def _cast_one_by_one(
 ) -> tuple[np.ndarray, np.ndarray]:
     mi = mitsuba()
     indices, depths = np.full(len(origins), -1, np.int32), np.zeros(len(origins), np.float32)
-    for k, (origin, direction) in enumerate(
-        zip(origins.tolist(), directions.tolist(), strict=True)
-    ):
-        hit = world.ray_intersect_preliminary(
-            mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
-        )
+    for k, (origin, direction) in enumerate(zip(origins.tolist(), directions.tolist(), strict=True)):
+        hit = world.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction)))
         if hit.is_valid():
             indices[k], depths[k] = index_of(hit.shape.id()), hit.t
     return indices, depths

@@ -72,13 +72,7 @@ def _object(room: Room, number: int, shots: list[Shot]) -> dict[str, Any]:
 
 def _view(view: View) -> dict[str, Any]:
     pose = view.cam_from_world.tolist()
-    return {
-        "name": view.name,
-        "width": view.width,
-        "height": view.height,
-        "K": view.K.tolist(),
-        "cam_from_world": pose,
-    }
+    return {"name": view.name, "width": view.width, "height": view.height, "K": view.K.tolist(), "cam_from_world": pose}
 
 
 def write_lerf(folder: Path, scene: str, room: Room, shots: list[Shot], points: Points) -> None:
@@ -115,16 +109,10 @@ def _piece(name: str, polygon: list[tuple[int, int]]) -> dict[str, Any]:
 
 def _write_colmap(folder: Path, views: list[View], points: Points) -> None:
     """Source: https://colmap.github.io/format.html"""
-    sizes = list(
-        dict.fromkeys(
-            (v.width, v.height, v.K[0, 0], v.K[1, 1], v.K[0, 2], v.K[1, 2]) for v in views
-        )
-    )
+    sizes = list(dict.fromkeys((v.width, v.height, v.K[0, 0], v.K[1, 1], v.K[0, 2], v.K[1, 2]) for v in views))
     cameras = [
         f"{k} PINHOLE {w} {h} {fx!r} {fy!r} {cx!r} {cy!r}"
-        for k, (w, h, fx, fy, cx, cy) in enumerate(
-            ((s[0], s[1], *map(float, s[2:])) for s in sizes), 1
-        )
+        for k, (w, h, fx, fy, cx, cy) in enumerate(((s[0], s[1], *map(float, s[2:])) for s in sizes), 1)
     ]
     images = []
     for k, v in enumerate(views, 1):
@@ -133,10 +121,7 @@ def _write_colmap(folder: Path, views: list[View], points: Points) -> None:
         numbers = " ".join(map(repr, (w, x, y, z, *v.cam_from_world[:3, 3].tolist())))
         images += [f"{k} {numbers} {camera} {v.name}", ""]
     rows = zip(points.positions.tolist(), points.colors.tolist(), strict=True)
-    cloud = [
-        f"{k} {x:.6f} {y:.6f} {z:.6f} {r} {g} {b} 0"
-        for k, ((x, y, z), (r, g, b)) in enumerate(rows, 1)
-    ]
+    cloud = [f"{k} {x:.6f} {y:.6f} {z:.6f} {r} {g} {b} 0" for k, ((x, y, z), (r, g, b)) in enumerate(rows, 1)]
     for name, lines in (("cameras", cameras), ("images", images), ("points3D", cloud)):
         (folder / f"{name}.txt").write_text("\n".join([f"# {name}", *lines, ""]), encoding="utf-8")
 
@@ -157,15 +142,9 @@ def write_scannet(folder: Path, scene: str, room: Room, shots: list[Shot], point
     for shot in shots:
         _save_photo(shot, place / "color" / shot.view.name)
     views = [shot.view for shot in shots]
-    _write_json(
-        place / "transforms_train.json",
-        _transforms([v for k, v in enumerate(views) if k % HELD_OUT]),
-    )
+    _write_json(place / "transforms_train.json", _transforms([v for k, v in enumerate(views) if k % HELD_OUT]))
     _write_json(place / "transforms_test.json", _transforms(views[::HELD_OUT]))
-    _write_json(
-        place / f"{scene}_vh_clean_2.0.010000.segs.json",
-        {"sceneId": scene, "segIndices": points.ids.tolist()},
-    )
+    _write_json(place / f"{scene}_vh_clean_2.0.010000.segs.json", {"sceneId": scene, "segIndices": points.ids.tolist()})
     groups = [
         {"id": n, "objectId": n, "segments": [k], "label": names[k]}
         for n, k in enumerate(np.unique(points.ids).tolist())
@@ -176,10 +155,7 @@ def write_scannet(folder: Path, scene: str, room: Room, shots: list[Shot], point
 def _transforms(views: list[View]) -> dict[str, Any]:
     v = views[0]
     frames = [
-        {
-            "file_path": f"color/{view.name}",
-            "transform_matrix": (np.linalg.inv(view.cam_from_world) @ _OPENGL).tolist(),
-        }
+        {"file_path": f"color/{view.name}", "transform_matrix": (np.linalg.inv(view.cam_from_world) @ _OPENGL).tolist()}
         for view in views
     ]
     return {
@@ -196,10 +172,7 @@ def _write_ply(path: Path, points: Points, more: dict[str, np.ndarray]) -> None:
         **{axis: points.positions[:, k].astype(np.float32) for k, axis in enumerate("xyz")},
         **{name: points.colors[:, k] for k, name in enumerate(("red", "green", "blue"))}, **more,
     }  # fmt: skip
-    rows = np.empty(
-        len(points.ids),
-        [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()],
-    )
+    rows = np.empty(len(points.ids), [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     for name, column in columns.items():
         rows[name] = column
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]

@@ -71,9 +71,7 @@ class Split:
         Raises: ValueError: the split has no such seed.
         """
         if not 0 <= seed < self.last - self.first:
-            raise ValueError(
-                f"split '{self.name}': expected a seed in 0..{self.last - self.first - 1}, got {seed}"
-            )
+            raise ValueError(f"split '{self.name}': expected a seed in 0..{self.last - self.first - 1}, got {seed}")
         return np.random.default_rng([self.first + seed, *stream])
 
 
@@ -154,9 +152,7 @@ class Wardrobe:
         return Look(material, first, Texture(family, image, metres))
 
     def wood(self, shade: Color, metres: float = 0.5) -> Look:
-        return self.textured(
-            "wood", "wood", shaded(shade.rgb, 1.12), shaded(shade.rgb, 0.62), metres
-        )
+        return self.textured("wood", "wood", shaded(shade.rgb, 1.12), shaded(shade.rgb, 0.62), metres)
 
     def cloth(self, shade: Color, material: str = "fabric", metres: float = 0.12) -> Look:
         return self.textured("cloth", material, shade.rgb, shaded(shade.rgb, 0.5), metres)

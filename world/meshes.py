@@ -58,9 +58,7 @@ def rounded(points: Curve, times: int = 2) -> Curve:
     line = np.array(points, float)
     for _ in range(times):
         a, b = line[:-1], line[1:]
-        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(
-            -1, line.shape[1]
-        )
+        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, line.shape[1])
         line = np.concatenate([line[:1], cut[1:-1], line[-1:]])
     return [tuple(row) for row in line.tolist()]
 
@@ -186,9 +184,7 @@ def _frames(
     direction = path[-1] - path[0]
     bend = np.linalg.svd(path - path.mean(0))[1]
     if bend[1] < 1e-6 * bend[0]:  # straight: the section's second axis is as upright as can be
-        rough = (
-            np.array([0, 0, 1.0]) if abs(direction[2]) < 0.9 * bend[0] else np.array([0, 1.0, 0])
-        )
+        rough = np.array([0, 0, 1.0]) if abs(direction[2]) < 0.9 * bend[0] else np.array([0, 1.0, 0])
         normal = rough
     else:
         normal = np.linalg.svd(path - path.mean(0))[2][2]
@@ -236,9 +232,7 @@ def _is_ear(ring: Float64[np.ndarray, "n 2"], left: list[int], k: int) -> bool:
     if turns(a, b, c) <= 1e-14:
         return False
     others = [ring[i] for i in left if not any(np.array_equal(ring[i], p) for p in (a, b, c))]
-    return not any(
-        turns(a, b, p) >= 0 and turns(b, c, p) >= 0 and turns(c, a, p) >= 0 for p in others
-    )
+    return not any(turns(a, b, p) >= 0 and turns(b, c, p) >= 0 and turns(c, a, p) >= 0 for p in others)
 
 
 def _grid(points: Float64[np.ndarray, "r c 3"], uv: Float64[np.ndarray, "r c 2"]) -> Mesh:
@@ -252,9 +246,7 @@ def _grid(points: Float64[np.ndarray, "r c 3"], uv: Float64[np.ndarray, "r c 2"]
     return Mesh(vertices, faces[areas(vertices, faces) > 1e-13].astype(np.int32), uv.reshape(-1, 2))
 
 
-def areas(
-    vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]
-) -> Float64[np.ndarray, " f"]:
+def areas(vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]) -> Float64[np.ndarray, " f"]:
     """In square metres."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))

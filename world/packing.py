@@ -46,9 +46,7 @@ def pack_photos(rendered: Path, output: Path) -> None:
         ids.save(output / "ids" / f"{Path(view).stem}.png", optimize=True)
     known = json.loads((rendered / "truth.json").read_text(encoding="utf-8"))
     kept = {key: known[key] for key in ("world", "split", "seed", "cameras", "scene", "structures")}
-    kept["objects"] = [
-        {k: v for k, v in thing.items() if k != "pixels"} for thing in known["objects"]
-    ]
+    kept["objects"] = [{k: v for k, v in thing.items() if k != "pixels"} for thing in known["objects"]]
     kept["held_out"] = truth.views[::HELD_OUT]
     text = json.dumps(kept, indent=1) + "\n"
     (output / "truth.json").write_text(text, encoding="utf-8")
@@ -95,9 +93,7 @@ def pack_scene(scene: Path, output: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("part", choices=("photos", "labels", "scene"))
     parser.add_argument("source", type=Path)
     parser.add_argument("--output", type=Path, required=True)

@@ -117,11 +117,7 @@ def make_room(split: Split, seed: int) -> Room:
     _on_ledges(objects, hosts, split, rng)
     structures, window = _shell(split, rng, size, int(walls[2]))
     focus = np.array([table.position[0], table.position[1], table.thing.size[2] + 0.05])
-    light = {
-        "sky": rng.uniform(0.5, 0.7),
-        "window": rng.uniform(8, 12),
-        "warm": rng.normal(0.02, 0.04),
-    }
+    light = {"sky": rng.uniform(0.5, 0.7), "window": rng.uniform(8, 12), "warm": rng.normal(0.02, 0.04)}
     return Room(size, focus, objects, structures, window, light)
 
 
@@ -145,9 +141,7 @@ def _wall_frame(wall: int, size: tuple[float, float]) -> tuple[np.ndarray, np.nd
     return normal, np.array([-normal[1], normal[0]]), size[wall % 2] / 2
 
 
-def _at_wall(
-    objects: list[Placed], thing: Thing, wall: int, size: tuple[float, float], rng: Rng
-) -> None:
+def _at_wall(objects: list[Placed], thing: Thing, wall: int, size: tuple[float, float], rng: Rng) -> None:
     normal, along, away = _wall_frame(wall, size)
     depth, wide = thing.size[0], thing.size[1]
     room = size[(wall + 1) % 2] / 2 - wide / 2 - 0.1
@@ -189,10 +183,7 @@ def _on_floor(objects: list[Placed], split: Split, rng: Rng, size: tuple[float, 
 def _on_ledges(objects: list[Placed], hosts: list[Placed], split: Split, rng: Rng) -> None:
     """Fill tables, seats and shelves; a kind comes twice at most, and then in two colours."""
     used: list[tuple[str, str]] = [(o.thing.name, o.thing.color) for o in objects]
-    wanted = {
-        "table": (ON_TABLE, int(rng.integers(8, 11))),
-        "sofa": (ON_SEAT, int(rng.integers(1, 3))),
-    }
+    wanted = {"table": (ON_TABLE, int(rng.integers(8, 11))), "sofa": (ON_SEAT, int(rng.integers(1, 3)))}
     for host in hosts:
         kinds, count = wanted.get(host.thing.name, (ON_SHELF, 1))
         for number, ledge in enumerate(host.thing.ledges):
@@ -215,9 +206,7 @@ def _fill(
     objects.extend(here)
 
 
-def _choice(
-    kinds: tuple[str, ...], count: int, used: list[tuple[str, str]], split: Split, rng: Rng
-) -> list[Thing]:
+def _choice(kinds: tuple[str, ...], count: int, used: list[tuple[str, str]], split: Split, rng: Rng) -> list[Thing]:
     things: list[Thing] = []
     for kind in rng.permutation(kinds).tolist():
         if len(things) >= count:
@@ -229,9 +218,7 @@ def _choice(
     return things
 
 
-def _somewhere(
-    thing: Thing, host: Placed, ledge: Ledge, here: list[Placed], rng: Rng
-) -> Placed | None:
+def _somewhere(thing: Thing, host: Placed, ledge: Ledge, here: list[Placed], rng: Rng) -> Placed | None:
     """A free place for a thing on a ledge, or None; on shelves it looks out."""
     if thing.size[2] > ledge.clearance or thing.size[2] > 0.6:
         return None
@@ -244,9 +231,7 @@ def _somewhere(
         if (np.abs(flat - ledge.center) > np.array(ledge.size) / 2).any():
             continue
         x, y = turn("z", host.degrees)[:2, :2] @ local + host.position[:2]
-        new = Placed(
-            thing, (float(x), float(y), host.position[2] + ledge.z), host.degrees + float(yaw)
-        )
+        new = Placed(thing, (float(x), float(y), host.position[2] + ledge.z), host.degrees + float(yaw))
         if _fits(new, here, 0.012):
             return new
     return None
@@ -261,9 +246,7 @@ def _shell(
     wall = clothes.textured("wall", "plaster", pale, shaded(pale, 0.94), 1.5)
     floor_shade = color(rng, "brown", "brown", "grey", "white")
     light_floor = washed(floor_shade.rgb, 0.18, 0.8)
-    floor = clothes.textured(
-        "floor", "wood", light_floor, shaded(light_floor, 0.5), float(rng.uniform(0.7, 1.1))
-    )
+    floor = clothes.textured("floor", "wood", light_floor, shaded(light_floor, 0.5), float(rng.uniform(0.7, 1.1)))
     ground = box((size[0], size[1], 0.1)).moved(z=-0.1)
     walls, skirting, white = [], [], plain("plaster", (0.92, 0.91, 0.88))
     for k in range(4):
@@ -274,19 +257,13 @@ def _shell(
     frame, light = _window(size, window_wall, rng)
     structures = [
         Structure("floor", [(floor, ground)]),
-        Structure(
-            "wall", [*((wall, mesh) for mesh in walls), *((white, mesh) for mesh in skirting)]
-        ),
+        Structure("wall", [*((wall, mesh) for mesh in walls), *((white, mesh) for mesh in skirting)]),
         Structure("window", [(white, mesh) for mesh in frame]),
     ]
     if rng.random() < 0.5:
         rug_shade = color(rng)
         look = clothes.patterned(rug_shade, "fabric", 0.6)
-        structures.append(
-            Structure(
-                "rug", [(look, box((2.3, 1.7, 0.004)).turned("z", float(rng.uniform(0, 180))))]
-            )
-        )
+        structures.append(Structure("rug", [(look, box((2.3, 1.7, 0.004)).turned("z", float(rng.uniform(0, 180))))]))
     return structures, light
 
 
@@ -295,17 +272,10 @@ def _window(
 ) -> tuple[list[Mesh], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Frame bars, and corner and sides of the pane, which shines into the room."""
     normal, along, away = _wall_frame(wall, size)
-    wide, tall, low, shift = (
-        rng.uniform(1.3, 1.7),
-        rng.uniform(1.2, 1.4),
-        0.95,
-        rng.uniform(-0.3, 0.3),
-    )
+    wide, tall, low, shift = (rng.uniform(1.3, 1.7), rng.uniform(1.2, 1.4), 0.95, rng.uniform(-0.3, 0.3))
     corner = np.array([*(-normal * (away - 0.02) + along * (shift - wide / 2)), low])
     bars = [box((0.06, wide + 0.08, 0.06)).moved(z=z) for z in (low - 0.05, low + tall - 0.01)]
-    bars += [
-        box((0.05, 0.05, tall)).moved(y=y, z=low) for y in (-wide / 2 - 0.015, 0, wide / 2 + 0.015)
-    ]
+    bars += [box((0.05, 0.05, tall)).moved(y=y, z=low) for y in (-wide / 2 - 0.015, 0, wide / 2 + 0.015)]
     turned = float(np.degrees(np.arctan2(normal[1], normal[0])))
     x, y = -normal * (away - 0.035) + along * shift
     frame = [bar.turned("z", turned).moved(float(x), float(y)) for bar in bars]

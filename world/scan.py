@@ -35,9 +35,7 @@ def _unprojected(shot: Shot, count: int, rng: np.random.Generator) -> Points:
     return Points(world, shot.image[rows, columns], shot.ids[rows, columns])
 
 
-def of_surfaces(
-    room: Room, shots: list[Shot], rng: np.random.Generator, spacing: float = 0.015
-) -> Points:
+def of_surfaces(room: Room, shots: list[Shot], rng: np.random.Generator, spacing: float = 0.015) -> Points:
     """Evenly over all surfaces that a photo sees; thrice as far apart on floor and walls. Colours are
     the mean over the photos."""
     positions, ids = [], []
@@ -73,9 +71,7 @@ def _seen(positions: np.ndarray, ids: np.ndarray, shots: list[Shot]) -> Points:
     return Points(positions[seen], colors, ids[seen])
 
 
-def _visible(
-    positions: np.ndarray, ids: np.ndarray, shot: Shot
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _visible(positions: np.ndarray, ids: np.ndarray, shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which points a shot sees, and the row and column of each."""
     view = shot.view
     camera = positions @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]

@@ -84,13 +84,7 @@ def main() -> None:
     images = np.stack([clip.encode_thing(n, "v", n, "red", "") for n in names])
     cosines = clip.encode_texts(names) @ images.T
     same = np.eye(len(names), dtype=bool)
-    print(
-        "matching",
-        cosines[same].round(2),
-        "others",
-        cosines[~same].mean().round(3),
-        cosines[~same].std().round(3),
-    )
+    print("matching", cosines[same].round(2), "others", cosines[~same].mean().round(3), cosines[~same].std().round(3))
     negatives = clip.encode_texts(["object", "things", "stuff", "texture"]) @ images.T
     print("negatives", negatives.mean().round(3), negatives.max(0).round(2))
 

@@ -13,9 +13,7 @@ _ROWS, _COLUMNS = np.mgrid[0:SIDE, 0:SIDE] / SIDE
 
 def noise(rng: np.random.Generator, across: float, down: float, slope: float = 1.5) -> Mask:
     """Tileable, mean 0, deviation 1; `across` and `down` are its grain in 1/side, larger is finer."""
-    y, x = np.meshgrid(
-        np.fft.fftfreq(SIDE, 1 / SIDE), np.fft.rfftfreq(SIDE, 1 / SIDE), indexing="ij"
-    )
+    y, x = np.meshgrid(np.fft.fftfreq(SIDE, 1 / SIDE), np.fft.rfftfreq(SIDE, 1 / SIDE), indexing="ij")
     power = (1 + (x / across) ** 2 + (y / down) ** 2) ** -slope
     power[0, 0] = 0
     field = np.fft.irfft2(np.fft.rfft2(rng.normal(size=(SIDE, SIDE))) * power, (SIDE, SIDE))
@@ -37,9 +35,7 @@ def dots(rng: np.random.Generator) -> Mask:
     x, y = (np.mod(count * a + b, 1) - 0.5 for a, b in ((_COLUMNS, 0.0), (_ROWS, 0.0)))
     x2, y2 = (np.mod(count * a + 0.5, 1) - 0.5 for a in (_COLUMNS, _ROWS))
     radius = rng.uniform(0.17, 0.24)
-    return np.asarray(
-        np.maximum(_soft(radius - np.hypot(x, y), 0.05), _soft(radius - np.hypot(x2, y2), 0.05))
-    )
+    return np.asarray(np.maximum(_soft(radius - np.hypot(x, y), 0.05), _soft(radius - np.hypot(x2, y2), 0.05)))
 
 
 def plaid(rng: np.random.Generator) -> Mask:
@@ -99,9 +95,7 @@ def planks(rng: np.random.Generator) -> Mask:
 def tiles(rng: np.random.Generator) -> Mask:
     cell = (np.floor(2 * _ROWS) * 2 + np.floor(2 * _COLUMNS)).astype(int)
     gap = (np.mod(2 * _ROWS, 1) < 0.035) | (np.mod(2 * _COLUMNS, 1) < 0.035)
-    return np.asarray(
-        np.clip(rng.uniform(0, 0.3, 4)[cell] + 0.07 * noise(rng, 6, 6) + 0.55 * gap, 0, 1)
-    )
+    return np.asarray(np.clip(rng.uniform(0, 0.3, 4)[cell] + 0.07 * noise(rng, 6, 6) + 0.55 * gap, 0, 1))
 
 
 def parquet(rng: np.random.Generator) -> Mask:
@@ -145,9 +139,7 @@ def rushes(rng: np.random.Generator) -> Mask:
     """Basketwork, coiled: thick rounds with stitches."""
     round_ = np.abs(np.sin(np.pi * 10 * _ROWS))
     stitch = np.cos(2 * np.pi * (8 * _COLUMNS + 4 * _ROWS)) > 0.6
-    return np.asarray(
-        np.clip(0.9 - 0.65 * round_ + 0.15 * stitch + 0.04 * noise(rng, 10, 10), 0, 1)
-    )
+    return np.asarray(np.clip(0.9 - 0.65 * round_ + 0.15 * stitch + 0.04 * noise(rng, 10, 10), 0, 1))
 
 
 def speckles(rng: np.random.Generator) -> Mask:
@@ -168,9 +160,7 @@ PATTERNS: dict[str, Callable[[np.random.Generator], Mask]] = {
 }  # fmt: skip
 
 
-def bitmap(
-    family: str, rng: np.random.Generator, first: Rgb, second: Rgb
-) -> UInt8[np.ndarray, "s s 3"]:
+def bitmap(family: str, rng: np.random.Generator, first: Rgb, second: Rgb) -> UInt8[np.ndarray, "s s 3"]:
     """sRGB: `first` where the family's pattern is 0, `second` where it is 1."""
     mask = PATTERNS[family](rng)[..., None]
     mixed = (1 - mask) * np.array(first) + mask * np.array(second)

@@ -51,13 +51,7 @@ class Thing:
         return np.asarray(high - low)
 
 
-def build(
-    name: str,
-    shade: Color,
-    material: str,
-    *pieces: tuple[Look, Mesh],
-    ledges: tuple[Ledge, ...] = (),
-) -> Thing:
+def build(name: str, shade: Color, material: str, *pieces: tuple[Look, Mesh], ledges: tuple[Ledge, ...] = ()) -> Thing:
     """The pieces as a thing, centred on the z axis and standing on z = 0; those of one look become
     one part."""
     grouped: dict[int, list[Mesh]] = {}
@@ -69,7 +63,6 @@ def build(
     x, y, z = (-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2])
     parts = [Part(joined(*meshes).moved(x, y, z), looks[key]) for key, meshes in grouped.items()]
     shifted = tuple(
-        Ledge(ledge.z + z, (ledge.center[0] + x, ledge.center[1] + y), ledge.size, ledge.clearance)
-        for ledge in ledges
+        Ledge(ledge.z + z, (ledge.center[0] + x, ledge.center[1] + y), ledge.size, ledge.clearance) for ledge in ledges
     )
     return Thing(name, shade.word, material, tuple(parts), shifted)

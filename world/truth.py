@@ -42,10 +42,7 @@ class Truth:
 def read_truth(folder: Path) -> Truth:
     """Of a folder that `python -m world` wrote."""
     known = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    labels = {
-        thing["id"]: (thing["name"], thing["color"], thing["material"])
-        for thing in known["objects"]
-    }
+    labels = {thing["id"]: (thing["name"], thing["color"], thing["material"]) for thing in known["objects"]}
     structures = {part["id"]: (part["name"], "", "") for part in known["structures"]}
     views = tuple(view["name"] for view in known["views"])
     return Truth(folder, known, known["scene"], labels | structures, tuple(labels), views)

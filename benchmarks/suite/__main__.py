@@ -15,9 +15,7 @@ SCENES = Path(__file__).resolve().parents[2] / "world" / "scenes"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="*", help="folders of world.packing")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE.json")
     parser.add_argument("--masks", nargs="+", choices=tuple(MASKS), default=list(MASKS))
@@ -27,9 +25,7 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, help="scenes at a time (default: 1)")
     parser.add_argument("--every", type=int, default=1, help="take one in so many views")
-    parser.add_argument(
-        "--work", type=Path, help="folder of what is finished (default: FILE.json.parts)"
-    )
+    parser.add_argument("--work", type=Path, help="folder of what is finished (default: FILE.json.parts)")
     arguments = parser.parse_args()
     start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
     work = arguments.work or Path(f"{arguments.output}.parts")

@@ -15,18 +15,14 @@ from .scenes import BenchScene
 Cut = Callable[[BenchScene, View, UInt8[np.ndarray, "h w 3"]], Mapping[str, Masks]]
 
 
-def true_masks(
-    scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]
-) -> Mapping[str, Masks]:
+def true_masks(scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]) -> Mapping[str, Masks]:
     """One per thing or structure in the photo, in one piece or several."""
     ids = scene.ids(view)
     present = np.unique(ids[ids >= 0])
     return {"large": cut_masks(ids == present[:, None, None], np.ones(len(present), np.float32))}
 
 
-def graph_masks(
-    scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]
-) -> Mapping[str, Masks]:
+def graph_masks(scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]) -> Mapping[str, Masks]:
     """What the built-in segmenter makes of the photo alone."""
     return GraphSegmenter().segment(image)
 

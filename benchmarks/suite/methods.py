@@ -33,11 +33,7 @@ class Registered:
     """A set of Gaussians and what the photos say of them, by sampling."""
 
     def __init__(
-        self,
-        gaussians: Gaussians,
-        views: list[View],
-        features: Mapping[str, ViewFeatures],
-        encoder: EncoderIdentity,
+        self, gaussians: Gaussians, views: list[View], features: Mapping[str, ViewFeatures], encoder: EncoderIdentity
     ) -> None:
         self.gaussians, self.views, self.features = gaussians, views, features
         self.encoder = encoder
@@ -45,9 +41,7 @@ class Registered:
 
     def registration(self, sampling: Sampling, threads: int) -> Registration:
         if sampling not in self.registrations:
-            found = register(
-                self.gaussians, self.views, self.features, sampling=sampling, threads=threads
-            )
+            found = register(self.gaussians, self.views, self.features, sampling=sampling, threads=threads)
             self.registrations[sampling] = replace(found, encoder=self.encoder)
         return self.registrations[sampling]
 

@@ -110,9 +110,7 @@ def _sections(results: Results) -> Iterator[str]:
     yield "## Thresholds that were tuned on the test"
     yield thresholds_table(results, masks)
     yield "## Does significance stand in for volume?"
-    yield (
-        "Fig. S3 of the paper: mIoU by Gaussians, with and without significance, beside mIoU by voxels, for `mean`."
-    )
+    yield ("Fig. S3 of the paper: mIoU by Gaussians, with and without significance, beside mIoU by voxels, for `mean`.")
     for kind in masks:
         if "mean" in methods_of(results, kind):
             yield f"{kind} masks:"

@@ -4,17 +4,7 @@ from collections.abc import Sequence
 
 from drsplat.evaluation import metrics
 
-from .numbers import (
-    Results,
-    correlations,
-    difference,
-    masks_of,
-    methods_of,
-    records_of,
-    said,
-    tuned,
-    values,
-)
+from .numbers import Results, correlations, difference, masks_of, methods_of, records_of, said, tuned, values
 from .rendered import ONE_STEP, RENDERED
 from .tables import COMPARED_WORDS, compared, gain
 
@@ -68,9 +58,7 @@ def _compared(results: Results, masks: str, method: str, base: str) -> str:
 def _best(results: Results, masks: str) -> str:
     parts = []
     for key in compared(results):
-        means = {
-            m: metrics.mean(values(results, masks, m, key)) for m in methods_of(results, masks)
-        }
+        means = {m: metrics.mean(values(results, masks, m, key)) for m in methods_of(results, masks)}
         best = max(means, key=lambda method: means[method])
         parts.append(f"{COMPARED_WORDS[key]} `{best}` {means[best]:.1f}")
     return (

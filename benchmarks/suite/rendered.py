@@ -37,11 +37,7 @@ class _Part(NamedTuple):
 
 
 def rendered_scorer(
-    name: str,
-    gaussians: Gaussians,
-    seen: Mapping[View, ViewFeatures],
-    encoder: MiniEncoder,
-    threads: int,
+    name: str, gaussians: Gaussians, seen: Mapping[View, ViewFeatures], encoder: MiniEncoder, threads: int
 ) -> Scorer:
     """Cosines with features that were fitted by rendering; NaN where no photo sees a Gaussian."""
     splats, embeddings = splat_arrays(gaussians), []
@@ -64,9 +60,7 @@ def rendered_scorer(
     return Scorer(name, len(gaussians), scores, encoder.threshold, COSINES, about, names)
 
 
-def least_squares(
-    weights: csr_array, targets: Float32[np.ndarray, "p r"], steps: int
-) -> Float32[np.ndarray, "n r"]:
+def least_squares(weights: csr_array, targets: Float32[np.ndarray, "p r"], steps: int) -> Float32[np.ndarray, "n r"]:
     """Conjugate gradients on the normal equations, from zero. All columns share their steps, so that the
     first one keeps the directions of weights^T targets.
 
@@ -104,9 +98,7 @@ def _part(splats: SplatArrays, view: View, features: ViewFeatures, threads: int)
     return _Part(weights, masks[covered])
 
 
-def _leading(
-    embeddings: Float32[np.ndarray, "p d"],
-) -> tuple[Float32[np.ndarray, "p r"], Float32[np.ndarray, "r d"]]:
+def _leading(embeddings: Float32[np.ndarray, "p d"]) -> tuple[Float32[np.ndarray, "p r"], Float32[np.ndarray, "r d"]]:
     """The embeddings along their leading directions, and these."""
     squares = embeddings.T.astype(np.float64) @ embeddings
     _, vectors = np.linalg.eigh(squares)

@@ -108,9 +108,7 @@ def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
     return copied
 
 
-def results_of(
-    folders: Sequence[Path], every: int, records: Sequence[dict[str, Any]]
-) -> dict[str, Any]:
+def results_of(folders: Sequence[Path], every: int, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """All that the page is made from; the same scenes and code give the same document."""
     scenes = {folder.resolve().name: about(read_scene(folder, every)) for folder in folders}
     return {

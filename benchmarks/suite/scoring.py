@@ -27,17 +27,13 @@ class Methods:
     points: Scorer
 
 
-def scored(
-    scene: BenchScene, methods: Methods, threads: int
-) -> tuple[dict[str, Any], dict[str, float]]:
+def scored(scene: BenchScene, methods: Methods, threads: int) -> tuple[dict[str, Any], dict[str, float]]:
     """Numbers of each protocol, from 0 to 1, and the seconds that it took."""
     with TemporaryDirectory(prefix="drsplat-benchmark-") as place:
         return _scored(scene, methods, Path(place), threads)
 
 
-def _scored(
-    scene: BenchScene, methods: Methods, folder: Path, threads: int
-) -> tuple[dict[str, Any], dict[str, float]]:
+def _scored(scene: BenchScene, methods: Methods, folder: Path, threads: int) -> tuple[dict[str, Any], dict[str, float]]:
     volume = replace(methods.volume, sweep=SWEEP)
     choosers = {AUTOMATIC: automatic_choosers(volume)[AUTOMATIC]}
     numbers: dict[str, Any] = {}
@@ -55,15 +51,9 @@ def _scored(
 
 
 def _selection(
-    scene: BenchScene,
-    scorer: Scorer,
-    choosers: Mapping[str, tuple[Chooser, str]],
-    folder: Path,
-    threads: int,
+    scene: BenchScene, scorer: Scorer, choosers: Mapping[str, tuple[Chooser, str]], folder: Path, threads: int
 ) -> dict[str, Any]:
-    lerf_ovs.predict(
-        scene.lerf, scene.gaussians, scorer, folder, choosers=choosers, threads=threads
-    )
+    lerf_ovs.predict(scene.lerf, scene.gaussians, scorer, folder, choosers=choosers, threads=threads)
     result = lerf_ovs.score([scene.lerf], folder)
     columns = {name: result["columns"][name]["scene_macro"] for name in (FIXED, AUTOMATIC)}
     leaked = result["scenes"][0]["leaked"]
@@ -96,9 +86,7 @@ def _voxel(scene: BenchScene, folder: Path, threads: int) -> dict[str, Any]:
 
 def _points(scene: BenchScene, scorer: Scorer, folder: Path) -> dict[str, Any]:
     scannet_points.predict(scene.points, scorer, folder)
-    return {
-        "segmentation": scannet_points.score([scene.points], folder)["segmentation"]["scene_macro"]
-    }
+    return {"segmentation": scannet_points.score([scene.points], folder)["segmentation"]["scene_macro"]}
 
 
 def rounded(value: Any) -> Any:

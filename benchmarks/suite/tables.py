@@ -2,29 +2,9 @@
 
 from collections.abc import Sequence
 
-from .numbers import (
-    MEASURES,
-    Results,
-    correlations,
-    difference,
-    measured,
-    methods_of,
-    records_of,
-    said,
-    tuned,
-    values,
-)
+from .numbers import MEASURES, Results, correlations, difference, measured, methods_of, records_of, said, tuned, values
 
-SELECTION = (
-    "selection",
-    "seen",
-    "acc25",
-    "acc50",
-    "automatic",
-    "seen_automatic",
-    "selection_tuned",
-    "localization",
-)
+SELECTION = ("selection", "seen", "acc25", "acc50", "automatic", "seen_automatic", "selection_tuned", "localization")
 SEGMENTATION = ("volume", "points", "voxel", "volume_fixed", "volume_automatic", "volume_tuned")
 COMPARED = ("selection", "seen", "automatic", "selection_tuned", "volume", "points", "voxel")
 WORDS = {key: measure.words for key, measure in MEASURES.items()} | {
@@ -106,9 +86,7 @@ def study_table(results: Results, masks: str, method: str) -> str:
     rows = []
     for record in records_of(results, masks, method):
         row = record["voxel"]["study"]
-        rows.append(
-            (row["scene"], *(f"{100 * row[k]:.1f}" for k in ("voxel", "weighted", "unweighted")))
-        )
+        rows.append((row["scene"], *(f"{100 * row[k]:.1f}" for k in ("voxel", "weighted", "unweighted"))))
     for name in ("pearson", "spearman"):
         found = correlations(records_of(results, masks, method))
         if found:

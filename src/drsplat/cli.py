@@ -53,9 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
     as_json, debug = "--json" in given, "--debug" in given
-    if isinstance(
-        sys.stdout, TextIOWrapper
-    ):  # a name that the terminal has no letters for is told all the same
+    if isinstance(sys.stdout, TextIOWrapper):  # a name that the terminal has no letters for is told all the same
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(given)
@@ -103,9 +101,7 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
     )
     command.add_arguments(parser)
     common = parser.add_argument_group("all verbs")
-    common.add_argument(
-        "--json", action="store_true", help="print one JSON object to stdout and nothing else there"
-    )
+    common.add_argument("--json", action="store_true", help="print one JSON object to stdout and nothing else there")
     common.add_argument(
         "--threads", type=whole, default=0, metavar="N",
         help="CPU threads; results are the same for any number (default: 0, all cores)",

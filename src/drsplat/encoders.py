@@ -29,21 +29,13 @@ class EncoderIdentity:
     def __post_init__(self) -> None:
         for text in (self.name, self.weights, self.preprocessing):
             if any(0xD800 <= ord(letter) < 0xE000 for letter in text):
-                raise InputError(
-                    f"encoder: expected a name that can be written, got {ascii(text)[:80]}"
-                )
+                raise InputError(f"encoder: expected a name that can be written, got {ascii(text)[:80]}")
 
     def matches(self, other: "EncoderIdentity") -> bool:
         """Equal in all that both know. Names count where a hash is missing: a model keeps its
         weights when its folder gets another name."""
-        same_model = (
-            self.weights == other.weights
-            if self.weights and other.weights
-            else self.name == other.name
-        )
-        return (
-            same_model and self.dim == other.dim and _agree(self.preprocessing, other.preprocessing)
-        )
+        same_model = self.weights == other.weights if self.weights and other.weights else self.name == other.name
+        return same_model and self.dim == other.dim and _agree(self.preprocessing, other.preprocessing)
 
 
 def _agree(one: str, other: str) -> bool:
@@ -74,6 +66,4 @@ class ImageEncoder(Protocol):
 
     identity: EncoderIdentity
 
-    def encode_images(
-        self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]
-    ) -> Float32[np.ndarray, "n d"]: ...
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]: ...

@@ -32,13 +32,7 @@ MAKERS = {
 }
 """Where people get what is expected."""
 
-WORDS = {
-    int: "a whole number",
-    float: "a number",
-    str: "a text",
-    os.PathLike: "a path",
-    types.NoneType: "None",
-}
+WORDS = {int: "a whole number", float: "a number", str: "a text", os.PathLike: "a path", types.NoneType: "None"}
 
 
 def checked(thing: C) -> C:
@@ -49,9 +43,7 @@ def checked(thing: C) -> C:
     """
     if not isinstance(thing, type):
         return _door(thing, thing.__name__)
-    if "__init__" in vars(thing) and not (
-        issubclass(thing, BaseException) or getattr(thing, "_is_protocol", False)
-    ):
+    if "__init__" in vars(thing) and not (issubclass(thing, BaseException) or getattr(thing, "_is_protocol", False)):
         thing.__init__ = _door(thing.__init__, thing.__name__)  # type: ignore[method-assign]
     return thing
 
@@ -62,9 +54,7 @@ def _door(function: C, said: str) -> C:
         signature, hints = _annotations(function)
         for name, value in signature.bind_partial(*given, **named).arguments.items():
             if name in hints and not _is_a(value, hints[name]):
-                raise InputError(
-                    f"{said}: {name}: expected {_named(hints[name])}, got {_told(value)}"
-                )
+                raise InputError(f"{said}: {name}: expected {_named(hints[name])}, got {_told(value)}")
         return function(*given, **named)
 
     return door  # type: ignore[return-value]

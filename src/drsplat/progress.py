@@ -40,12 +40,7 @@ class Meter:
     def __enter__(self) -> "Meter":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self._bar is not None:
             self._bar.stop()
 
@@ -63,11 +58,7 @@ class Meter:
             self._told = time.monotonic()
             left = elapsed / (done - self._first) * (self._total - done)
             parts = f"{done}/{self._total}", plain(text), f"{rate}/s", f"{_duration(left)} left"
-            print(
-                f"{self._description}: {', '.join(filter(None, parts))}",
-                file=sys.stderr,
-                flush=True,
-            )
+            print(f"{self._description}: {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
     def _show(self, done: int, text: str, rate: str) -> None:
         if self._bar is None:
@@ -83,13 +74,7 @@ def _duration(seconds: float) -> str:
 
 def _job_bar() -> "Progress":
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     return Progress(
         TextColumn("{task.description}"),

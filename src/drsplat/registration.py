@@ -136,20 +136,14 @@ class Registration:
                 f"these Gaussians are {gaussians.fingerprint}, registered was {self.scene}: pass those registered"
             )
 
-    def with_embeddings(
-        self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity
-    ) -> "Registration":
+    def with_embeddings(self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity) -> "Registration":
         """The same weights with another encoder's embeddings: no photo is looked at again.
 
         Raises: InputError: not one unit vector per mask.
         """
         if len(embeddings) != len(self.embeddings):
-            raise InputError(
-                f"expected {len(self.embeddings)} embeddings, one per mask; got {len(embeddings)}"
-            )
-        return replace(
-            self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder
-        )
+            raise InputError(f"expected {len(self.embeddings)} embeddings, one per mask; got {len(embeddings)}")
+        return replace(self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder)
 
     def merged(self, other: "Registration") -> "Registration":
         """This registration and one of further views of the same scene: equal to one pass over all.
@@ -157,9 +151,7 @@ class Registration:
         Raises: MismatchError: another scene or encoder. InputError: a view in both.
         """
         if None not in (self.sampling, other.sampling) and self.sampling != other.sampling:
-            raise MismatchError(
-                f"cannot merge {self.sampling} with {other.sampling}: register both in the same way"
-            )
+            raise MismatchError(f"cannot merge {self.sampling} with {other.sampling}: register both in the same way")
         if self.scene != other.scene or not self.encoder.matches(other.encoder):
             raise MismatchError(
                 f"cannot merge: one is of scene {self.scene} with {self.encoder.name}, the other of "
@@ -167,9 +159,7 @@ class Registration:
             )
         twice = sorted(set(self.masks.view_names) & set(other.masks.view_names))
         if twice:
-            raise InputError(
-                f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one"
-            )
+            raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
         evidence = _merge(self.evidence, other.evidence)
         return replace(self, evidence=evidence, up=_between(self.up, other.up))
 
@@ -209,9 +199,7 @@ def register(
         columns = [maker.columns(view, features[key]) for view, key in followed]
         _check_one_size(columns)
         weights = stack_columns(columns, len(gaussians))
-    evidence = Evidence(
-        weights, _masks_of(columns), np.concatenate([c.embeddings for c in columns])
-    )
+    evidence = Evidence(weights, _masks_of(columns), np.concatenate([c.embeddings for c in columns]))
     encoder = _encoder_of(features, evidence.embeddings.shape[1])
     return Registration(
         evidence,
@@ -222,9 +210,7 @@ def register(
     )
 
 
-def _views_with_features(
-    views: Sequence[View], features: Mapping[str, ViewFeatures]
-) -> list[tuple[View, str]]:
+def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
     """In canonical order: by view name."""
     chosen, missing = [], []
     keys = set(features)  # not `in features`: a folder of them finds one key by several names
@@ -239,9 +225,7 @@ def _views_with_features(
     if not chosen:
         example = next(iter(features), "(there are none)")
         given = views[0].name if views else "(there are none)"
-        raise InputError(
-            f"no view has features: views are named like '{given}', features like '{example}'"
-        )
+        raise InputError(f"no view has features: views are named like '{given}', features like '{example}'")
     if missing:
         warn(
             f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}",
@@ -266,9 +250,7 @@ def _check_one_size(columns: Sequence[Columns]) -> None:
     sizes = {c.embeddings.shape[1]: c.view_name for c in columns}
     if len(sizes) > 1:
         listed = ", ".join(f"{size} ('{name}')" for size, name in sizes.items())
-        raise InputError(
-            f"embeddings of different sizes: {listed}: embed all views with one encoder"
-        )
+        raise InputError(f"embeddings of different sizes: {listed}: embed all views with one encoder")
 
 
 def _masks_of(columns: Sequence[Columns]) -> MaskIds:
@@ -282,9 +264,7 @@ def _masks_of(columns: Sequence[Columns]) -> MaskIds:
 
 def _encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
     encoder = getattr(features, "encoder", None)
-    return (
-        encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
-    )
+    return encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
 
 
 def _between(
@@ -301,9 +281,7 @@ def _between(
 def _merge(a: Evidence, b: Evidence) -> Evidence:
     names = sorted(a.masks.view_names + b.masks.view_names)
     rank = {name: i for i, name in enumerate(names)}
-    views = np.concatenate(
-        [[rank[s.view_names[v]] for v in s.views] for s in (a.masks, b.masks)]
-    ).astype(np.int32)
+    views = np.concatenate([[rank[s.view_names[v]] for v in s.views] for s in (a.masks, b.masks)]).astype(np.int32)
     ids = np.concatenate([a.masks.ids, b.masks.ids])
     order = np.lexsort((ids, views))
     weights = csr_array(hstack([a.weights, b.weights], format="csr")[:, order])

@@ -5,9 +5,7 @@ from collections.abc import Mapping
 from pathlib import PurePath
 
 # controls but tab and newline, what turns the direction of writing, and halves of surrogate pairs
-_UNSHOWN = re.compile(
-    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
-)
+_UNSHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 LONGEST = 60
 
 

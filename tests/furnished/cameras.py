@@ -13,14 +13,9 @@ def walk(num_views: int, width: int, height: int) -> list[View]:
     """Two thirds from an arc outside the open sides, one third from within the room."""
     num_outside = -(-num_views * 2 // 3)
     outside = [_outside(i / max(1, num_outside - 1), i) for i in range(num_outside)]
-    inside = [
-        _inside(i / max(1, num_views - num_outside - 1)) for i in range(num_views - num_outside)
-    ]
+    inside = [_inside(i / max(1, num_views - num_outside - 1)) for i in range(num_views - num_outside)]
     poses = [(eye, at, 58.0) for eye, at in outside] + [(eye, at, 66.0) for eye, at in inside]
-    return [
-        look_at(eye, at, (width, height), fov, f"photo_{i:03d}.jpg")
-        for i, (eye, at, fov) in enumerate(poses)
-    ]
+    return [look_at(eye, at, (width, height), fov, f"photo_{i:03d}.jpg") for i, (eye, at, fov) in enumerate(poses)]
 
 
 def _outside(t: Number, index: int) -> tuple[Point, Point]:
@@ -33,10 +28,6 @@ def _outside(t: Number, index: int) -> tuple[Point, Point]:
 def _inside(t: Number) -> tuple[Point, Point]:
     """A walk around the table, looking across it."""
     angle = np.radians(200 - 400 * t)
-    eye = (
-        2.25 + 1.35 * np.cos(angle),
-        1.75 + 0.95 * np.sin(angle),
-        1.35 + 0.15 * np.sin(3 * angle),
-    )
+    eye = (2.25 + 1.35 * np.cos(angle), 1.75 + 0.95 * np.sin(angle), 1.35 + 0.15 * np.sin(3 * angle))
     ahead = (2.25 - 0.4 * np.cos(angle), 1.95 - 0.4 * np.sin(angle), 0.5)
     return eye, ahead

@@ -31,15 +31,11 @@ def write_capture(
     write_model(folder / "sparse/0", views, overwrite=overwrite)
     splats = splat_arrays(room.gaussians)
     for view in track(views, "taking photos"):
-        photo = render(
-            room.gaussians, view, background=BACKGROUND, splats=splats, threads=threads
-        ).rgb
+        photo = render(room.gaussians, view, background=BACKGROUND, splats=splats, threads=threads).rgb
         write_picture(folder / "images" / view.name, as_pixels(photo), overwrite)
         seen = masks.features(view)
         stem = Path(view.name).stem
-        write_features(
-            folder / "language_features", stem, seen.mask_ids, seen.embeddings, overwrite
-        )
+        write_features(folder / "language_features", stem, seen.mask_ids, seen.embeddings, overwrite)
 
 
 def write_model(folder: Path, views: Sequence[View], overwrite: bool = False) -> None:

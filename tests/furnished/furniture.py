@@ -5,17 +5,7 @@ Builders take `coarse`, which stretches the distance between Gaussians (1: the f
 
 import numpy as np
 
-from .paint import (
-    DARK_WOOD,
-    PALE_WOOD,
-    WOOD,
-    Colors,
-    Thing,
-    painted,
-    patterned,
-    stripes,
-    wood_grain,
-)
+from .paint import DARK_WOOD, PALE_WOOD, WOOD, Colors, Thing, painted, patterned, stripes, wood_grain
 from .surfaces import Number, Surface, box, cone, disc, joined, quad, tube
 
 
@@ -23,24 +13,16 @@ def sofa(coarse: Number) -> Thing:
     green, d = (0.16, 0.46, 0.31), 0.031 * coarse
     seat = [box((0.78, 0.70, 0.20), d, 0.05).placed((x, -0.04, 0.36)) for x in (-0.395, 0.395)]
     arms = [box((0.20, 0.86, 0.58), d, 0.08).placed((x, 0, 0.33)) for x in (-0.90, 0.90)]
-    back = [
-        box((0.80, 0.22, 0.50), d, 0.08).placed((x, 0.30, 0.63), pitch=-8) for x in (-0.40, 0.40)
-    ]
+    back = [box((0.80, 0.22, 0.50), d, 0.08).placed((x, 0.30, 0.63), pitch=-8) for x in (-0.40, 0.40)]
     base = box((1.80, 0.80, 0.18), d, 0.02).placed((0, 0, 0.17))
-    legs = [
-        cone(0.02, 0.03, 0.09, 0.02 * coarse).placed((x, y, 0))
-        for x in (-0.85, 0.85)
-        for y in (-0.34, 0.34)
-    ]
+    legs = [cone(0.02, 0.03, 0.09, 0.02 * coarse).placed((x, y, 0)) for x in (-0.85, 0.85) for y in (-0.34, 0.34)]
     return [painted(joined(*seat, *arms, *back, base), green), painted(joined(*legs), DARK_WOOD)]
 
 
 def coffee_table(coarse: Number) -> Thing:
     top = box((1.10, 0.60, 0.045), 0.019 * coarse, 0.012).placed((0, 0, 0.42))
     legs = [
-        box((0.055, 0.055, 0.40), 0.018 * coarse).placed((x, y, 0.20))
-        for x in (-0.48, 0.48)
-        for y in (-0.24, 0.24)
+        box((0.055, 0.055, 0.40), 0.018 * coarse).placed((x, y, 0.20)) for x in (-0.48, 0.48) for y in (-0.24, 0.24)
     ]
     shelf = box((0.92, 0.44, 0.02), 0.026 * coarse).placed((0, 0, 0.14))
     return [
@@ -68,9 +50,7 @@ def floor_lamp(coarse: Number) -> Thing:
 def plant(coarse: Number) -> Thing:
     d = 0.020 * coarse
     pot = joined(
-        cone(0.13, 0.18, 0.30, d),
-        cone(0.19, 0.19, 0.04, d).placed((0, 0, 0.29)),
-        disc(0.185, d).placed((0, 0, 0.31)),
+        cone(0.13, 0.18, 0.30, d), cone(0.19, 0.19, 0.04, d).placed((0, 0, 0.29)), disc(0.185, d).placed((0, 0, 0.31))
     )
     stems, leaves = [], []
     for i in range(19):
@@ -79,9 +59,7 @@ def plant(coarse: Number) -> Thing:
         tip = np.array([reach * np.cos(np.radians(yaw)), reach * np.sin(np.radians(yaw)), top])
         middle = tip * [0.35, 0.35, 0.66]
         stems.append(tube(np.array([(0, 0, 0.30), middle, tip]), 0.007, d * 0.8))
-        leaves.append(
-            _leaf(0.40, 0.15, d * 0.8).placed(tuple(tip.tolist()), yaw - 90, 38 - 75 * lean)
-        )
+        leaves.append(_leaf(0.40, 0.15, d * 0.8).placed(tuple(tip.tolist()), yaw - 90, 38 - 75 * lean))
     return [
         painted(pot, (0.72, 0.36, 0.22)),
         painted(joined(*stems), (0.25, 0.42, 0.16)),
@@ -93,9 +71,7 @@ def _leaf(length: Number, width: Number, spacing: Number) -> Surface:
     """From the origin along +y, bent down towards its tip."""
     flat = quad(width, length, spacing)
     t = flat.points[:, 1] / length + 0.5
-    leaf = flat.where(
-        np.abs(flat.points[:, 0]) < 0.5 * width * np.sin(np.pi * np.clip(t, 0.02, 1) ** 0.8)
-    )
+    leaf = flat.where(np.abs(flat.points[:, 0]) < 0.5 * width * np.sin(np.pi * np.clip(t, 0.02, 1) ** 0.8))
     t, side = leaf.points[:, 1] / length + 0.5, leaf.points[:, 0]
     leaf.points[:, 1] = t * length
     leaf.points[:, 2] = 0.3 * length * (t - 1.4 * t**2) + 0.4 * np.abs(side)
@@ -152,10 +128,6 @@ def window(coarse: Number) -> Thing:
         return np.where(puff[:, None], (0.98, 0.99, 1.0), blue)
 
     glass = quad(0.94, 1.14, 0.032 * coarse).placed((0, -0.012, 0.6), pitch=90)
-    bars = [
-        box((1.0, 0.05, 0.05), 0.018 * coarse).placed((0, -0.025, z)) for z in (0.025, 0.6, 1.175)
-    ]
-    bars += [
-        box((0.05, 0.05, 1.2), 0.018 * coarse).placed((x, -0.025, 0.6)) for x in (-0.475, 0, 0.475)
-    ]
+    bars = [box((1.0, 0.05, 0.05), 0.018 * coarse).placed((0, -0.025, z)) for z in (0.025, 0.6, 1.175)]
+    bars += [box((0.05, 0.05, 1.2), 0.018 * coarse).placed((x, -0.025, 0.6)) for x in (-0.475, 0, 0.475)]
     return [patterned(glass, sky, glow=True), painted(joined(*bars), (0.92, 0.91, 0.88), 0.01)]

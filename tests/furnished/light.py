@@ -22,9 +22,7 @@ def color_to_sh(colors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 1 
     return sh
 
 
-def lit(
-    gaussians: Gaussians, normals: Float64[np.ndarray, "n 3"], glows: Bool[np.ndarray, " n"]
-) -> Gaussians:
+def lit(gaussians: Gaussians, normals: Float64[np.ndarray, "n 3"], glows: Bool[np.ndarray, " n"]) -> Gaussians:
     """The Gaussians with their colours shaded; those that glow keep theirs."""
     splats = splat_arrays(gaussians)
     shade = np.full(len(gaussians), AMBIENT)
@@ -39,26 +37,18 @@ def lit(
 
 
 def _lamp(
-    gaussians: Gaussians,
-    splats: SplatArrays,
-    normals: Float64[np.ndarray, "n 3"],
-    at: Float64[np.ndarray, " 3"],
+    gaussians: Gaussians, splats: SplatArrays, normals: Float64[np.ndarray, "n 3"], at: Float64[np.ndarray, " 3"]
 ) -> Float64[np.ndarray, " n"]:
     """Cosine of the light's angle where the lamp is seen, else 0."""
     to_lamp = at - gaussians.means.astype(np.float64)
     to_lamp /= np.linalg.norm(to_lamp, axis=1, keepdims=True)
     lambert: np.ndarray = np.clip((to_lamp * normals).sum(1), 0, 1) ** 0.8  # a lamp of some size
-    received: np.ndarray = lambert * _seen_from(
-        gaussians, splats, at, BIAS / np.maximum(lambert, 0.25)
-    )
+    received: np.ndarray = lambert * _seen_from(gaussians, splats, at, BIAS / np.maximum(lambert, 0.25))
     return received
 
 
 def _seen_from(
-    gaussians: Gaussians,
-    splats: SplatArrays,
-    at: Float64[np.ndarray, " 3"],
-    bias: Float64[np.ndarray, " n"],
+    gaussians: Gaussians, splats: SplatArrays, at: Float64[np.ndarray, " 3"], bias: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """1 where the lamp is seen, 0 in its shadow. bias: depth that counts as the same, in metres."""
     view = look_at(at, (2.2, 2.1, 0.3), (SIZE, SIZE), FOV_DEGREES)

@@ -49,9 +49,7 @@ class MaskMaker:
         return ViewFeatures(mask_ids, noisy.astype(np.float32))
 
 
-def exact_labels(
-    room: Room, view: View, *, splats: SplatArrays | None = None
-) -> Int32[np.ndarray, "h w"]:
+def exact_labels(room: Room, view: View, *, splats: SplatArrays | None = None) -> Int32[np.ndarray, "h w"]:
     """Per pixel the thing of the largest blending weight; -1 where less than half is covered."""
     one_hot: Float32[np.ndarray, "n c"] = np.eye(len(room.names), dtype=np.float32)[room.labels]
     drawn = render_channels(splats or splat_arrays(room.gaussians), view, one_hot)
@@ -67,9 +65,7 @@ def perturbed(
     inner = labels == ndimage.minimum_filter(labels, 3)
     inner &= labels == ndimage.maximum_filter(labels, 3)
     for label, window in enumerate(ndimage.find_objects(labels + 1)):
-        pieces, num = (
-            ndimage.label(inner[window] & (labels[window] == label)) if window else (labels, 0)
-        )
+        pieces, num = ndimage.label(inner[window] & (labels[window] == label)) if window else (labels, 0)
         sizes = np.bincount(pieces.ravel(), minlength=num + 1) if num else np.zeros(1)
         for piece in np.flatnonzero(sizes[1:] >= MIN_PIXELS) + 1:
             if rng.random() >= MISSED_SHARE:

@@ -28,19 +28,11 @@ Thing = list[Part]
 
 def painted(surface: Surface, color: Color, grain: Number = 0.03, glow: bool = False) -> Part:
     """One colour, with noise that belongs to the place and not to a random state."""
-    return Part(
-        surface, np.clip(np.array(color) + grain * speckle(surface.points)[:, None], 0, 1), glow
-    )
+    return Part(surface, np.clip(np.array(color) + grain * speckle(surface.points)[:, None], 0, 1), glow)
 
 
-def patterned(
-    surface: Surface, pattern: Callable[[Float64[np.ndarray, "n 3"]], Colors], glow: bool = False
-) -> Part:
-    return Part(
-        surface,
-        np.clip(pattern(surface.points) + 0.02 * speckle(surface.points)[:, None], 0, 1),
-        glow,
-    )
+def patterned(surface: Surface, pattern: Callable[[Float64[np.ndarray, "n 3"]], Colors], glow: bool = False) -> Part:
+    return Part(surface, np.clip(pattern(surface.points) + 0.02 * speckle(surface.points)[:, None], 0, 1), glow)
 
 
 def speckle(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:

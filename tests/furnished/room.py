@@ -16,11 +16,7 @@ from .light import color_to_sh, lit
 from .paint import Part, Thing, painted, patterned, placed, wood_grain
 from .surfaces import Number, Vector, quad
 
-WIDTH, DEPTH, HEIGHT = (
-    4.6,
-    3.9,
-    2.5,
-)  # x, y, z; walls at x = 0 and y = DEPTH, the other sides are open
+WIDTH, DEPTH, HEIGHT = (4.6, 3.9, 2.5)  # x, y, z; walls at x = 0 and y = DEPTH, the other sides are open
 OPACITY, DISC_SIGMA, DISC_THICKNESS = 0.97, 0.55, 0.06  # sigmas in units of the spacing
 
 
@@ -43,9 +39,7 @@ class Room:
         """
         splats, total = splat_arrays(self.gaussians), np.zeros(len(self.gaussians))
         for view in (view.resized(320, 240) for view in views):
-            found = view_weights(
-                splats, view, np.zeros((view.height, view.width), np.int32), topk=None
-            )
+            found = view_weights(splats, view, np.zeros((view.height, view.width), np.int32), topk=None)
             total[found.gaussian_ids] += found.weights
         seen = np.flatnonzero(total >= least * 320 * 240)
         return Room(self.gaussians.subset(seen), self.labels[seen], self.names)
@@ -100,9 +94,7 @@ INVENTORY: tuple[_Entry, ...] = (
 
 def furnish(coarse: Number = 1.0) -> list[tuple[str, Thing]]:
     """The things by name, in place."""
-    return [
-        (name, placed(build(coarse), at, yaw, pitch)) for name, build, at, yaw, pitch in INVENTORY
-    ]
+    return [(name, placed(build(coarse), at, yaw, pitch)) for name, build, at, yaw, pitch in INVENTORY]
 
 
 def build_room(coarse: Number = 1.0, seed: int = 0) -> Room:
@@ -122,13 +114,9 @@ def _splats(parts: Sequence[Part], rng: np.random.Generator) -> Gaussians:
     points = np.concatenate([part.surface.points for part in parts])
     normals = np.concatenate([part.surface.normals for part in parts])
     jitter = rng.normal(0, 0.10, points.shape)
-    jitter -= (jitter * normals).sum(
-        1, keepdims=True
-    ) * normals  # along the surface: it stays smooth
+    jitter -= (jitter * normals).sum(1, keepdims=True) * normals  # along the surface: it stays smooth
     points = points + jitter * spacing[:, None]
-    sigma = spacing[:, None] * rng.normal(
-        [DISC_SIGMA, DISC_SIGMA, DISC_THICKNESS], [0.04, 0.04, 0.005], points.shape
-    )
+    sigma = spacing[:, None] * rng.normal([DISC_SIGMA, DISC_SIGMA, DISC_THICKNESS], [0.04, 0.04, 0.005], points.shape)
     colors = np.concatenate([part.colors for part in parts])
     opacities = np.clip(OPACITY + rng.normal(0, 0.01, len(points)), 0, 0.99)
     quats = _facing(normals)

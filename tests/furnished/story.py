@@ -54,21 +54,14 @@ class Story:
 
 
 def tell(
-    folder: Path,
-    setup: Setup = Setup(),
-    *,
-    overwrite: bool = False,
-    threads: int = 0,
-    track: Track = untracked,
+    folder: Path, setup: Setup = Setup(), *, overwrite: bool = False, threads: int = 0, track: Track = untracked
 ) -> Story:
     """Make the room's files in `folder`, register them, ask the PROBES.
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-        raise InputError(
-            f"{folder} exists already: choose another folder, or pass overwrite=True (--overwrite)"
-        )
+        raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True (--overwrite)")
     watch = Stopwatch()
     views = walk(setup.num_views, *setup.size)
     room = build_room(setup.coarse, setup.seed).seen_from(views)
@@ -79,9 +72,7 @@ def tell(
 
     gaussians = read_gaussians(folder / "scene.ply")
     views = read_views(folder)
-    features = read_features(
-        folder / "language_features", level="large", encoder=WordEncoder.identity
-    )
+    features = read_features(folder / "language_features", level="large", encoder=WordEncoder.identity)
     registration = register(gaussians, views, features, threads=threads, track=track)
     watch.lap("register")
     registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
@@ -99,9 +90,7 @@ def ask(scene: Scene, room: Room, probe: Probe) -> Verdict:
     start = time.perf_counter()
     answer = scene.ask(probe.text)
     matches = scene.locate(answer)
-    ids = np.sort(
-        np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
-    )
+    ids = np.sort(np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)]))
     seconds = time.perf_counter() - start
     truth = np.flatnonzero(room.members(*probe.meant))
     iou = intersection_over_union(ids, truth) if probe.meant else None

@@ -61,9 +61,7 @@ def box(size: Vector, spacing: Number, rounding: Number = 0.0) -> Surface:
     return _surface(points, normals, spacing)
 
 
-def _rounded(
-    points: Points, half: np.ndarray, radius: Number, axis: int, side: float
-) -> tuple[Points, Points]:
+def _rounded(points: Points, half: np.ndarray, radius: Number, axis: int, side: float) -> tuple[Points, Points]:
     normals = np.zeros_like(points)
     normals[:, axis] = side
     if radius == 0:
@@ -94,20 +92,14 @@ def disc(radius: Number, spacing: Number) -> Surface:
     return _surface(points, np.broadcast_to([0.0, 0.0, 1.0], points.shape), spacing)
 
 
-def cone(
-    bottom: Number, top: Number, height: Number, spacing: Number, inward: bool = False
-) -> Surface:
+def cone(bottom: Number, top: Number, height: Number, spacing: Number, inward: bool = False) -> Surface:
     """The side of a cone frustum on z = 0, from radius `bottom` to radius `top`; equal: a cylinder."""
     slant = np.hypot(height, bottom - top)
     rings = []
     for t in (np.arange(n := max(2, round(slant / spacing))) + 0.5) / n:
         radius = bottom + (top - bottom) * t
-        angle = (
-            np.arange(m := max(6, round(2 * np.pi * radius / spacing))) * (2 * np.pi / m) + 2.4 * t
-        )
-        rings.append(
-            np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(m, height * t)], 1)
-        )
+        angle = np.arange(m := max(6, round(2 * np.pi * radius / spacing))) * (2 * np.pi / m) + 2.4 * t
+        rings.append(np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(m, height * t)], 1))
     points = np.concatenate(rings)
     radial = points[:, :2] / np.linalg.norm(points[:, :2], axis=1, keepdims=True)
     normals = np.column_stack([radial * height, np.full(len(points), bottom - top)]) / slant
@@ -125,13 +117,8 @@ def tube(path: Points, radius: Number, spacing: Number) -> Surface:
     side = np.cross(forward, [0.31, 0.95, 0.05])
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     angle = np.arange(m := max(5, round(2 * np.pi * radius / spacing))) * (2 * np.pi / m)
-    normals = (
-        side[:, None] * np.cos(angle)[:, None]
-        + np.cross(forward, side)[:, None] * np.sin(angle)[:, None]
-    )
-    return _surface(
-        (centers[:, None] + radius * normals).reshape(-1, 3), normals.reshape(-1, 3), spacing
-    )
+    normals = side[:, None] * np.cos(angle)[:, None] + np.cross(forward, side)[:, None] * np.sin(angle)[:, None]
+    return _surface((centers[:, None] + radius * normals).reshape(-1, 3), normals.reshape(-1, 3), spacing)
 
 
 def _ticks(length: Number, spacing: Number) -> Float64[np.ndarray, " n"]:

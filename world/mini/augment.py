@@ -10,9 +10,7 @@ from drsplat.masks.masks import tight_box
 from drsplat.models.mini.network import SIDE
 
 
-def cut_out(
-    image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
-) -> UInt8[np.ndarray, "s s 3"]:
+def cut_out(image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]) -> UInt8[np.ndarray, "s s 3"]:
     """What `mini` sees of a mask: its crop as `drsplat.masks.crops` makes it, SIDE pixels."""
     x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
     square = crop(image, mask[y0:y1, x0:x1], (x0, y0, x1, y1))
@@ -34,15 +32,11 @@ def augmented(
     picture = cut_out(image, mask).astype(np.float32)
     black = picture.max(2, keepdims=True) == 0
     light = rng.uniform(0.75, 1.25) * (1 + rng.normal(0, 0.03, 3))
-    picture = (picture / 255) ** rng.uniform(0.85, 1.18) * 255 * light + rng.normal(
-        0, 3, picture.shape
-    )
+    picture = (picture / 255) ** rng.uniform(0.85, 1.18) * 255 * light + rng.normal(0, 3, picture.shape)
     return np.where(black, 0, np.clip(picture, 0, 255)).astype(np.uint8)
 
 
-def repainted(
-    picture: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator
-) -> UInt8[np.ndarray, "s s 3"]:
+def repainted(picture: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "s s 3"]:
     """The same shape and shading in other colours and, at times, under a pattern: what it is made of and
     its colour are then unknown, what it is stays."""
     black = picture.max(2, keepdims=True) == 0
@@ -68,9 +62,7 @@ def _pattern(side: int, rng: np.random.Generator) -> np.ndarray:
     if kind == 1:
         return ((u % 1 < 0.5) ^ (v % 1 < 0.5)).astype(np.float32)
     if kind == 2:
-        return ((u % 1 - 0.5) ** 2 + (v % 1 - 0.5) ** 2 < rng.uniform(0.03, 0.12)).astype(
-            np.float32
-        )
+        return ((u % 1 - 0.5) ** 2 + (v % 1 - 0.5) ** 2 < rng.uniform(0.03, 0.12)).astype(np.float32)
     waves = np.sin(2 * u + rng.normal(0, 2, 3)[:, None, None] * v) * np.sin(3 * v + 2 * u[None])
     return (waves.sum(0) > rng.uniform(-0.8, 0.8)).astype(np.float32)
 
@@ -85,11 +77,7 @@ def _coarser(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _worse(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     steps = int(rng.integers(1, 4))
-    changed = (
-        binary_dilation(mask, iterations=steps)
-        if rng.random() < 0.6
-        else binary_erosion(mask, iterations=steps)
-    )
+    changed = binary_dilation(mask, iterations=steps) if rng.random() < 0.6 else binary_erosion(mask, iterations=steps)
     return changed if changed.sum() > 80 else mask
 
 

@@ -56,9 +56,7 @@ def questions(folder: Path) -> list[Asked]:
     return _ask(field, labels[field.gaussian_ids], truth, encoder)
 
 
-def _ask(
-    field: LanguageField, labels: np.ndarray, truth: Truth, encoder: MiniEncoder
-) -> list[Asked]:
+def _ask(field: LanguageField, labels: np.ndarray, truth: Truth, encoder: MiniEncoder) -> list[Asked]:
     meant: dict[str, list[int]] = {}
     for number in truth.objects:
         name, color, _ = truth.labels[number]
@@ -67,16 +65,11 @@ def _ask(
                 meant.setdefault(text, []).append(number)
     there = {truth.labels[number][0] for number in truth.objects}
     meant |= {name: [] for name in NAMES if name not in there}
-    return [
-        Asked(field.scores(encoder.encode_texts([text])[0]), np.isin(labels, ids))
-        for text, ids in meant.items()
-    ]
+    return [Asked(field.scores(encoder.encode_texts([text])[0]), np.isin(labels, ids)) for text, ids in meant.items()]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rooms", type=Path, nargs="+")
     asked = [one for room in parser.parse_args().rooms for one in questions(room)]
     present = [one for one in asked if one.truth.any()]

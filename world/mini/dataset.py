@@ -22,9 +22,7 @@ def main() -> None:
     images = np.empty((arguments.count, SIDE, SIDE, 3), np.uint8)
     masks = np.empty((arguments.count, SIDE * SIDE // 8), np.uint8)
     labels, start = [], time.monotonic()
-    for i, crop in enumerate(
-        crops(SPLITS[arguments.split], arguments.seed, arguments.count, SIDE, SAMPLES)
-    ):
+    for i, crop in enumerate(crops(SPLITS[arguments.split], arguments.seed, arguments.count, SIDE, SAMPLES)):
         images[i], masks[i] = crop.image, np.packbits(crop.mask)
         labels.append((crop.name, crop.color, crop.material))
         if i % 500 == 499:

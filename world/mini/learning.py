@@ -32,8 +32,7 @@ class Tower(nn.Module):
         super().__init__()
         pairs = zip(CHANNELS[:-1], CHANNELS[1:], STRIDES, strict=True)
         self.convolutions = nn.ModuleList(
-            nn.Sequential(nn.Conv2d(a, b, 3, s, 1, bias=False), nn.BatchNorm2d(b))
-            for a, b, s in pairs
+            nn.Sequential(nn.Conv2d(a, b, 3, s, 1, bias=False), nn.BatchNorm2d(b)) for a, b, s in pairs
         )
         self.drop = nn.Dropout(0.1)
         self.projection = nn.Linear(2 * CHANNELS[-1], DIM, bias=False)
@@ -96,9 +95,7 @@ class Crops:
 def doubt(logits: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """The sigmoid loss, summed over all pairs whose truth is known (not NaN)."""
     known = ~torch.isnan(wanted)
-    return nn.functional.binary_cross_entropy_with_logits(
-        logits[known], wanted[known], reduction="sum"
-    )
+    return nn.functional.binary_cross_entropy_with_logits(logits[known], wanted[known], reduction="sum")
 
 
 def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
@@ -107,9 +104,7 @@ def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
     print(f"{len(crops.seen)} crops", flush=True)
     steps = epochs * (len(crops.seen) // size)
     optimizer = torch.optim.AdamW(tower.parameters(), 2e-3, weight_decay=0.02)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, 3e-3, total_steps=steps, pct_start=0.15
-    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps, pct_start=0.15)
     start = time.monotonic()
     for epoch in range(epochs):
         order = rng.permutation(len(crops.seen))
@@ -126,10 +121,7 @@ def learn(paths: Sequence[Path], epochs: int, size: int, seed: int) -> Tower:
             optimizer.step()
             schedule.step()
             losses.append(loss.item())
-        print(
-            f"epoch {epoch + 1}: loss {np.mean(losses):.3f}, {time.monotonic() - start:.0f} s",
-            flush=True,
-        )
+        print(f"epoch {epoch + 1}: loss {np.mean(losses):.3f}, {time.monotonic() - start:.0f} s", flush=True)
     return tower.eval()
 
 

@@ -23,10 +23,7 @@ CELL, MARGIN = 14, 96
 
 
 def confusion(
-    embeddings: Float32[np.ndarray, "n d"],
-    truths: list[str],
-    names: tuple[str, ...],
-    texts: Float32[np.ndarray, "c d"],
+    embeddings: Float32[np.ndarray, "n d"], truths: list[str], names: tuple[str, ...], texts: Float32[np.ndarray, "c d"]
 ) -> Int64[np.ndarray, "c c"]:
     """Rows: what it is; columns: the name whose text is nearest."""
     guesses = np.argmax(embeddings @ texts.T, axis=1)

@@ -42,9 +42,7 @@ def room_crops(folder: Path, masks: str) -> Iterator[RoomCrop]:
             found += [(ids == k, truth.labels[k]) for k in np.unique(ids[ids >= 0]).tolist()]
         if masks != "true":
             made = segmenter.segment(photo)["large"]
-            named = [
-                (made.full(k), _label(ids[made.full(k)], truth.labels)) for k in range(len(made))
-            ]
+            named = [(made.full(k), _label(ids[made.full(k)], truth.labels)) for k in range(len(made))]
             found += [(mask, label) for mask, label in named if label is not None]
         found = [(mask, label) for mask, label in found if mask.sum() >= LEAST_PIXELS]
         rooms = [k for k, (_, label) in enumerate(found) if not label[1]]
@@ -59,9 +57,7 @@ def _label(ids: Int32[np.ndarray, " n"], labels: dict[int, Label]) -> Label | No
     return labels.get(int(values[most])) if counts[most] >= CLEAR * counts.sum() else None
 
 
-def _cut(
-    photo: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], label: Label
-) -> RoomCrop:
+def _cut(photo: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], label: Label) -> RoomCrop:
     """A square around the mask, black beyond the photo, at the size of the other crops."""
     x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
     reach = int(np.ceil(MARGIN * max(x1 - x0, y1 - y0) / 2))

@@ -48,9 +48,7 @@ def said_of(label: Label, rng: np.random.Generator) -> Text:
     nouns += [(word,) for word, meant in GROUPS.items() if name in meant]
     words: list[str] = []
     if color and rng.random() < 0.5:
-        tones = [PAINTS[COLORS.index(color)]] * 3 + [
-            tone for tone, meant in TONES.items() if meant == color
-        ]
+        tones = [PAINTS[COLORS.index(color)]] * 3 + [tone for tone, meant in TONES.items() if meant == color]
         words.append(str(rng.choice(tones)))
     if rng.random() < 0.15 and material in MATERIALS:
         words.append(material)
@@ -66,9 +64,7 @@ def truth(labels: list[Label], texts: list[Text]) -> Float32[np.ndarray, "n t"]:
     words = sorted({word for text in texts for word in text})
     column = {word: i for i, word in enumerate(words)}
     value = {True: 1.0, False: 0.0, None: np.nan}
-    known = np.array(
-        [[value[fits(word, *label)] for word in words] for label in labels], np.float32
-    )
+    known = np.array([[value[fits(word, *label)] for word in words] for label in labels], np.float32)
     return np.stack([_all(known[:, [column[word] for word in text]]) for text in texts], axis=1)
 
 

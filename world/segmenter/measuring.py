@@ -97,9 +97,7 @@ def row(name: str, scores: Sequence[Score]) -> str:
     return f"{name:20}" + "".join(f"{value:10.3f}" for value in means)
 
 
-def bordered(
-    image: UInt8[np.ndarray, "h w 3"], labels: Int64[np.ndarray, "h w"]
-) -> UInt8[np.ndarray, "h w 3"]:
+def bordered(image: UInt8[np.ndarray, "h w 3"], labels: Int64[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """The image, darker, with a line where masks meet."""
     edge = np.zeros(labels.shape, bool)
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]

@@ -51,9 +51,7 @@ def learn_rule(
     return MergeRule(rule.center, rule.width, *_split(best.x, parts), rule.threshold)
 
 
-def _split(
-    flat: Float32[np.ndarray, " p"] | Float64[np.ndarray, " p"], like: Sequence[np.ndarray]
-) -> list[np.ndarray]:
+def _split(flat: Float32[np.ndarray, " p"] | Float64[np.ndarray, " p"], like: Sequence[np.ndarray]) -> list[np.ndarray]:
     ends = np.cumsum([part.size for part in like])
     pieces = np.split(flat, ends[:-1])
     return [piece.reshape(part.shape) for piece, part in zip(pieces, like, strict=True)]

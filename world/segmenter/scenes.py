@@ -22,11 +22,7 @@ class Photo:
 
 def photos(scenes: Sequence[Path], each: int = 1) -> list[Photo]:
     """Every `each`-th photo of folders as `python -m world` writes them."""
-    return [
-        photo(scene, path)
-        for scene in scenes
-        for path in sorted(scene.glob("lerf_ovs/*/images/*.jpg"))[::each]
-    ]
+    return [photo(scene, path) for scene in scenes for path in sorted(scene.glob("lerf_ovs/*/images/*.jpg"))[::each]]
 
 
 def photo(scene: Path, path: Path) -> Photo:
@@ -37,9 +33,7 @@ def photo(scene: Path, path: Path) -> Photo:
     is_object[objects] = True
     with Image.open(scene / "ids" / f"{path.stem}.png") as ids, Image.open(path) as image:
         truth = np.asarray(ids).astype(np.int64)
-        return Photo(
-            f"{scene.name}/{path.stem}", np.asarray(image.convert("RGB")), truth, is_object
-        )
+        return Photo(f"{scene.name}/{path.stem}", np.asarray(image.convert("RGB")), truth, is_object)
 
 
 def with_smaller(photos: Sequence[Photo]) -> list[Photo]:

@@ -27,9 +27,7 @@ def shared_pixels(
 ) -> Int64[np.ndarray, "n k"]:
     """Pixels of each label that show each thing."""
     count = int(labels.max()) + 1
-    return np.bincount(labels.ravel() * things + truth.ravel(), minlength=count * things).reshape(
-        count, things
-    )
+    return np.bincount(labels.ravel() * things + truth.ravel(), minlength=count * things).reshape(count, things)
 
 
 def score(shared: Int64[np.ndarray, "n k"], is_object: Bool[np.ndarray, " k"]) -> Score:

@@ -97,9 +97,7 @@ def mean_score(cases: Sequence[Case], rule: MergeRule) -> Float64[np.ndarray, " 
     return np.array([best[objects].mean(), best[~objects].mean(), *others])
 
 
-def learned(
-    cases: Sequence[Case], held_out: Sequence[Case], rounds: int, hidden: int, steps: int = STEPS
-) -> MergeRule:
+def learned(cases: Sequence[Case], held_out: Sequence[Case], rounds: int, hidden: int, steps: int = STEPS) -> MergeRule:
     rng = np.random.default_rng(0)
     met: list[tuple[np.ndarray, ...]] = []
     rule: MergeRule | None = None
@@ -109,17 +107,11 @@ def learned(
         features, together, weights = map(np.concatenate, zip(*met, strict=True))
         rule = learn_rule(rule or first_rule(features, hidden), features, together, weights, steps)
         scores = [np.round(mean_score(some, rule), 3) for some in (cases[::8], held_out)]
-        print(
-            f"round {turn}: {len(features)} pairs, {time.monotonic() - start:.0f} s",
-            *scores,
-            flush=True,
-        )
+        print(f"round {turn}: {len(features)} pairs, {time.monotonic() - start:.0f} s", *scores, flush=True)
     return best_threshold(held_out, rule)
 
 
-def pairs_met(
-    case: Case, likelihood: Likelihood, rng: np.random.Generator
-) -> tuple[np.ndarray, ...]:
+def pairs_met(case: Case, likelihood: Likelihood, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """Features, whether they belong together, and weights of pairs met until most is wrong."""
     watched = Watched(case, likelihood, rng)
     watched.merge_above(LAST)
@@ -137,15 +129,11 @@ def best_threshold(cases: Sequence[Case], rule: MergeRule) -> MergeRule:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
-    parser.add_argument(
-        "--held-out", type=Path, nargs="+", required=True, metavar="SCENE", help="for the threshold"
-    )
+    parser.add_argument("--held-out", type=Path, nargs="+", required=True, metavar="SCENE", help="for the threshold")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--hidden", type=int, default=24)
-    parser.add_argument(
-        "--each", type=int, default=1, metavar="N", help="every Nth photo (default: 1)"
-    )
+    parser.add_argument("--each", type=int, default=1, metavar="N", help="every Nth photo (default: 1)")
     arguments = parser.parse_args()
     cases, held_out = (
         [case(photo) for photo in with_smaller(photos(scenes, arguments.each))]

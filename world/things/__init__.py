@@ -11,9 +11,7 @@ from . import decor, food, furniture, kitchen, toys
 Maker = Callable[[np.random.Generator, Split], Thing]
 
 CATALOGUE: dict[str, Maker] = {
-    maker.__name__: maker
-    for family in (kitchen, food, decor, toys, furniture)
-    for maker in family.THINGS
+    maker.__name__: maker for family in (kitchen, food, decor, toys, furniture) for maker in family.THINGS
 }
 """By the maker's name; a thing's own name is a phrase ("toy duck")."""
 

@@ -23,10 +23,7 @@ def book(rng: Rng, split: Split) -> Thing:
         box((tall * a, wide * b, 0.0006)).moved(tall * x, 0, thick)
         for a, b, x in ((0.10, 0.68, 0.22), (0.05, 0.45, 0.08))
     ]
-    band = [
-        box((tall * 0.03, 0.0006, thick * 0.999)).moved(x=tall * x, y=-wide / 2 - 0.0002)
-        for x in (-0.36, 0.36)
-    ]
+    band = [box((tall * 0.03, 0.0006, thick * 0.999)).moved(x=tall * x, y=-wide / 2 - 0.0002) for x in (-0.36, 0.36)]
     pieces = [
         (plain("paper", shade), joined(*boards, spine)),
         (plain("paper", PAPER), pages), (print_, joined(*title, *band)),
@@ -42,21 +39,15 @@ def lamp(rng: Rng, split: Split) -> Thing:
     shade = color(rng, *VIVID, "white", "grey")
     top, drop = wide * rng.uniform(0.5, 0.8), height * rng.uniform(0.36, 0.44)
     base_shade = color(rng, "black", "white", "brown", "grey")
-    foot = lathe(
-        [(0, 0), *rounded([(wide * 0.62, 0), (wide * 0.62, 0.014), (0.02, 0.022)]), (0, 0.022)]
-    )
+    foot = lathe([(0, 0), *rounded([(wide * 0.62, 0), (wide * 0.62, 0.014), (0.02, 0.022)]), (0, 0.022)])
     if rng.random() < 0.5:
         stem = sweep([(0, 0, 0.015), (0, 0, height - drop * 0.5)], 0.009)
     else:
         up = height - drop
-        belly = rounded(
-            [(0.03, 0.015), (wide * 0.62, up * 0.35), (0.02, up * 0.85), (0.012, up + drop * 0.4)]
-        )
+        belly = rounded([(0.03, 0.015), (wide * 0.62, up * 0.35), (0.02, up * 0.85), (0.012, up + drop * 0.4)])
         stem = lathe([(0, 0.015), *belly, (0, up + drop * 0.4)])
     low = height - drop
-    shell = lathe(
-        [(wide, low), (top, height), (top - 0.003, height), (wide - 0.003, low), (wide, low)], 48
-    )
+    shell = lathe([(wide, low), (top, height), (top - 0.003, height), (wide - 0.003, low), (wide, low)], 48)
     bulb = sphere(0.03).moved(z=height - drop * 0.5)
     cloth = Wardrobe(split, rng).cloth(Color(shade.word, shaded(shade.rgb, 1.1)), metres=0.1)
     return build(
@@ -86,23 +77,10 @@ def plant(rng: Rng, split: Split) -> Thing:
     scale = rng.uniform(1.8, 2.6) if big else rng.uniform(0.8, 1.2)
     pot_shade, green = color(rng, "brown", "white", "grey", "orange", "blue"), color(rng, "green")
     pot = lathe(
-        [
-            (0, 0),
-            (0.045, 0),
-            (0.06, 0.10),
-            (0.066, 0.10),
-            (0.066, 0.12),
-            (0.057, 0.12),
-            (0.055, 0.105),
-            (0, 0.105),
-        ]
+        [(0, 0), (0.045, 0), (0.06, 0.10), (0.066, 0.10), (0.066, 0.12), (0.057, 0.12), (0.055, 0.105), (0, 0.105)]
     )
     soil = cylinder(0.056, 0.004).moved(z=0.104)
-    count, long, wide = (
-        int(rng.integers(14, 22)),
-        rng.uniform(0.16, 0.24),
-        rng.uniform(0.035, 0.065),
-    )
+    count, long, wide = (int(rng.integers(14, 22)), rng.uniform(0.16, 0.24), rng.uniform(0.035, 0.065))
     leaves = []
     for k in range(count):
         steep = 0.25 + 1.5 * (k / count) ** 1.2
@@ -113,9 +91,7 @@ def plant(rng: Rng, split: Split) -> Thing:
         (plain("ceramic", pot_shade), pot), (plain("paper", (0.16, 0.10, 0.07)), soil),
         (looks[0], joined(*leaves[::2])), (looks[1], joined(*leaves[1::2])),
     ]  # fmt: skip
-    return build(
-        "plant", green, "leaf", *((look, mesh.scaled(scale, scale, scale)) for look, mesh in pieces)
-    )
+    return build("plant", green, "leaf", *((look, mesh.scaled(scale, scale, scale)) for look, mesh in pieces))
 
 
 def _blade(length: float, width: float, steep: float, droop: float) -> Mesh:
@@ -136,23 +112,14 @@ def candle(rng: Rng, split: Split) -> Thing:
         [
             (0, 0.008),
             (radius, 0.008),
-            *rounded(
-                [(radius, height), (radius * 0.9, height + 0.004), (radius * 0.7, height - 0.003)]
-            ),
+            *rounded([(radius, height), (radius * 0.9, height + 0.004), (radius * 0.7, height - 0.003)]),
             (0, height - 0.004),
         ]
     )
     saucer = lathe(
         [
             (0, 0),
-            *rounded(
-                [
-                    (radius * 1.2, 0),
-                    (radius * 1.9, 0.012),
-                    (radius * 1.85, 0.016),
-                    (radius * 1.2, 0.009),
-                ]
-            ),
+            *rounded([(radius * 1.2, 0), (radius * 1.9, 0.012), (radius * 1.85, 0.016), (radius * 1.2, 0.009)]),
             (0, 0.009),
         ]
     )
@@ -202,11 +169,7 @@ def clock(rng: Rng, split: Split) -> Thing:
     hub = cylinder(radius * 0.06, 0.004).moved(z=deep - 0.005)
     feet = [
         sweep(
-            [
-                (s * radius * 0.45, -radius * 0.8, deep / 2),
-                (s * radius * 0.75, -radius * 1.16, deep / 2),
-            ],
-            radius * 0.09,
+            [(s * radius * 0.45, -radius * 0.8, deep / 2), (s * radius * 0.75, -radius * 1.16, deep / 2)], radius * 0.09
         )
         for s in (1, -1)
     ]
@@ -214,18 +177,11 @@ def clock(rng: Rng, split: Split) -> Thing:
     if rng.random() < 0.55:
         bell = sphere(radius * 0.34, radius * 0.34, radius * 0.22, 24)
         for s in (1, -1):
-            metal.append(
-                bell.turned("x", 90)
-                .turned("z", s * -32)
-                .moved(s * radius * 0.58, radius * 0.98, deep / 2)
-            )
+            metal.append(bell.turned("x", 90).turned("z", s * -32).moved(s * radius * 0.58, radius * 0.98, deep / 2))
         arch = np.radians(np.linspace(10, 170, 14))
         metal.append(
             sweep(
-                [
-                    (radius * 0.36 * np.cos(a), radius * (1.15 + 0.34 * np.sin(a)), deep / 2)
-                    for a in arch
-                ],
+                [(radius * 0.36 * np.cos(a), radius * (1.15 + 0.34 * np.sin(a)), deep / 2) for a in arch],
                 radius * 0.045,
             )
         )
@@ -240,10 +196,7 @@ def clock(rng: Rng, split: Split) -> Thing:
 def laptop(rng: Rng, split: Split) -> Thing:
     """Open, its screen towards +x."""
     wide, deep = rng.uniform(0.30, 0.36), rng.uniform(0.21, 0.25)
-    shade, open_ = (
-        color(rng, "grey", "grey", "black", "white", "pink", "blue"),
-        rng.uniform(100, 120),
-    )
+    shade, open_ = (color(rng, "grey", "grey", "black", "white", "pink", "blue"), rng.uniform(100, 120))
     look = plain("plastic", shade)
     base = box((deep, wide, 0.016), 0.004)
     keys = [
@@ -255,13 +208,8 @@ def laptop(rng: Rng, split: Split) -> Thing:
     lid = box((0.009, wide, deep), 0.004).moved(x=-0.0045)
     bezel = box((0.001, wide * 0.97, deep * 0.95)).moved(x=0.0004, z=deep * 0.03)
     screen = box((0.001, wide * 0.93, deep * 0.86)).moved(x=0.0009, z=deep * 0.075)
-    window = box((0.001, wide * 0.46, deep * 0.46)).moved(
-        x=0.0014, y=wide * rng.uniform(-0.18, 0.18), z=deep * 0.25
-    )
-    hinged = [
-        mesh.turned("y", 90 - open_).moved(-deep / 2 + 0.008, 0, 0.012)
-        for mesh in (lid, bezel, screen, window)
-    ]
+    window = box((0.001, wide * 0.46, deep * 0.46)).moved(x=0.0014, y=wide * rng.uniform(-0.18, 0.18), z=deep * 0.25)
+    hinged = [mesh.turned("y", 90 - open_).moved(-deep / 2 + 0.008, 0, 0.012) for mesh in (lid, bezel, screen, window)]
     dark = plain("plastic", (0.07, 0.07, 0.08))
     pieces = [
         (look, joined(base, hinged[0])), (dark, joined(*keys, hinged[1])),
@@ -276,9 +224,7 @@ def cushion(rng: Rng, split: Split) -> Thing:
     side, thick = rng.uniform(0.36, 0.46), rng.uniform(0.13, 0.18)
     shade, clothes = color(rng), Wardrobe(split, rng)
     look = clothes.patterned(shade, "fabric", 0.2) if rng.random() < 0.5 else clothes.cloth(shade)
-    return build(
-        "cushion", shade, "fabric", (look, pillow(side, side * rng.uniform(0.7, 1.0), thick))
-    )
+    return build("cushion", shade, "fabric", (look, pillow(side, side * rng.uniform(0.7, 1.0), thick)))
 
 
 def carton(rng: Rng, split: Split) -> Thing:
@@ -289,9 +235,7 @@ def carton(rng: Rng, split: Split) -> Thing:
     shade = color(rng)
     look = Wardrobe(split, rng).maybe_patterned(shade, "cardboard", 0.12, 0.3)
     body, lid = box((x, y, z), 0.003), box((x + 0.01, y + 0.01, z * 0.24), 0.003).moved(z=z * 0.82)
-    band_shade = color(
-        rng, *(word for word in ("red", "yellow", "white", "blue") if word != shade.word)
-    )
+    band_shade = color(rng, *(word for word in ("red", "yellow", "white", "blue") if word != shade.word))
     across = [box((0.022, y + 0.013, z * 1.065)), box((x + 0.013, 0.022, z * 1.065))]
     turns = np.radians(np.linspace(0, 360, 18, endpoint=False))
     loops = [
@@ -303,11 +247,7 @@ def carton(rng: Rng, split: Split) -> Thing:
     ]  # fmt: skip
     bow = joined(*loops, sphere(0.012).moved(z=z * 1.065 + 0.01))
     return build(
-        "box",
-        shade,
-        "cardboard",
-        (look, joined(body, lid)),
-        (plain("fabric", band_shade), joined(*across, bow)),
+        "box", shade, "cardboard", (look, joined(body, lid)), (plain("fabric", band_shade), joined(*across, bow))
     )
 
 
@@ -318,11 +258,7 @@ def _open_box(rng: Rng, x: float, y: float, z: float) -> Thing:
     walls += [box((wall, y - 2 * wall, z)).moved(x=s * (x - wall) / 2) for s in (1, -1)]
     flaps = []
     for turn, across, half in ((0, y, x), (90, x, y), (180, y, x), (270, x, y)):
-        flap = (
-            box((half * 0.42, across * 0.96, 0.004))
-            .moved(x=half * 0.21)
-            .turned("y", rng.uniform(10, 50))
-        )
+        flap = box((half * 0.42, across * 0.96, 0.004)).moved(x=half * 0.21).turned("y", rng.uniform(10, 50))
         flaps.append(flap.moved(x=half / 2 - wall, z=z).turned("z", turn))
     tape = box((0.001, 0.045, z * 0.55)).moved(x=x / 2, z=z * 0.45)
     return build(
@@ -338,26 +274,11 @@ def basket(rng: Rng, split: Split) -> Thing:
     """Wicker, with a handle over it."""
     radius, height = rng.uniform(0.12, 0.17), rng.uniform(0.12, 0.18)
     shade = Color("brown", shaded(color(rng, "brown").rgb, 1.25))
-    look = Wardrobe(split, rng).textured(
-        "wicker", "wicker", shaded(shade.rgb, 1.25), shaded(shade.rgb, 0.4), 0.16
-    )
+    look = Wardrobe(split, rng).textured("wicker", "wicker", shaded(shade.rgb, 1.25), shaded(shade.rgb, 0.4), 0.16)
     foot = radius * rng.uniform(0.72, 0.85)
-    body = lathe(
-        [
-            (0, 0),
-            (foot, 0),
-            (radius, height),
-            (radius - 0.008, height),
-            (foot - 0.008, 0.01),
-            (0, 0.01),
-        ]
-    )
+    body = lathe([(0, 0), (foot, 0), (radius, height), (radius - 0.008, height), (foot - 0.008, 0.01), (0, 0.01)])
     turns = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    rim = sweep(
-        [(radius * 0.98 * np.cos(a), radius * 0.98 * np.sin(a), height) for a in turns],
-        0.009,
-        loop=True,
-    )
+    rim = sweep([(radius * 0.98 * np.cos(a), radius * 0.98 * np.sin(a), height) for a in turns], 0.009, loop=True)
     arch = np.linspace(0, np.pi, 24)
     over = rng.uniform(0.8, 1.2) * radius
     handle = sweep([(0, radius * 0.97 * np.cos(a), height + over * np.sin(a)) for a in arch], 0.008)
@@ -381,12 +302,7 @@ def frame(rng: Rng, split: Split) -> Thing:
             strict=True,
         )
     ]
-    hills = (
-        extrude([(-half, rim), (half, rim), *ridge], 0.0012)
-        .turned("x", 90)
-        .turned("z", 90)
-        .moved(x=0.0032)
-    )
+    hills = extrude([(-half, rim), (half, rim), *ridge], 0.0012).turned("x", 90).turned("z", 90).moved(x=0.0032)
     sun = cylinder(0.016, 0.001).turned("y", 90).moved(0.0032, half * 0.4, tall * 0.74)
     pieces = [
         (plain("plastic", shade), joined(*bars)), (plain("paper", (0.62, 0.80, 0.93)), sky),
@@ -395,11 +311,7 @@ def frame(rng: Rng, split: Split) -> Thing:
     leaning = [(look, mesh.turned("y", -12)) for look, mesh in pieces]
     prop = sweep([(-0.004, 0, tall * 0.55), (-tall * 0.38, 0, 0.003)], [(0.003, 0.012)] * 2, 8, 5)
     return build(
-        "picture",
-        shade,
-        "plastic",
-        *leaning,
-        (plain("cardboard", (0.2, 0.18, 0.17)), prop.moved(x=-tall * 0.1)),
+        "picture", shade, "plastic", *leaning, (plain("cardboard", (0.2, 0.18, 0.17)), prop.moved(x=-tall * 0.1))
     )
 
 

@@ -14,10 +14,7 @@ def _leaf(length: float, width: float, rise: float, droop: float) -> Mesh:
     """From the origin along +x; it rises, then droops."""
     t = np.linspace(0, 1, 10)
     path = [(length * s, 0, length * (rise * s - droop * s * s)) for s in t]
-    half = [
-        (0.0008, max(0.0006, width / 2 * np.sin(np.pi * min(1.0, s * 0.93 + 0.04)) ** 0.8))
-        for s in t
-    ]
+    half = [(0.0008, max(0.0006, width / 2 * np.sin(np.pi * min(1.0, s * 0.93 + 0.04)) ** 0.8)) for s in t]
     return sweep(path, half, 10)
 
 
@@ -30,21 +27,10 @@ def apple(rng: Rng, split: Split) -> Thing:
     )  # fmt: skip
     body = lathe([(r * radius, z * radius * tall) for r, z in profile])
     top = 1.55 * radius * tall
-    stalk = sweep(
-        [(0, 0, top - 0.002), (0.001, 0, top + 0.010), (0.005, 0, top + 0.021)],
-        [0.0013, 0.0013, 0.002],
-        8,
-    )
-    pieces = [
-        (Wardrobe(split, rng).spotted(shade, "peel", 0.07), body),
-        (plain("wood", STALK), stalk),
-    ]
+    stalk = sweep([(0, 0, top - 0.002), (0.001, 0, top + 0.010), (0.005, 0, top + 0.021)], [0.0013, 0.0013, 0.002], 8)
+    pieces = [(Wardrobe(split, rng).spotted(shade, "peel", 0.07), body), (plain("wood", STALK), stalk)]
     if rng.random() < 0.6:
-        leaf = (
-            _leaf(0.032, 0.016, 0.5, 0.35)
-            .turned("z", rng.uniform(0, 360))
-            .moved(0.002, 0, top + 0.011)
-        )
+        leaf = _leaf(0.032, 0.016, 0.5, 0.35).turned("z", rng.uniform(0, 360)).moved(0.002, 0, top + 0.011)
         pieces.append((plain("leaf", color(rng, "green")), leaf))
     return build("apple", shade, "peel", *pieces)
 
@@ -92,11 +78,7 @@ def carrot(rng: Rng, split: Split) -> Thing:
         stem = _leaf(rng.uniform(0.07, 0.10), 0.010, rng.uniform(0.05, 0.5), 0.35)
         stems.append(stem.turned("z", 180 + (k - 3) * 13).moved(0.004, 0, thick * 1.05))
     return build(
-        "carrot",
-        shade,
-        "peel",
-        (Wardrobe(split, rng).spotted(shade, "peel", 0.1), body),
-        (leaf, joined(*stems)),
+        "carrot", shade, "peel", (Wardrobe(split, rng).spotted(shade, "peel", 0.1), body), (leaf, joined(*stems))
     )
 
 
@@ -126,9 +108,7 @@ def bread(rng: Rng, split: Split) -> Thing:
     cuts = []
     for x in long * np.linspace(-0.26, 0.26, int(rng.integers(3, 5))):
         turns = np.radians(np.linspace(35, 145, 9))
-        line = [
-            (x + 0.016 * np.cos(a), wide / 2 * np.cos(a), wide * 0.395 * np.sin(a)) for a in turns
-        ]
+        line = [(x + 0.016 * np.cos(a), wide / 2 * np.cos(a), wide * 0.395 * np.sin(a)) for a in turns]
         cuts.append(sweep(line, [(0.004, 0.008)] * 9, 8))
     look = Wardrobe(split, rng).spotted(shade, "peel", 0.1)
     crumb = plain("peel", (0.93, 0.80, 0.56))

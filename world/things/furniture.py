@@ -19,22 +19,13 @@ def _timber(rng: Rng, split: Split) -> tuple[Color, Look]:
     return shade, plain("wood", shade)
 
 
-def _leg(
-    x: float, y: float, z: float, thick: float, splay: float = 0.0, round_: bool = False
-) -> Mesh:
+def _leg(x: float, y: float, z: float, thick: float, splay: float = 0.0, round_: bool = False) -> Mesh:
     path = [(x * (1 + splay), y * (1 + splay), 0), (x, y, z)]
-    return sweep(
-        path, [(thick * 0.36, thick * 0.36), (thick / 2, thick / 2)], 14, 2 if round_ else 8
-    )
+    return sweep(path, [(thick * 0.36, thick * 0.36), (thick / 2, thick / 2)], 14, 2 if round_ else 8)
 
 
 def chair(rng: Rng, split: Split) -> Thing:
-    wide, deep, seat, top = (
-        rng.uniform(0.40, 0.46),
-        rng.uniform(0.40, 0.45),
-        0.45,
-        rng.uniform(0.84, 0.98),
-    )
+    wide, deep, seat, top = (rng.uniform(0.40, 0.46), rng.uniform(0.40, 0.45), 0.45, rng.uniform(0.84, 0.98))
     shade, look = _timber(rng, split)
     board = box((deep, wide, 0.03), 0.010).moved(z=seat - 0.03)
     x, y = deep / 2 - 0.035, wide / 2 - 0.035
@@ -65,43 +56,29 @@ def _slats(rng: Rng, x: float, y: float, seat: float, top: float, lean: float) -
         return [
             rail,
             *(
-                box((0.016, 2 * y, 0.055), 0.006).moved(
-                    -x - lean * h, 0, seat + h * (top - seat) - 0.03
-                )
+                box((0.016, 2 * y, 0.055), 0.006).moved(-x - lean * h, 0, seat + h * (top - seat) - 0.03)
                 for h in heights
             ),
         ]
     bars = np.linspace(-0.7, 0.7, int(rng.integers(3, 6))) * y
-    return [
-        rail,
-        *(sweep([(-x, b, seat - 0.01), (-x - lean * 0.92, b, top - 0.05)], 0.009) for b in bars),
-    ]
+    return [rail, *(sweep([(-x, b, seat - 0.01), (-x - lean * 0.92, b, top - 0.05)], 0.009) for b in bars)]
 
 
 def stool(rng: Rng, split: Split) -> Thing:
-    radius, height, count = (
-        rng.uniform(0.15, 0.19),
-        rng.uniform(0.44, 0.66),
-        int(rng.integers(3, 5)),
-    )
+    radius, height, count = (rng.uniform(0.15, 0.19), rng.uniform(0.44, 0.66), int(rng.integers(3, 5)))
     shade, look = _timber(rng, split)
     thick = rng.uniform(0.03, 0.045)
     seat = cylinder(radius, thick, 0.010).moved(z=height - thick)
     angles = 2 * np.pi * (np.arange(count) + 0.5) / count
     legs = [
-        _leg(radius * 0.72 * np.cos(a), radius * 0.72 * np.sin(a), height - 0.02, 0.036, 0.42, True)
-        for a in angles
+        _leg(radius * 0.72 * np.cos(a), radius * 0.72 * np.sin(a), height - 0.02, 0.036, 0.42, True) for a in angles
     ]
     ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
     low, reach = height * 0.33, radius * 0.72 * (1 + 0.42 * 0.67)
     hoop = sweep([(reach * np.cos(a), reach * np.sin(a), low) for a in ring], 0.008, loop=True)
     side = radius * 1.2
     return build(
-        "stool",
-        shade,
-        "wood",
-        (look, joined(seat, *legs, hoop)),
-        ledges=(Ledge(height, (0, 0), (side, side)),),
+        "stool", shade, "wood", (look, joined(seat, *legs, hoop)), ledges=(Ledge(height, (0, 0), (side, side)),)
     )
 
 
@@ -115,14 +92,7 @@ def table(rng: Rng, split: Split) -> Thing:
         radius = rng.uniform(0.48, 0.6)
         top = cylinder(radius, 0.035, 0.008, 64).moved(z=height - 0.035)
         legs = [
-            _leg(
-                radius * 0.62 * np.cos(a),
-                radius * 0.62 * np.sin(a),
-                height - 0.02,
-                0.055,
-                0.12,
-                True,
-            )
+            _leg(radius * 0.62 * np.cos(a), radius * 0.62 * np.sin(a), height - 0.02, 0.055, 0.12, True)
             for a in np.pi / 4 + np.pi / 2 * np.arange(4)
         ]
         ledge = Ledge(height, (0, 0), (radius * 1.4, radius * 1.4))
@@ -145,22 +115,16 @@ def sofa(rng: Rng, split: Split) -> Thing:
     back_high = rng.uniform(0.76, 0.88)
     base = box((deep - 0.04, wide - 0.04, 0.20), 0.02).moved(z=0.10)
     back = box((0.18, wide - 0.04, back_high - 0.12), 0.05).moved(-deep / 2 + 0.09, 0, 0.12)
-    arms = [
-        box((deep, arm, high - 0.1), 0.055).moved(0, s * (wide - arm) / 2, 0.10) for s in (1, -1)
-    ]
+    arms = [box((deep, arm, high - 0.1), 0.055).moved(0, s * (wide - arm) / 2, 0.10) for s in (1, -1)]
     room = (wide - 2 * arm) / seats
     places = [(k - (seats - 1) / 2) * room for k in range(seats)]
     pads = [box((deep - 0.2, room - 0.012, 0.15), 0.05).moved(0.09, y, 0.29) for y in places]
     rests = [
-        box((0.17, room - 0.014, back_high - 0.40), 0.065)
-        .turned("y", -9)
-        .moved(-deep / 2 + 0.29, y, 0.42)
+        box((0.17, room - 0.014, back_high - 0.40), 0.065).turned("y", -9).moved(-deep / 2 + 0.29, y, 0.42)
         for y in places
     ]
     feet = [
-        cylinder(0.025, 0.10).moved(sx * (deep / 2 - 0.08), sy * (wide / 2 - 0.08))
-        for sx in (1, -1)
-        for sy in (1, -1)
+        cylinder(0.025, 0.10).moved(sx * (deep / 2 - 0.08), sy * (wide / 2 - 0.08)) for sx in (1, -1) for sy in (1, -1)
     ]
     soft = joined(base, back, *arms, *pads, *rests)
     ledge = Ledge(0.44, (0.16, 0), (0.44, wide - 2 * arm - 0.08))
@@ -181,29 +145,17 @@ def shelf(rng: Rng, split: Split) -> Thing:
     boards = [box((deep - 0.004, wide - 2 * thick, thick)).moved(z=z) for z in levels]
     back = box((0.008, wide - 2 * thick, height - 0.06)).moved(-deep / 2 + 0.006, 0, 0.06)
     ledges = [
-        Ledge(z + thick, (0.01, 0), (deep - 0.06, wide - 2 * thick - 0.04), gap - thick - 0.02)
-        for z in levels[:-1]
+        Ledge(z + thick, (0.01, 0), (deep - 0.06, wide - 2 * thick - 0.04), gap - thick - 0.02) for z in levels[:-1]
     ]
     top = Ledge(height, (0, 0), (deep - 0.06, wide - 0.08))
     back_look = plain("wood", shaded(shade.rgb, 0.85))
-    return build(
-        "shelf",
-        shade,
-        "wood",
-        (look, joined(*sides, *boards)),
-        (back_look, back),
-        ledges=(*ledges, top),
-    )
+    return build("shelf", shade, "wood", (look, joined(*sides, *boards)), (back_look, back), ledges=(*ledges, top))
 
 
 def floor_lamp(rng: Rng, split: Split) -> Thing:
     height = rng.uniform(1.35, 1.6)
     shade = color(rng, *VIVID, "white", "grey")
-    stand = (
-        plain("metal", (0.25, 0.25, 0.27))
-        if rng.random() < 0.5
-        else plain("wood", color(rng, "brown"))
-    )
+    stand = plain("metal", (0.25, 0.25, 0.27)) if rng.random() < 0.5 else plain("wood", color(rng, "brown"))
     low, wide = rng.uniform(0.17, 0.22), rng.uniform(0.12, 0.17)
     foot = lathe([(0, 0), *rounded([(0.14, 0), (0.14, 0.02), (0.02, 0.03)]), (0, 0.03)])
     pole = sweep([(0, 0, 0.02), (0, 0, height - 0.1)], 0.012)

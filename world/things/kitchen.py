@@ -5,19 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..looks import VIVID, Color, Look, Split, Wardrobe, color, plain, shaded
-from ..meshes import (
-    Curve,
-    Mesh,
-    Vec3,
-    cylinder,
-    extrude,
-    joined,
-    lathe,
-    ring,
-    rounded,
-    sphere,
-    sweep,
-)
+from ..meshes import Curve, Mesh, Vec3, cylinder, extrude, joined, lathe, ring, rounded, sphere, sweep
 from ..thing import Thing, build
 
 Rng = np.random.Generator
@@ -28,14 +16,10 @@ def _vessel(outer: Curve, wall: float, floor: float) -> Mesh:
     """An open pot: up the outer profile, over a round rim, down inside it."""
     inner = [(max(r - wall, 0.001), max(z, floor)) for r, z in outer[::-1] if z > 0.3 * floor]
     (r, z), rim = outer[-1], wall / 2
-    return lathe(
-        [(0, 0), *outer, (r - 0.2 * wall, z + rim), (r - 0.8 * wall, z + rim), *inner, (0, floor)]
-    )
+    return lathe([(0, 0), *outer, (r - 0.2 * wall, z + rim), (r - 0.8 * wall, z + rim), *inner, (0, floor)])
 
 
-def _arc(
-    center: tuple[float, float], radii: tuple[float, float], start: float, end: float
-) -> list[Vec3]:
+def _arc(center: tuple[float, float], radii: tuple[float, float], start: float, end: float) -> list[Vec3]:
     """In the yz plane; degrees from +y towards +z."""
     turns = np.radians(np.linspace(start, end, 14))
     return [(0, center[0] + radii[0] * np.cos(a), center[1] + radii[1] * np.sin(a)) for a in turns]
@@ -45,9 +29,7 @@ def mug(rng: Rng, split: Split) -> Thing:
     radius, height = rng.uniform(0.036, 0.046), rng.uniform(0.085, 0.115)
     foot, bulge = radius * rng.uniform(0.75, 1.0), rng.uniform(0.97, 1.06)
     shade, clothes = color(rng), Wardrobe(split, rng)
-    outer = rounded(
-        [(foot * 0.9, 0), (foot, 0.002), (radius * bulge, height * 0.4), (radius, height)]
-    )
+    outer = rounded([(foot * 0.9, 0), (foot, 0.002), (radius * bulge, height * 0.4), (radius, height)])
     look = clothes.maybe_patterned(shade, "ceramic", 0.07, 0.35)
     grip = rng.uniform(0.026, 0.034)
     handle = _arc((radius * 0.96, height * 0.52), (grip, height * rng.uniform(0.28, 0.36)), -88, 88)
@@ -68,13 +50,7 @@ def bowl(rng: Rng, split: Split) -> Thing:
     shade, clothes = color(rng), Wardrobe(split, rng)
     material = str(rng.choice(["ceramic", "ceramic", "plastic"]))
     outer = rounded(
-        [
-            (foot, 0),
-            (foot, 0.006),
-            (radius * 0.82, height * 0.35),
-            (radius, height * 0.75),
-            (radius, height),
-        ]
+        [(foot, 0), (foot, 0.006), (radius * 0.82, height * 0.35), (radius, height * 0.75), (radius, height)]
     )
     look = clothes.maybe_patterned(shade, material, 0.09, 0.35)
     return build("bowl", shade, material, (look, _vessel(outer, 0.005, 0.01)))
@@ -94,9 +70,7 @@ def plate(rng: Rng, split: Split) -> Thing:
     def rim(r: float) -> float:
         return lift * 0.8 + slope * (r - flat - 0.012)
 
-    edge = ring(
-        [(a, rim(a) - 0.002), (b, rim(b) - 0.002), (b, rim(b) + 0.0007), (a, rim(a) + 0.0007)], 56
-    )
+    edge = ring([(a, rim(a) - 0.002), (b, rim(b) - 0.002), (b, rim(b) + 0.0007), (a, rim(a) + 0.0007)], 56)
     look = clothes.maybe_patterned(shade, "ceramic", 0.12, 0.15)
     return build("plate", shade, "ceramic", (look, dish), (band, edge))
 
@@ -114,20 +88,12 @@ def bottle(rng: Rng, split: Split) -> Thing:
     r = radius + 0.0006
     label = ring([(radius * 0.9, low), (r, low), (r, high), (radius * 0.9, high)])
     stripe = ring(
-        [
-            (radius * 0.9, low + 0.02),
-            (r + 0.0004, low + 0.02),
-            (r + 0.0004, high - 0.03),
-            (radius * 0.9, high - 0.03),
-        ]
+        [(radius * 0.9, low + 0.02), (r + 0.0004, low + 0.02), (r + 0.0004, high - 0.03), (radius * 0.9, high - 0.03)]
     )
     paper = plain("paper", (0.93, 0.92, 0.86))
     print_ = plain("paper", color(rng, *VIVID))
     cap = cylinder(neck * 1.25, height * 0.08, 0.002).moved(z=height * 0.92)
-    pieces = [
-        (plain("glass", shade), body),
-        (plain("plastic", color(rng, "black", "white", "red")), cap),
-    ]
+    pieces = [(plain("glass", shade), body), (plain("plastic", color(rng, "black", "white", "red")), cap)]
     if rng.random() < 0.6:
         pieces += [(paper, label), (print_, stripe)] if rng.random() < 0.5 else [(paper, label)]
     return build("bottle", shade, "glass", *pieces)
@@ -156,10 +122,7 @@ def teapot(rng: Rng, split: Split) -> Thing:
     tube = sweep(pipe, np.linspace(radius * 0.28, radius * 0.11, len(pipe)))
     grip = np.radians(np.linspace(80, 280, 16))
     reach = radius * rng.uniform(0.55, 0.7)
-    path = [
-        (-radius * 0.88 + reach * np.cos(a), 0, height * 0.55 + height * 0.38 * np.sin(a))
-        for a in grip
-    ]
+    path = [(-radius * 0.88 + reach * np.cos(a), 0, height * 0.55 + height * 0.38 * np.sin(a)) for a in grip]
     handle = sweep(path, radius * 0.095)
     plain_look = plain("ceramic", shade)
     look = clothes.maybe_patterned(shade, "ceramic", 0.12, 0.35)
@@ -192,10 +155,7 @@ def spoon(rng: Rng, split: Split) -> Thing:
     inner = [(r * 0.93, z + 0.13) for r, z in dish[::-1]]
     cup = lathe([(0, -0.4), *dish, *inner, (0, -0.27)]).scaled(scoop, wide, 0.019)
     t = np.linspace(0, 1, 12)
-    path = [
-        (-scoop * 0.9 - s * (length - 2 * scoop), 0, 0.010 * np.sin(np.pi * s * 0.9) - 0.004 * s)
-        for s in t
-    ]
+    path = [(-scoop * 0.9 - s * (length - 2 * scoop), 0, 0.010 * np.sin(np.pi * s * 0.9) - 0.004 * s) for s in t]
     widths = [0.007 + 0.010 * float(np.clip((s - 0.45) / 0.5, 0, 1)) for s in t]
     handle = _ribbon(path, widths, 0.0045 if material == "wood" else 0.003)
     return build("spoon", shade, material, (look, joined(cup, handle)))
@@ -210,9 +170,7 @@ def fork(rng: Rng, split: Split) -> Thing:
     widths = [0.007 + 0.011 * float(np.clip((s - 0.4) / 0.5, 0, 1)) for s in t]
     handle = _ribbon(path, widths, 0.003)
     root = _ribbon(
-        [(-0.002 + 0.027 * s, 0, -0.001 * s) for s in t],
-        [0.008 + (wide - 0.008) * min(1.0, 1.8 * s) for s in t],
-        0.003,
+        [(-0.002 + 0.027 * s, 0, -0.001 * s) for s in t], [0.008 + (wide - 0.008) * min(1.0, 1.8 * s) for s in t], 0.003
     )
     lanes = np.linspace(-1, 1, count) * (wide / 2 - 0.0024)
     u = np.linspace(0, 1, 7)
@@ -273,13 +231,7 @@ def pot(rng: Rng, split: Split) -> Thing:
         ]
     )
     knob = lathe(
-        [
-            (0, 0),
-            (0.007, 0),
-            (0.007, 0.014),
-            *rounded([(0.018, 0.016), (0.02, 0.026), (0.012, 0.032)]),
-            (0, 0.032),
-        ]
+        [(0, 0), (0.007, 0), (0.007, 0.014), *rounded([(0.018, 0.016), (0.02, 0.026), (0.012, 0.032)]), (0, 0.032)]
     )
     arc = _arc((radius * 0.97, 0), (0.035, 0.035), -90, 90)
     ear = sweep([(z, y, height * 0.78) for _, y, z in arc], 0.0065)
@@ -301,11 +253,7 @@ def pan(rng: Rng, split: Split) -> Thing:
     path = [(radius * 0.97 + length * s, 0, height * 0.75 + 0.03 * s) for s in t]
     handle = sweep(path, [(0.006 + 0.003 * s, 0.008 + 0.006 * s) for s in t], 16, 3.0)
     inside = lathe([(0, 0.0058), (radius * 0.78, 0.0058), (radius * 0.8, 0.0075), (0, 0.0075)])
-    grip = (
-        plain("wood", color(rng, "brown"))
-        if rng.random() < 0.4
-        else plain("plastic", (0.08, 0.08, 0.09))
-    )
+    grip = plain("wood", color(rng, "brown")) if rng.random() < 0.4 else plain("plastic", (0.08, 0.08, 0.09))
     return build(
         "pan", shade, "metal",
         (plain("ceramic", shade), dish), (plain("ceramic", (0.14, 0.14, 0.15)), inside), (grip, handle),

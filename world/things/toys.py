@@ -40,32 +40,18 @@ def duck(rng: Rng, split: Split) -> Thing:
     body = sphere(0.045, 0.034, 0.030).moved(z=0.030)
     chest = sphere(0.026, 0.026, 0.026).moved(0.022, 0, 0.036)
     tail = sweep(
-        [(-0.030, 0, 0.036), (-0.046, 0, 0.047), (-0.056, 0, 0.064)],
-        [(0.016, 0.022), (0.010, 0.015), (0.002, 0.005)],
+        [(-0.030, 0, 0.036), (-0.046, 0, 0.047), (-0.056, 0, 0.064)], [(0.016, 0.022), (0.010, 0.015), (0.002, 0.005)]
     )
     head = sphere(0.023 * rng.uniform(0.95, 1.15)).moved(0.025, 0, 0.075)
     wings = [
-        sphere(0.024, 0.007, 0.015)
-        .turned("y", 18)
-        .turned("z", s * -8)
-        .moved(-0.007, s * 0.031, 0.036)
-        for s in (1, -1)
+        sphere(0.024, 0.007, 0.015).turned("y", 18).turned("z", s * -8).moved(-0.007, s * 0.031, 0.036) for s in (1, -1)
     ]
     beak = plain("rubber", (0.93, 0.40, 0.08) if shade.word != "orange" else (0.85, 0.15, 0.1))
     bill = [sphere(0.012, 0.011, 0.0038).moved(0.049, 0, z) for z in (0.073, 0.0685)]
     eyes = [sphere(0.0036).moved(0.0425, s * 0.0125, 0.0825) for s in (1, -1)]
     main = joined(body, chest, tail, head, *wings)
-    pieces = [
-        (plain("rubber", shade), main),
-        (beak, joined(*bill)),
-        (plain("plastic", INK), joined(*eyes)),
-    ]
-    return build(
-        "toy duck",
-        shade,
-        "rubber",
-        *((look, mesh.scaled(size, size, size)) for look, mesh in pieces),
-    )
+    pieces = [(plain("rubber", shade), main), (beak, joined(*bill)), (plain("plastic", INK), joined(*eyes))]
+    return build("toy duck", shade, "rubber", *((look, mesh.scaled(size, size, size)) for look, mesh in pieces))
 
 
 def bear(rng: Rng, split: Split) -> Thing:
@@ -77,36 +63,21 @@ def bear(rng: Rng, split: Split) -> Thing:
     head = sphere(0.050, 0.056, 0.050).moved(0.012, 0, 0.175)
     ears = [sphere(0.010, 0.021, 0.021).moved(0.004, s * 0.044, 0.216) for s in (1, -1)]
     arms = [
-        sphere(0.022, 0.021, 0.046)
-        .turned("x", s * 38)
-        .turned("y", -35)
-        .moved(0.032, s * 0.070, 0.105)
-        for s in (1, -1)
+        sphere(0.022, 0.021, 0.046).turned("x", s * 38).turned("y", -35).moved(0.032, s * 0.070, 0.105) for s in (1, -1)
     ]
-    legs = [
-        sphere(0.054, 0.026, 0.027).turned("z", s * 22).moved(0.068, s * 0.050, 0.028)
-        for s in (1, -1)
-    ]
+    legs = [sphere(0.054, 0.026, 0.027).turned("z", s * 22).moved(0.068, s * 0.050, 0.028) for s in (1, -1)]
     pale = plain("plush", shaded(shade.rgb, 1.5) if min(shade.rgb) < 0.7 else (0.75, 0.62, 0.5))
     muzzle = sphere(0.022, 0.026, 0.020).moved(0.054, 0, 0.163)
     tummy = sphere(0.026, 0.040, 0.048).moved(0.058 * fat - 0.018, 0, 0.078)
     inner = [sphere(0.004, 0.013, 0.013).moved(0.0115, s * 0.044, 0.216) for s in (1, -1)]
-    soles = [
-        sphere(0.007, 0.018, 0.019).turned("z", s * 22).moved(0.1135, s * 0.0685, 0.029)
-        for s in (1, -1)
-    ]
+    soles = [sphere(0.007, 0.018, 0.019).turned("z", s * 22).moved(0.1135, s * 0.0685, 0.029) for s in (1, -1)]
     nose = sphere(0.006, 0.009, 0.006).moved(0.0755, 0, 0.170)
     eyes = [sphere(0.006).moved(0.0555, s * 0.021, 0.188) for s in (1, -1)]
     pieces = [
         (plain("plush", shade), joined(body, head, *ears, *arms, *legs)),
         (pale, joined(muzzle, tummy, *inner, *soles)), (plain("plastic", INK), joined(nose, *eyes)),
     ]  # fmt: skip
-    return build(
-        "teddy bear",
-        shade,
-        "plush",
-        *((look, mesh.scaled(size, size, size)) for look, mesh in pieces),
-    )
+    return build("teddy bear", shade, "plush", *((look, mesh.scaled(size, size, size)) for look, mesh in pieces))
 
 
 def car(rng: Rng, split: Split) -> Thing:
@@ -129,14 +100,7 @@ def car(rng: Rng, split: Split) -> Thing:
     body = extrude(side, 0.068).turned("x", 90).moved(y=0.034)
     back = float(rng.uniform(-0.066, -0.045))
     roof = rounded(
-        [
-            (back, 0.043),
-            (0.036, 0.043),
-            (0.012, 0.068 * tall),
-            (back + 0.016, 0.068 * tall),
-            (back, 0.043),
-        ],
-        2,
+        [(back, 0.043), (0.036, 0.043), (0.012, 0.068 * tall), (back + 0.016, 0.068 * tall), (back, 0.043)], 2
     )[:-1]
     cabin = extrude(roof, 0.056).turned("x", 90).moved(y=0.028)
     middle = np.array([(back + 0.036) / 2, 0.055])
@@ -156,12 +120,7 @@ def car(rng: Rng, split: Split) -> Thing:
         (bright, joined(*(hub.moved(*p) for p in places), *lamps)),
         (plain("plastic", (0.7, 0.05, 0.05)), joined(*rear)),
     ]  # fmt: skip
-    return build(
-        "toy car",
-        shade,
-        "plastic",
-        *((look, mesh.scaled(size, size, size)) for look, mesh in pieces),
-    )
+    return build("toy car", shade, "plastic", *((look, mesh.scaled(size, size, size)) for look, mesh in pieces))
 
 
 def blocks(rng: Rng, split: Split) -> Thing:

@@ -27,27 +27,13 @@ class CentrePixels(Sampling):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.topk, self.first_hits) != (None, None):
-            raise InputError(
-                "centre pixels count whatever their rank: leave topk and first_hits at None"
-            )
+            raise InputError("centre pixels count whatever their rank: leave topk and first_hits at None")
 
-    def triples(
-        self,
-        splats: SplatArrays,
-        view: View,
-        mask_ids: Int32[np.ndarray, "h w"],
-        threads: int = 0,
-    ) -> Triples:
+    def triples(self, splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], threads: int = 0) -> Triples:
         return centre_weights(splats, view, mask_ids, threads=threads)
 
 
-def centre_weights(
-    splats: SplatArrays,
-    view: View,
-    mask_ids: Int32[np.ndarray, "h w"],
-    *,
-    threads: int = 0,
-) -> Triples:
+def centre_weights(splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], *, threads: int = 0) -> Triples:
     """Per Gaussian its blending weight alpha T at the pixel of its centre, and the mask there.
 
     At most one entry per Gaussian; none where it adds nothing there, or where no mask is.
@@ -81,11 +67,7 @@ def centre_pixels(splats: SplatArrays, view: View) -> Int64[np.ndarray, " n"]:
 
 
 def _weights_at(
-    splats: SplatArrays,
-    view: View,
-    pixels: Int64[np.ndarray, " n"],
-    chosen: Int64[np.ndarray, " p"],
-    threads: int,
+    splats: SplatArrays, view: View, pixels: Int64[np.ndarray, " n"], chosen: Int64[np.ndarray, " p"], threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gaussians whose centre is in one of the chosen pixels, and their weights there."""
     # Every pixel is a mask of its own, so that W has its contributors one by one.

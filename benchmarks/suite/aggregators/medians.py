@@ -24,9 +24,7 @@ class CosineMedian:
         return reweighted(evidence, lambda block: median_weights(block, table), threads)
 
 
-def median_weights(
-    block: RowBlock, table: Float32[np.ndarray, "m d"]
-) -> Float64[np.ndarray, "n k"]:
+def median_weights(block: RowBlock, table: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, "n k"]:
     """The factors of the votes in the streaming median."""
     added, kept = np.zeros(block.weights.shape), np.ones(block.weights.shape)
     added[:, 0] = 1

@@ -45,9 +45,7 @@ class Code(Protocol):
 
     def __len__(self) -> int: ...
 
-    def scores(
-        self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
-    ) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
         """Of every row, for each query; the same whether a query is asked alone or among others."""
 
     def select(

@@ -61,10 +61,7 @@ class Codebook:
             and 1 <= len(coarse) <= 65535
             and coarse.dtype == np.float32
         ):
-            raise InputError(
-                f"coarse: expected float32 (up to 65535, {self.dim}), "
-                f"got {coarse.dtype} {coarse.shape}"
-            )
+            raise InputError(f"coarse: expected float32 (up to 65535, {self.dim}), got {coarse.dtype} {coarse.shape}")
         parts = [part for part in (self.centroids, coarse) if part is not None]
         if not all(np.abs(part).max(initial=0) <= LARGEST for part in parts):  # NaN is not either
             raise InputError(f"centroids must be finite, and not beyond {LARGEST:g}")
@@ -130,9 +127,7 @@ class Codebook:
         self.check(codes)
         if self.coarse is None:  # squared norms add up over sub-vectors: the scan does that
             squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
-            squared = pq_scores(
-                codes.codes, squares, np.ones(len(codes.codes), np.float32), threads=threads
-            )
+            squared = pq_scores(codes.codes, squares, np.ones(len(codes.codes), np.float32), threads=threads)
         else:
             squared = np.empty(len(codes.codes), np.float32)
             for rows in _blocks(len(squared)):
@@ -179,20 +174,14 @@ class Codebook:
             raise InputError("coarse ids belong with a residual codebook, and only with one")
         if self.coarse is not None and ids is not None:
             if ids.shape != (rows,) or ids.dtype != np.uint16:
-                raise InputError(
-                    f"expected {rows} coarse ids (uint16), got {ids.dtype} {ids.shape}"
-                )
+                raise InputError(f"expected {rows} coarse ids (uint16), got {ids.dtype} {ids.shape}")
             largest = int(ids.max(initial=0))
             if largest >= len(self.coarse):
-                raise InputError(
-                    f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids"
-                )
+                raise InputError(f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids")
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Its arrays by name, as they are written to files."""
-        return {"centroids": self.centroids} | (
-            {} if self.coarse is None else {"coarse": self.coarse}
-        )
+        return {"centroids": self.centroids} | ({} if self.coarse is None else {"coarse": self.coarse})
 
 
 def train_codebook(

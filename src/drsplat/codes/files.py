@@ -16,9 +16,7 @@ from .codebook import Codebook
 CODEBOOK_FORMAT = "drsplat codebook 1"
 
 
-def save_codebook(
-    codebook: Codebook, path: str | os.PathLike[str], overwrite: bool = False
-) -> None:
+def save_codebook(codebook: Codebook, path: str | os.PathLike[str], overwrite: bool = False) -> None:
     """Write a codebook to one safetensors file."""
     metadata = {
         "format": CODEBOOK_FORMAT,
@@ -35,9 +33,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
     """
     tensors, metadata = map_tensors(path)
     if metadata.get("format") != CODEBOOK_FORMAT:
-        raise FormatError(
-            f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}"
-        )
+        raise FormatError(f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}")
     try:
         identity = parsed(metadata.get("encoder", ""))
     except (ValueError, RecursionError):
@@ -54,15 +50,11 @@ def codebook_from_tensors(
     """
     encoder = encoder_from_json(identity, where)
     expected = {"centroids": ("float32", "L c d"), "coarse": ("float32", "C D")}
-    check_tensors(
-        tensors, {k: v for k, v in expected.items() if k != "coarse" or k in tensors}, where
-    )
+    check_tensors(tensors, {k: v for k, v in expected.items() if k != "coarse" or k in tensors}, where)
     try:
         codebook = Codebook(tensors["centroids"], tensors.get("coarse"), encoder)
     except (InputError, MismatchError) as error:
         raise FormatError(f"{where}: {error}") from error
     if codebook.hash != expected_hash:
-        raise FormatError(
-            f"{where}: the codebook is not the one that was written (hash {codebook.hash})"
-        )
+        raise FormatError(f"{where}: the codebook is not the one that was written (hash {codebook.hash})")
     return codebook

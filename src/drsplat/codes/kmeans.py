@@ -29,11 +29,7 @@ def untracked(items: Sequence[T], description: str, /) -> Iterable[T]:
 
 
 def train_centroids(
-    points: Float32[np.ndarray, "n D"],
-    num_subvectors: int,
-    seed: int,
-    threads: int = 0,
-    track: Track = untracked,
+    points: Float32[np.ndarray, "n D"], num_subvectors: int, seed: int, threads: int = 0, track: Track = untracked
 ) -> Float32[np.ndarray, "L c d"]:
     """256 centroids per sub-vector. A sub-vector of at most 256 distinct values gets exactly those.
 
@@ -75,9 +71,7 @@ def _starts(keys: UInt64[np.ndarray, " n"], rng: np.random.Generator) -> Int[np.
     return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
 
 
-def _update(
-    centroids: Float32[np.ndarray, "c d"], columns: np.ndarray, codes: UInt8[np.ndarray, " n"]
-) -> None:
+def _update(centroids: Float32[np.ndarray, "c d"], columns: np.ndarray, codes: UInt8[np.ndarray, " n"]) -> None:
     """Move each centroid to the mean of its points, in place."""
     counts = np.bincount(codes, minlength=CENTROIDS)
     served = counts > 0

@@ -46,9 +46,7 @@ def from_official_bytes(rows: UInt8[np.ndarray, "n b"], codebook: Codebook) -> O
     codebook does not have.
     """
     if codebook.coarse is None:
-        raise InputError(
-            "official codes are residuals: read the authors' .faiss file for their codebook"
-        )
+        raise InputError("official codes are residuals: read the authors' .faiss file for their codebook")
     if rows.ndim != 2 or rows.shape[1] != 2 + codebook.num_subvectors:
         raise FormatError(f"expected rows of {2 + codebook.num_subvectors} bytes, got {rows.shape}")
     ids = np.flatnonzero((rows != 255).any(axis=1)).astype(np.uint32)

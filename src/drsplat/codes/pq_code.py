@@ -49,9 +49,7 @@ class PQCode:
     def __post_init__(self) -> None:
         norms, grouped = self.inverse_norms, self.grouped
         if norms.ndim != 1 or norms.dtype != np.float32:
-            raise InputError(
-                f"inverse_norms: expected float32 (n), got {norms.dtype} {norms.shape}"
-            )
+            raise InputError(f"inverse_norms: expected float32 (n), got {norms.dtype} {norms.shape}")
         if not (np.isfinite(norms).all() and (norms >= 0).all()):
             raise InputError("inverse_norms: expected finite numbers of 0 or more")
         groups, subvectors = -(-len(norms) // GROUP), self.codebook.num_subvectors
@@ -74,14 +72,9 @@ class PQCode:
         ids = self.coarse_ids
         return self.grouped.nbytes + self.inverse_norms.nbytes + (0 if ids is None else ids.nbytes)
 
-    def scores(
-        self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
-    ) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
         """See Code. Off by at most 1e-4."""
-        batches = [
-            scan_scores(self._rows, tables, self._exact(threads))
-            for tables in self._tables(queries, threads)
-        ]
+        batches = [scan_scores(self._rows, tables, self._exact(threads)) for tables in self._tables(queries, threads)]
         if len(batches) == 1:
             return batches[0]
         return np.concatenate([np.empty((0, len(self)), np.float32), *batches])
@@ -162,11 +155,7 @@ class PQCode:
 
 
 def pq_code(
-    codebook: Codebook,
-    codes: Codes,
-    inverse_norms: Float32[np.ndarray, " n"] | None = None,
-    *,
-    threads: int = 0,
+    codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray, " n"] | None = None, *, threads: int = 0
 ) -> PQCode:
     """Codes as a code that can be searched. inverse_norms: computed where they are not given.
 

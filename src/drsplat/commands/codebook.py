@@ -60,9 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--subvectors", type=count, default=128, metavar="L",
         help="bytes per code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)",
     )  # fmt: skip
-    method.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)"
-    )
+    method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -75,9 +73,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("codebook train: give either FEATURES.npy or --lvis with --images")
     watch = Stopwatch()
     parts = Path(f"{output}.parts")
-    rows, encoder, facts = (
-        _embedded(arguments, parts) if arguments.features is None else _given(arguments)
-    )
+    rows, encoder, facts = _embedded(arguments, parts) if arguments.features is None else _given(arguments)
     watch.lap("embed")
     codebook, cosines = _trained(rows, encoder, arguments)
     watch.lap("train")
@@ -116,25 +112,19 @@ def show(answer: dict[str, Any]) -> None:
         "peak memory": size_said(answer["peak_memory_bytes"]),
     }  # fmt: skip
     if "num_photos" in answer:
-        facts["photos"] = (
-            f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
-        )
+        facts["photos"] = f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
         facts["left out"] = counted(answer["num_left_out"], "patch", "patches")
     show_facts(f"trained: {answer['codebook']}", facts)
 
 
-def _embedded(
-    arguments: argparse.Namespace, parts: Path
-) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+def _embedded(arguments: argparse.Namespace, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
     from ..embedding.patches import embed_patches, find_patches
     from ..errors import InputError
     from ..formats.lvis import read_annotations
 
     if arguments.images is None:
         raise InputError("--lvis needs --images DIR, the folder of the annotated photos")
-    source = find_patches(
-        read_annotations(arguments.lvis), arguments.images, arguments.limit, arguments.seed
-    )
+    source = find_patches(read_annotations(arguments.lvis), arguments.images, arguments.limit, arguments.seed)
     encoder = image_encoder(arguments)
     embedded = embed_patches(source, encoder, parts, tracker(arguments))
     facts = {
@@ -152,21 +142,15 @@ def _given(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, 
     from ..formats.npy import map_npy
 
     if arguments.encoder_name is None:
-        raise InputError(
-            f"{arguments.features}: the file does not name its encoder: pass --encoder-name NAME"
-        )
+        raise InputError(f"{arguments.features}: the file does not name its encoder: pass --encoder-name NAME")
     rows = map_npy(Path(arguments.features))
     if rows.ndim != 2 or 0 in rows.shape or rows.dtype.kind != "f":
-        raise FormatError(
-            f"{arguments.features}: expected floats (N, D), got {rows.dtype} {rows.shape}"
-        )
+        raise FormatError(f"{arguments.features}: expected floats (N, D), got {rows.dtype} {rows.shape}")
     identity = EncoderIdentity(arguments.encoder_name, rows.shape[1])
     return rows, identity, {"num_embeddings": len(rows)}
 
 
-def _trained(
-    rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Namespace
-) -> tuple[Codebook, np.ndarray]:
+def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Namespace) -> tuple[Codebook, np.ndarray]:
     """The codebook, and of each held-out row the cosine with what its code stands for."""
     import numpy as np
 

@@ -52,10 +52,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_held_out": len(story.held_out),
         "num_masks": story.num_masks,
         "num_weights": story.num_weights,
-        "queries": [
-            _query(verdict, path)
-            for verdict, path in zip(story.verdicts, pictures[1:], strict=True)
-        ],
+        "queries": [_query(verdict, path) for verdict, path in zip(story.verdicts, pictures[1:], strict=True)],
         "num_right": sum(verdict.is_right for verdict in story.verdicts),
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": {**story.seconds, "pictures": watch.seconds["pictures"]},

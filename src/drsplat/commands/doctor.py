@@ -28,14 +28,8 @@ PACKAGES = {
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
-    "show and search scenes in a browser (drsplat view)": (
-        "viewer",
-        ("viser", "msgspec", "websockets"),
-    ),
-    "serve scenes over HTTP (drsplat serve)": (
-        "serve",
-        ("fastapi", "uvicorn", "prometheus_client"),
-    ),
+    "show and search scenes in a browser (drsplat view)": ("viewer", ("viser", "msgspec", "websockets")),
+    "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
     "scenes for language models (drsplat mcp)": ("mcp", ("mcp",)),
 }
 """What needs an extra, and the modules of it."""
@@ -80,8 +74,7 @@ def show(answer: dict[str, Any]) -> None:
             "Python": f"{answer['python']} on {answer['system']}",
             "instruction set": f"{native['chosen']} of {', '.join(native['instruction_sets'])}",
             "CPU": f"{devices['cpu_cores']} cores, bfloat16 {'fast' if devices['cpu_bfloat16'] else 'not in hardware'}",
-            "GPU": ", ".join(devices["cuda"])
-            or ("Apple's" if devices["mps"] else "none that torch finds"),
+            "GPU": ", ".join(devices["cuda"]) or ("Apple's" if devices["mps"] else "none that torch finds"),
         },
     )
     packages = answer["packages"].items()
@@ -162,12 +155,7 @@ def probe() -> dict[str, Any]:
 def _start_probe() -> subprocess.Popen[str] | None:
     if not _is_installed("torch"):
         return None
-    return subprocess.Popen(
-        [sys.executable, "-c", _PROBE],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return subprocess.Popen([sys.executable, "-c", _PROBE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
@@ -199,10 +187,7 @@ def _models() -> dict[str, dict[str, Any]]:
     from ..models.pretrained import cached_in_full
 
     known = _is_installed("huggingface_hub")
-    return {
-        name: {"for": use, "cached": cached_in_full(name) if known else None}
-        for name, use in MODELS.items()
-    }
+    return {name: {"for": use, "cached": cached_in_full(name) if known else None} for name, use in MODELS.items()}
 
 
 def _cached_said(cached: bool | None) -> str:

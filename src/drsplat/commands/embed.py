@@ -33,10 +33,7 @@ MOST_POINTS = 1024  # on a side
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "capture",
-        help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json",
-    )
+    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
         "--output", "-o", metavar="DIR",
         help="folder for the features (default: CAPTURE/language_features)",
@@ -130,11 +127,7 @@ def show(answer: dict[str, Any]) -> None:
     from .tables import said, show_facts, size_said
 
     made = answer["num_photos"] - answer["num_photos_reused"]
-    anew = (
-        f", {said(answer['num_photos_redone'])} over older files"
-        if answer["num_photos_redone"]
-        else ""
-    )
+    anew = f", {said(answer['num_photos_redone'])} over older files" if answer["num_photos_redone"] else ""
     show_facts(
         f"embedded: {answer['output']}",
         {

@@ -8,15 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .leaving_out import add_without, left_out
-from .options import (
-    add_overwrite,
-    add_query_encoders,
-    finite,
-    length,
-    tracker,
-    whole,
-    words,
-)
+from .options import add_overwrite, add_query_encoders, finite, length, tracker, whole, words
 
 if TYPE_CHECKING:
     from ..encoders import Encoder
@@ -42,14 +34,9 @@ tuned on them, as the papers have it: never compare the one with the other."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("protocol", choices=PROTOCOLS, help="protocol to score by")
-    parser.add_argument(
-        "data",
-        help="folder with a folder per scene; of lerf-ovs also with label/",
-    )
+    parser.add_argument("data", help="folder with a folder per scene; of lerf-ovs also with label/")
     each = parser.add_argument_group("for each scene, in the same order")
-    each.add_argument(
-        "--name", type=words, action="append", help="folder in DATA (default: the only one there)"
-    )
+    each.add_argument("--name", type=words, action="append", help="folder in DATA (default: the only one there)")
     each.add_argument("--scene", action="append", required=True, help="scene that was registered")
     each.add_argument("--field", action="append", help="field that `drsplat register` wrote")
     each.add_argument(
@@ -57,14 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros where "
         "there is none; with --vocabulary or --encoder for the texts",
     )  # fmt: skip
+    parser.add_argument("--report", required=True, metavar="DIR", help="folder for the report and the predictions")
     parser.add_argument(
-        "--report", required=True, metavar="DIR", help="folder for the report and the predictions"
-    )
-    parser.add_argument(
-        "--method",
-        type=words,
-        metavar="NAME",
-        help="name of the method in the tables (default: the measure)",
+        "--method", type=words, metavar="NAME", help="name of the method in the tables (default: the measure)"
     )
     parser.add_argument(
         "--relevancy", action="store_true",
@@ -75,9 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="fixed threshold (default: the encoder's own, else 0.5)",
     )  # fmt: skip
     parser.add_argument(
-        "--automatic",
-        action="store_true",
-        help="score with a threshold per query as well, chosen from its scores",
+        "--automatic", action="store_true", help="score with a threshold per query as well, chosen from its scores"
     )
     parser.add_argument(
         "--label-set", type=words, default="scannet19", metavar="SET",
@@ -103,12 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LENGTH",
         help="side of a voxel in scene units (default: 0.05)",
     )
-    parser.add_argument(
-        "--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)"
-    )
-    parser.add_argument(
-        "--score-only", action="store_true", help="score the predictions that are in REPORT already"
-    )
+    parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
+    parser.add_argument("--score-only", action="store_true", help="score the predictions that are in REPORT already")
     add_query_encoders(parser)
     add_without(parser)
     add_overwrite(parser)
@@ -151,17 +127,11 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("name", "field", "features"):
         given = getattr(arguments, option)
         if given and len(given) != count:
-            raise InputError(
-                f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}"
-            )
+            raise InputError(f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
     if (report / "results.json").exists() and not (arguments.overwrite or arguments.score_only):
-        raise InputError(
-            f"{report} holds results already: pass --overwrite, or name another folder"
-        )
+        raise InputError(f"{report} holds results already: pass --overwrite, or name another folder")
     if arguments.features and not (arguments.vocabulary or arguments.encoder):
-        raise InputError(
-            "--features needs --vocabulary or --encoder: what turns texts into vectors"
-        )
+        raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
 
 
 def _lerf(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], list[Figure]]:
@@ -221,9 +191,7 @@ def _scannet(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any
     return {**score[arguments.protocol](scenes, folder), "files": hashes}, figures
 
 
-def _scannet_figures(
-    arguments: argparse.Namespace, scene: ScannetScene, scorer: Scorer, folder: Path
-) -> list[Figure]:
+def _scannet_figures(arguments: argparse.Namespace, scene: ScannetScene, scorer: Scorer, folder: Path) -> list[Figure]:
     """None where the scene has no cameras."""
     from .. import read_views
     from ..evaluation.figures import scannet_figures

@@ -41,11 +41,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 def show(answer: dict[str, Any]) -> None:
     from .tables import show_facts
 
-    facts = {
-        name: value
-        for name, value in answer.items()
-        if name not in ("path", "kind", "views", "photos")
-    }
+    facts = {name: value for name, value in answer.items() if name not in ("path", "kind", "views", "photos")}
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
 
 
@@ -67,9 +63,7 @@ def kind_of(path: Path) -> str:
         return "scene"
     if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
         return "scene"
-    has_models = any(
-        (path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json")
-    )
+    has_models = any((path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json"))
     return "features" if not has_models and has_features(path) else "capture"
 
 
@@ -141,10 +135,7 @@ def _features(arguments: argparse.Namespace) -> dict[str, Any]:
 
     folder = read_features(arguments.path)
     by_level = {level: read_features(arguments.path, level=level) for level in LEVELS}
-    photos = [
-        {"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}}
-        for key in folder
-    ]
+    photos = [{"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}} for key in folder]
     return {
         "num_photos": len(folder),
         "dim": folder.dim,
@@ -221,10 +212,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
 
     if not len(values):
         return {}
-    return {
-        f"p{p}": float(v)
-        for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)
-    }
+    return {f"p{p}": float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
 _INSPECTORS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {

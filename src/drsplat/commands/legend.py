@@ -26,12 +26,7 @@ def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -
 
 
 def class_picture(
-    gaussians: Gaussians,
-    view: View,
-    photo: Pixels,
-    labels: Int32[np.ndarray, " n"],
-    names: list[str],
-    threads: int = 0,
+    gaussians: Gaussians, view: View, photo: Pixels, labels: Int32[np.ndarray, " n"], names: list[str], threads: int = 0
 ) -> OtherPixels:
     """The photo in grey, tinted by the classes that are seen, with the names of those found below it."""
     colors = class_colors(len(names)).astype(np.float32)
@@ -41,21 +36,15 @@ def class_picture(
     channels = render_channels(splat_arrays(gaussians), view, values, threads=threads).channels
     picture = tinted(photo, channels[..., :3], channels[..., 3])
     present = np.unique(labels[found])
-    return np.concatenate(
-        [picture, legend(picture.shape[1], [names[i] for i in present], colors[present])]
-    )
+    return np.concatenate([picture, legend(picture.shape[1], [names[i] for i in present], colors[present])])
 
 
-def tinted(
-    photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np.ndarray, "h w"]
-) -> Pixels:
+def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np.ndarray, "h w"]) -> Pixels:
     """Colour over the photo's grey; `color` is already weighted by `share`."""
     grey = (photo @ LUMA)[..., None]
     covered = np.clip(share, 0, 1)[..., None]
     shade = 0.4 + 0.6 * grey / 255
-    picture: Pixels = np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(
-        np.uint8
-    )
+    picture: Pixels = np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(np.uint8)
     return picture
 
 

@@ -14,16 +14,12 @@ def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: 127.0.0.1, this machine only); others need --api-key-file",
     )  # fmt: skip
-    parser.add_argument(
-        "--port", type=PORT, default=port, metavar="N", help=f"port to listen on (default: {port})"
-    )
+    parser.add_argument("--port", type=PORT, default=port, metavar="N", help=f"port to listen on (default: {port})")
     parser.add_argument(
         "--api-key-file", metavar="FILE",
         help="file with the key that every request has to send: Authorization: Bearer KEY",
     )  # fmt: skip
-    parser.add_argument(
-        "--open", action="store_true", help="allow another --host without a key, for anyone"
-    )
+    parser.add_argument("--open", action="store_true", help="allow another --host without a key, for anyone")
 
 
 def checked_key(arguments: argparse.Namespace) -> str | None:

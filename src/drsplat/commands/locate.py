@@ -39,13 +39,7 @@ seldom exceed 0.3. Relevancy has the same scale for every encoder; words with --
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_query_options(parser)
-    parser.add_argument(
-        "--top",
-        type=count,
-        default=10,
-        metavar="N",
-        help="matches to list, best first (default: 10)",
-    )
+    parser.add_argument("--top", type=count, default=10, metavar="N", help="matches to list, best first (default: 10)")
     parser.add_argument(
         "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
         help=f"Gaussians of the smallest match; what is smaller is a speck (default: {MIN_GAUSSIANS})",
@@ -96,9 +90,7 @@ def show(answer: dict[str, Any]) -> None:
     rows = [_row(number, match) for number, match in enumerate(answer["matches"])]
     title = f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}', in scene units"
     show_table(title, columns, rows)
-    for number, match in enumerate(
-        answer["matches"]
-    ):  # names of photos are long, and people copy them
+    for number, match in enumerate(answer["matches"]):  # names of photos are long, and people copy them
         if match["support"]:
             photos = dict.fromkeys(mask["view"] for mask in match["support"])
             print(f"match {number} is supported by {', '.join(photos)}")
@@ -116,16 +108,11 @@ def _json(match: Match) -> dict[str, Any]:
         "center": match.center,
         "extent": match.extent,
         "axes": match.axes,
-        "support": [
-            {"view": one.view_name, "mask": one.mask_id, "share": one.share}
-            for one in match.support
-        ],
+        "support": [{"view": one.view_name, "mask": one.mask_id, "share": one.share} for one in match.support],
     }
 
 
-def _save(
-    arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: list[Match]
-) -> None:
+def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: list[Match]) -> None:
     import numpy as np
 
     from .. import write_gaussians
@@ -143,6 +130,4 @@ def _draw(arguments: argparse.Namespace, scene: Scene, matches: list[Match]) -> 
     from ..terminal import counted
 
     ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
-    return draw(
-        arguments, scene, ids, counted(len(matches), "match", "matches") if matches else "no match"
-    )
+    return draw(arguments, scene, ids, counted(len(matches), "match", "matches") if matches else "no match")

@@ -22,11 +22,7 @@ spoken on stdin and stdout, for programs that start the server themselves: {"com
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", help="folder of a scene, or folder of such folders")
-    parser.add_argument(
-        "--http",
-        action="store_true",
-        help="serve streamable HTTP at /mcp instead of stdin and stdout",
-    )
+    parser.add_argument("--http", action="store_true", help="serve streamable HTTP at /mcp instead of stdin and stdout")
     add_listening(parser, port=8766)
     add_query_encoders(parser)
 

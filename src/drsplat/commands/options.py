@@ -31,9 +31,7 @@ def whole(text: str, least: int = 0, most: int = MOST) -> int:
     digits = text.lstrip("0") or text[:1]
     readable = digits.isascii() and digits.isdecimal() and len(digits) <= len(str(most))
     if not readable or not least <= int(digits) <= most:
-        raise argparse.ArgumentTypeError(
-            f"expected a whole number from {least} to {most}, got {quoted(text)}"
-        )
+        raise argparse.ArgumentTypeError(f"expected a whole number from {least} to {most}, got {quoted(text)}")
     return int(digits)
 
 
@@ -92,9 +90,7 @@ def add_near(parser: argparse._ActionsContainer) -> None:
 
 
 def add_overwrite(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace output that exists (default: refuse)"
-    )
+    parser.add_argument("--overwrite", action="store_true", help="replace output that exists (default: refuse)")
 
 
 def add_capture_options(parser: argparse.ArgumentParser) -> None:
@@ -157,9 +153,7 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
     from ..errors import InputError
 
     if Path(path).exists() and not overwrite:
-        raise InputError(
-            f"{path} exists already: pass --overwrite to replace it, or name another output"
-        )
+        raise InputError(f"{path} exists already: pass --overwrite to replace it, or name another output")
     if suffix and Path(path).suffix.lower() != suffix:
         raise InputError(f"{path}: expected a name that ends in {suffix}")
     return Path(path)

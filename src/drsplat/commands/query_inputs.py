@@ -93,8 +93,6 @@ def read_vectors(path: str) -> np.ndarray:
         raise InputError(f"{path}: there is no such file")
     array = np.atleast_2d(map_npy(Path(path)))
     if array.ndim != 2 or array.dtype.kind != "f" or array.size == 0:
-        raise FormatError(
-            f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}"
-        )
+        raise FormatError(f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}")
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with zeros
         return np.ascontiguousarray(array, np.float32)

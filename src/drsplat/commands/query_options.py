@@ -6,14 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import AUTO
-from .options import (
-    add_capture_options,
-    add_overwrite,
-    add_query_encoders,
-    finite,
-    new_output,
-    words,
-)
+from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
 if TYPE_CHECKING:
@@ -48,9 +41,7 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
         "--exclude", type=words, action="append", default=[], metavar="WORDS",
         help="words to exclude, as ', not WORDS' in the text does; may be repeated",
     )  # fmt: skip
-    parser.add_argument(
-        "--vector", metavar="FILE.npy", help="embedding to search for instead of words: (D,) floats"
-    )
+    parser.add_argument("--vector", metavar="FILE.npy", help="embedding to search for instead of words: (D,) floats")
     parser.add_argument(
         "--image", metavar="PICTURE",
         help="picture to search for instead of words, embedded by --encoder; best cut out, on black or "
@@ -97,19 +88,13 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
 
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     """--scene, --save, --picture and the poses for it."""
-    parser.add_argument(
-        "--scene", help="scene that was registered; needed for places, --save and --picture"
-    )
+    parser.add_argument("--scene", help="scene that was registered; needed for places, --save and --picture")
     output = parser.add_argument_group("output")
     output.add_argument("--save", metavar="OUT.ply", help=saved)
     output.add_argument(
-        "--picture",
-        metavar="OUT.png",
-        help="write a photo with the answer in colour and the rest grey",
+        "--picture", metavar="OUT.png", help="write a photo with the answer in colour and the rest grey"
     )
-    output.add_argument(
-        "--views", metavar="CAPTURE", help="poses and photos, for --picture and --click"
-    )
+    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --click")
     output.add_argument(
         "--view",
         type=words,
@@ -174,9 +159,7 @@ def query_of(arguments: argparse.Namespace) -> Query:
         "point": arguments.point and point(arguments.point),
         "click": arguments.click and pixel(arguments.click),
     }
-    return Query(
-        arguments.text, **given, exclude=tuple(arguments.exclude), **vars(cut_of(arguments))
-    )
+    return Query(arguments.text, **given, exclude=tuple(arguments.exclude), **vars(cut_of(arguments)))
 
 
 def cut_of(arguments: argparse.Namespace) -> Cut:

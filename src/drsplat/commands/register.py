@@ -40,13 +40,8 @@ A stopped run resumes when the same command is given again."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
-    )
-    parser.add_argument(
-        "capture",
-        help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json",
-    )
+    parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
+    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
         "--features",
         required=True,
@@ -54,22 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
     )
     parser.add_argument(
-        "--output",
-        "-o",
-        required=True,
-        metavar="FIELD",
-        help="folder to write the field to, conventionally NAME.field",
+        "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )
     add_overwrite(parser)
     method = parser.add_argument_group("method")
     method.add_argument(
-        "--level",
-        "--feature-level",
-        "--feature_level",
-        type=_level,
-        default="large",
-        metavar="LEVEL",
-        help=LEVEL_HELP,
+        "--level", "--feature-level", "--feature_level", type=_level, default="large", metavar="LEVEL", help=LEVEL_HELP
     )
     method.add_argument(
         "--topk", "--top-k", "-k", type=count_or_all, default=argparse.SUPPRESS, metavar="K",
@@ -218,9 +203,7 @@ def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSp
 def show(answer: dict[str, Any]) -> None:
     from .tables import said, show_facts, size_said
 
-    reused = (
-        f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
-    )
+    reused = f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
     out = f", {said(len(answer['left_out']))} left out" if answer["left_out"] else ""
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     registered = answer["num_registered"] / max(1, answer["num_gaussians"])
@@ -259,9 +242,7 @@ def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
         return Sampling(**({"topk": DEFAULT_TOPK} | given), near=arguments.near)
     for name, value in given.items():
         if value != getattr(own, name):
-            raise InputError(
-                f"--aggregator {how.name} has its own --{name.replace('_', '-')}: drop that option"
-            )
+            raise InputError(f"--aggregator {how.name} has its own --{name.replace('_', '-')}: drop that option")
     return replace(own, near=arguments.near)
 
 
@@ -279,21 +260,15 @@ def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
     if arguments.codebook is None:
         return None
     if arguments.subvectors is not None:
-        raise InputError(
-            "--subvectors is for a codebook trained here; --codebook has its own: drop one of them"
-        )
+        raise InputError("--subvectors is for a codebook trained here; --codebook has its own: drop one of them")
     if Path(arguments.codebook).suffix != ".faiss":
         return load_codebook(arguments.codebook)
     centroids = read_faiss_quantizer(arguments.codebook).centroids
     dim = centroids.shape[0] * centroids.shape[2]
-    return read_faiss_codebook(
-        arguments.codebook, EncoderIdentity(arguments.encoder_name or "unknown", dim)
-    )
+    return read_faiss_codebook(arguments.codebook, EncoderIdentity(arguments.encoder_name or "unknown", dim))
 
 
-def _encoder(
-    arguments: argparse.Namespace, codebook: "Codebook | None"
-) -> "EncoderIdentity | None":
+def _encoder(arguments: argparse.Namespace, codebook: "Codebook | None") -> "EncoderIdentity | None":
     from .. import EncoderIdentity, WordEncoder
     from ..embedding.embed import recorded_encoder
     from ..formats.langsplat import FeatureFolder

@@ -34,14 +34,10 @@ BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5,
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder"
-    )
+    parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
     parser.add_argument("--views", required=True, metavar="CAPTURE", help="poses to render from")
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument(
-        "--view", type=words, metavar="NAME", help="name of one photo, with or without suffix"
-    )
+    which.add_argument("--view", type=words, metavar="NAME", help="name of one photo, with or without suffix")
     which.add_argument("--all", action="store_true", help="render from all photos")
     parser.add_argument(
         "--output-dir",
@@ -63,9 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write NAME.depth.npy as well: expected camera z in scene units, float32 (H, W), 0 where nothing is",
     )  # fmt: skip
     parser.add_argument(
-        "--alpha",
-        action="store_true",
-        help="write NAME.alpha.png as well: opacity, 255 where nothing shines through",
+        "--alpha", action="store_true", help="write NAME.alpha.png as well: opacity, 255 where nothing shines through"
     )
     add_near(parser)
     parser.add_argument(
@@ -76,10 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="query whose matches stay in colour, the rest grey",
     )
     parser.add_argument(
-        "--threshold",
-        type=finite,
-        metavar="T",
-        help="threshold of --query (default: as of `drsplat locate`)",
+        "--threshold", type=finite, metavar="T", help="threshold of --query (default: as of `drsplat locate`)"
     )
     add_query_encoders(parser)
     add_capture_options(parser)
@@ -145,11 +136,7 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
 
 
 def _render(
-    arguments: argparse.Namespace,
-    scene: Gaussians,
-    view: View,
-    splats: SplatArrays,
-    selected: np.ndarray | None,
+    arguments: argparse.Namespace, scene: Gaussians, view: View, splats: SplatArrays, selected: np.ndarray | None
 ) -> list[Path]:
     import numpy as np
 
@@ -164,24 +151,13 @@ def _render(
     for path in paths.values():
         new_output(str(path), arguments.overwrite)
     background = BACKGROUNDS[arguments.background]
-    drawn = render(
-        scene,
-        view,
-        values=selected,
-        background=background,
-        threads=arguments.threads,
-        splats=splats,
-    )
+    drawn = render(scene, view, values=selected, background=background, threads=arguments.threads, splats=splats)
     pixels = as_pixels(drawn.rgb)
     stem.parent.mkdir(parents=True, exist_ok=True)
     picture = pixels if selected is None else highlighted(pixels, drawn.channels[..., 0])
     write_picture(paths["rgb"], picture, arguments.overwrite)
     if arguments.alpha:
-        write_picture(
-            paths["alpha"],
-            (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8),
-            arguments.overwrite,
-        )
+        write_picture(paths["alpha"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), arguments.overwrite)
     if arguments.depth:
         write_npy(paths["depth"], drawn.depth, arguments.overwrite)
     return list(paths.values())

@@ -34,17 +34,15 @@ own. classes.ply has a column class_id, -1 for none, and the colours of the clas
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
+    parser.add_argument("--classes", type=words, metavar="A,B,C", help="classes, separated by commas")
     parser.add_argument(
-        "--classes", type=words, metavar="A,B,C", help="classes, separated by commas"
-    )
-    parser.add_argument(
-        "--classes-file",
-        metavar="FILE.txt",
-        help="file with a class on each line, instead of --classes",
+        "--classes-file", metavar="FILE.txt", help="file with a class on each line, instead of --classes"
     )
     add_query_encoders(parser)
     add_measure_options(parser)
-    saved = "write the scene in the colours of the classes, with a column class_id: the number of the class from 0, or -1"
+    saved = (
+        "write the scene in the colours of the classes, with a column class_id: the number of the class from 0, or -1"
+    )
     add_output_options(parser, saved)
 
 
@@ -89,22 +87,14 @@ def _classes(arguments: argparse.Namespace) -> list[str]:
 
     if (arguments.classes is None) == (arguments.classes_file is None):
         raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')
-    if arguments.classes is None:
-        given = lines_of(arguments.classes_file, "one class")
-    else:
-        given = arguments.classes.split(",")
+    given = lines_of(arguments.classes_file, "one class") if arguments.classes is None else arguments.classes.split(",")
     return [name.strip() for name in given if name.strip()]
 
 
 def _counts(found: Segmentation, registered: int) -> list[dict[str, Any]]:
     parts = zip(found.names, found.answers, found.counts, strict=True)
     return [
-        {
-            "name": name,
-            "num_gaussians": count,
-            "share": count / registered,
-            "threshold": answer.threshold,
-        }
+        {"name": name, "num_gaussians": count, "share": count / registered, "threshold": answer.threshold}
         for name, answer, count in parts
     ]
 
@@ -126,8 +116,6 @@ def _draw(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> s
 
     view = chosen_view(arguments, scene, np.flatnonzero(found.labels >= 0))
     photo = photo_or_rendering(scene.gaussians, view, threads=arguments.threads)
-    picture = class_picture(
-        scene.gaussians, view, photo, found.labels, list(found.names), arguments.threads
-    )
+    picture = class_picture(scene.gaussians, view, photo, found.labels, list(found.names), arguments.threads)
     write_picture(arguments.picture, picture, arguments.overwrite)
     return view.name

@@ -61,10 +61,7 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import said
 
-    selected, registered = (
-        said(answer["num_selected"]),
-        counted(answer["num_registered"], "Gaussian"),
-    )
+    selected, registered = (said(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))
     print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
     print(measured_said(answer))
     if answer["saved"]:

@@ -29,11 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="processes that compute, one request at a time each; others wait (default: 2)",
     )  # fmt: skip
     parser.add_argument(
-        "--timeout",
-        type=length,
-        default=30.0,
-        metavar="SECONDS",
-        help="longest time of a request (default: 30)",
+        "--timeout", type=length, default=30.0, metavar="SECONDS", help="longest time of a request (default: 30)"
     )
     parser.add_argument(
         "--allow-origin", action="append", default=[], metavar="ORIGIN",

@@ -11,17 +11,10 @@ BOUNDLESS = 100_000  # columns
 
 def show_facts(title: str, facts: Mapping[str, object]) -> None:
     """Names and values, one to a line."""
-    show_table(
-        title,
-        ("", ""),
-        [(name.replace("_", " "), said(value)) for name, value in facts.items()],
-        headed=False,
-    )
+    show_table(title, ("", ""), [(name.replace("_", " "), said(value)) for name, value in facts.items()], headed=False)
 
 
-def show_table(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True
-) -> None:
+def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True) -> None:
     """The first column to the left, in headed tables the others to the right.
 
     Nothing is cut: a headed table is as wide as it needs to be, facts are folded where a terminal ends.
@@ -29,11 +22,7 @@ def show_table(
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(
-        box=SIMPLE_HEAD if headed else None,
-        show_header=headed,
-        pad_edge=False,
-    )
+    table = Table(box=SIMPLE_HEAD if headed else None, show_header=headed, pad_edge=False)
     for index, column in enumerate(columns):
         table.add_column(column, justify="right" if headed and index else "left", overflow="fold")
     for row in rows:

@@ -27,10 +27,7 @@ MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution sa
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "capture",
-        help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json",
-    )
+    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
         "--output-dir",
         "--output",
@@ -95,9 +92,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         default=3,
         help="degree of the colours' spherical harmonics (default: 3)",
     )
-    method.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)"
-    )
+    method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
     method.add_argument(
         "--test-every", type=whole, default=8, metavar="N",
         help="hold every Nth photo out for testing; 0: none (default: 8)",
@@ -130,9 +125,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     device, settings = chosen_device(arguments.device), _settings(arguments)
     views = [_resized(view, arguments.resolution) for view in _with_photo(arguments)]
     points = read_sparse_points(
-        arguments.capture,
-        points=arguments.points,
-        dataparser_transforms=arguments.dataparser_transforms,
+        arguments.capture, points=arguments.points, dataparser_transforms=arguments.dataparser_transforms
     )
     _tell_of_triangulation(points, arguments)
     with Meter("training", settings.iterations, quiet=arguments.json) as meter:
@@ -211,10 +204,7 @@ def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
 
 def _resized(view: View, resolution: int | None) -> View:
     longest = max(view.width, view.height)
-    if resolution in DIVISORS:
-        scale = 1 / resolution
-    else:
-        scale = min(1.0, (resolution or MAX_SIDE) / longest)
+    scale = 1 / resolution if resolution in DIVISORS else min(1.0, (resolution or MAX_SIDE) / longest)
     if scale == 1:
         return view
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from ..viewing.session import Session
     from ..viewing.shown import Shown
 
-SUMMARY = (
-    "show a scene in the browser and search it there, or write a page of it that needs no server"
-)
+SUMMARY = "show a scene in the browser and search it there, or write a page of it that needs no server"
 EXAMPLES = """\
   drsplat view drsplat-demo
   drsplat view room.field --scene scene.ply --views capture --ask "red mug; lamp"
@@ -38,17 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "model, without a field",
     )
     parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")
+    parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for cameras and supporting photos")
     parser.add_argument(
-        "--views",
-        metavar="CAPTURE",
-        help="posed photos, for cameras and supporting photos",
-    )
-    parser.add_argument(
-        "--ask",
-        type=words,
-        metavar="TEXT",
-        default="",
-        help='query to start with; several: "mug; lamp"',
+        "--ask", type=words, metavar="TEXT", default="", help='query to start with; several: "mug; lamp"'
     )
     parser.add_argument(
         "--words", type=words, metavar="A,B,C",
@@ -76,9 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save-dir", metavar="DIR",
         help="folder to save files to, under new names (default: none, the browser downloads them)",
     )  # fmt: skip
-    parser.add_argument(
-        "--export", metavar="PAGE.html", help="write a page with the answers to --ask, and exit"
-    )
+    parser.add_argument("--export", metavar="PAGE.html", help="write a page with the answers to --ask, and exit")
     add_overwrite(parser)
     add_query_encoders(parser)
 
@@ -91,9 +79,7 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
 
     if "page" in answer:
-        print(
-            f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB"
-        )
+        print(f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB")
         for one in answer["queries"]:
             print(f"  {one['text']}: {counted(one['num_matches'], 'match', 'matches')}")
 
@@ -120,9 +106,7 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
         "bytes": size,
         "num_shown": len(page.shown),
         "num_left_out": page.shown.num_left_out,
-        "queries": [
-            {"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers
-        ],
+        "queries": [{"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers],
     }
 
 

@@ -53,9 +53,7 @@ def note(verdict: Verdict) -> str:
 def _answer_picture(story: Story, verdict: Verdict, view: View) -> OtherPixels:
     """The Gaussians from where a photo shows most of it, through a lens that suits the size of the thing."""
     view = view if verdict.found else story.held_out[0]
-    view = zoomed(
-        view, visible_share(story.gaussians, view, verdict.gaussian_ids, splats=story.splats)
-    )
+    view = zoomed(view, visible_share(story.gaussians, view, verdict.gaussian_ids, splats=story.splats))
     chosen = np.zeros((len(story.gaussians), 1), np.float32)
     chosen[verdict.gaussian_ids] = 1
     drawn = render(story.gaussians, view, values=chosen, splats=story.splats)

@@ -40,9 +40,7 @@ def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-        raise InputError(
-            f"{folder} exists already: choose another folder, or pass overwrite=True to replace it"
-        )
+        raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True to replace it")
     with as_file(files(__package__) / "scene") as shipped:
         shutil.copytree(shipped, folder, dirs_exist_ok=True)
     return read_household(folder)

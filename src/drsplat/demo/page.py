@@ -19,9 +19,7 @@ small { color: #5c6270 }
 """
 
 
-def write_page(
-    folder: Path, story: Story, pictures: Sequence[Path], *, overwrite: bool = False
-) -> Path:
+def write_page(folder: Path, story: Story, pictures: Sequence[Path], *, overwrite: bool = False) -> Path:
     """folder/index.html. pictures: one per answer, in folder."""
     right = sum(verdict.is_right for verdict in story.verdicts)
     shown = [
@@ -38,8 +36,8 @@ true pixels overlap by more than half (IoU) in {len(story.held_out)} photos that
 made from, or there is nothing of the kind and no match. A red bar is a miss.</p>
 <div class="answers">{"".join(shown)}</div>
 <p>Try your own query: <code>drsplat locate . "red vase"</code>, or in a browser: <code>drsplat view .</code></p>
-<p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder that
-knows this kind of room only.</small></p>
+<p><small>Rendered photos of a made-up room; the masks are of the built-in segmenter, the words of a built-in encoder
+that knows this kind of room only.</small></p>
 </html>
 """
     with replacing(folder / PAGE, overwrite) as file:

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 
 class Probe(NamedTuple):
-    """A query in words, and the names of the things that it means (categories of `truth.json`): none where there is no such thing."""
+    """A query in words, and the names of the things that it means (categories of `truth.json`): none where there is no
+    such thing."""
 
     text: str
     meant: tuple[str, ...]

@@ -92,9 +92,7 @@ def tell(
     held_out = [view for view in views if view.name in household.held_out]
     gaussians = read_gaussians(folder / SCENE)
     watch.lap("read")
-    embed(
-        seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite, track=track
-    )
+    embed(seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite, track=track)
     watch.lap("mask and embed")
     features = read_features(folder / FEATURES, level="large", encoder=MiniEncoder().identity)
     registration = register(gaussians, seen, features, threads=threads, track=track)
@@ -121,9 +119,7 @@ class _Judge:
         start = time.perf_counter()
         answer = self.scene.ask(probe.text)
         matches = self.scene.locate(answer)
-        ids = np.sort(
-            np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
-        )
+        ids = np.sort(np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)]))
         seconds = time.perf_counter() - start
         limits = float(answer.scores.min(initial=1)), float(answer.scores.max(initial=-1))
         center = matches[0].center if matches else None

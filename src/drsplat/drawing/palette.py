@@ -11,9 +11,6 @@ GOLDEN = 0.6180339887498949  # of a turn: hues far from each other, however many
 
 def class_colors(count: int) -> UInt8[np.ndarray, "c 3"]:
     """A colour per class: hues apart, and neighbours in the list of different light."""
-    hsv = [
-        ((0.02 + GOLDEN * i) % 1, (0.85, 0.6)[i % 2], (0.95, 0.75)[i // 2 % 2])
-        for i in range(count)
-    ]
+    hsv = [((0.02 + GOLDEN * i) % 1, (0.85, 0.6)[i % 2], (0.95, 0.75)[i // 2 % 2]) for i in range(count)]
     rgb = np.array([colorsys.hsv_to_rgb(*one) for one in hsv]).reshape(count, 3)
     return np.asarray(np.round(255 * rgb), np.uint8)

@@ -82,11 +82,7 @@ def _border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray,
 
 
 def best_views(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    selections: Sequence[Integer[np.ndarray, " _"]],
-    *,
-    threads: int = 0,
+    gaussians: Gaussians, views: Sequence[View], selections: Sequence[Integer[np.ndarray, " _"]], *, threads: int = 0
 ) -> list[View]:
     """For each selection the view that shows most of it, in share of its pixels, not cut off by the border.
 
@@ -94,10 +90,7 @@ def best_views(
     """
     if not views:
         raise InputError("there are no views to choose from")
-    splats, chosen = (
-        splat_arrays(gaussians),
-        np.zeros((len(gaussians), len(selections)), np.float32),
-    )
+    splats, chosen = (splat_arrays(gaussians), np.zeros((len(gaussians), len(selections)), np.float32))
     for column, ids in enumerate(selections):
         chosen[ids, column] = 1
     areas = np.empty((len(views), len(selections)))
@@ -109,9 +102,7 @@ def best_views(
     return [views[best] for best in areas.argmax(0)]
 
 
-def zoomed(
-    view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, most: float = 3.0
-) -> View:
+def zoomed(view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, most: float = 3.0) -> View:
     """The same camera, turned to a longer lens on where `share` is above a half.
 
     margin: sides of the picture over sides of that region, at least. most: largest magnification.
@@ -120,9 +111,7 @@ def zoomed(
     if len(rows) == 0:
         return view
     (top, bottom), (left, right) = np.percentile(rows, (1, 99)), np.percentile(columns, (1, 99))
-    needed = max(
-        margin * (right - left) / view.width, margin * (bottom - top) / view.height, 1 / most
-    )
+    needed = max(margin * (right - left) / view.width, margin * (bottom - top) / view.height, 1 / most)
     scale = min(1.0, needed)
     width, height = scale * view.width, scale * view.height
     x = np.clip((left + right - width) / 2, 0, view.width - width)
@@ -144,9 +133,7 @@ def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
     return np.asarray(canvas)
 
 
-def contact_sheet(
-    pictures: Sequence[OtherPixels], columns: int, tile_width: int = 400, gap: int = 14
-) -> OtherPixels:
+def contact_sheet(pictures: Sequence[OtherPixels], columns: int, tile_width: int = 400, gap: int = 14) -> OtherPixels:
     """Pictures of one shape, side by side in rows, on white.
 
     Raises: InputError: no picture, or pictures of different shapes.
@@ -156,9 +143,7 @@ def contact_sheet(
         raise InputError(f"a contact sheet needs pictures of one shape, got {sorted(shapes)}")
     height = round(pictures[0].shape[0] * tile_width / pictures[0].shape[1])
     rows = -(-len(pictures) // columns)
-    sheet = Image.new(
-        "RGB", (columns * (tile_width + gap) + gap, rows * (height + gap) + gap), PAPER
-    )
+    sheet = Image.new("RGB", (columns * (tile_width + gap) + gap, rows * (height + gap) + gap), PAPER)
     for index, picture in enumerate(pictures):
         row, column = divmod(index, columns)
         tile = Image.fromarray(picture).resize((tile_width, height), Image.Resampling.LANCZOS)
@@ -166,19 +151,13 @@ def contact_sheet(
     return np.asarray(sheet)
 
 
-def write_picture(
-    path: str | PathLike[str], pixels: UInt8[np.ndarray, "h w *c"], overwrite: bool = False
-) -> None:
+def write_picture(path: str | PathLike[str], pixels: UInt8[np.ndarray, "h w *c"], overwrite: bool = False) -> None:
     """Write a PNG, or a JPEG where the name ends so.
 
     Raises: InputError: the file exists and not `overwrite`; another suffix.
     """
     suffix = str(path).lower().rpartition(".")[2]
-    options = {
-        "png": ("PNG", {}),
-        "jpg": ("JPEG", {"quality": 92}),
-        "jpeg": ("JPEG", {"quality": 92}),
-    }
+    options = {"png": ("PNG", {}), "jpg": ("JPEG", {"quality": 92}), "jpeg": ("JPEG", {"quality": 92})}
     if suffix not in options:
         raise InputError(f"{path}: pictures are written as .png or .jpg")
     kind, settings = options[suffix]

@@ -46,19 +46,13 @@ def render(
     """
     extra = np.empty((len(gaussians), 0), np.float32) if values is None else values
     if len(extra) != len(gaussians):
-        raise InputError(
-            f"values: expected {len(gaussians)} rows, one per Gaussian; got {len(extra)}"
-        )
+        raise InputError(f"values: expected {len(gaussians)} rows, one per Gaussian; got {len(extra)}")
     arrays = splats or splat_arrays(gaussians)
     if select is not None:
         gaussians, extra = gaussians.subset(select), extra[select]
         arrays = arrays.subset(select)
     eye = view.relative_to(arrays.origin).center
     colors = sh_colors(gaussians.sh, arrays.means.T, eye, threads=threads)
-    behind = np.concatenate(
-        [np.asarray(background, np.float32), np.zeros(extra.shape[1], np.float32)]
-    )
-    image, alpha, depth = render_channels(
-        arrays, view, np.hstack([colors, extra]), behind, threads=threads
-    )
+    behind = np.concatenate([np.asarray(background, np.float32), np.zeros(extra.shape[1], np.float32)])
+    image, alpha, depth = render_channels(arrays, view, np.hstack([colors, extra]), behind, threads=threads)
     return Picture(image[..., :3], alpha, depth, image[..., 3:])

@@ -100,9 +100,7 @@ def embed(
         _record_words(record.folder, encoder)
         _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
-    return EmbeddingReport(
-        len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes
-    )
+    return EmbeddingReport(len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes)
 
 
 def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
@@ -174,13 +172,7 @@ def _photo_identity(view: View) -> str:
 
 
 def _embed_photo(
-    record: EmbeddingRecord,
-    stem: str,
-    view: View,
-    photo: str,
-    segmenter: Segmenter,
-    encoder: ImageEncoder,
-    form: Form,
+    record: EmbeddingRecord, stem: str, view: View, photo: str, segmenter: Segmenter, encoder: ImageEncoder, form: Form
 ) -> None:
     image = load_image(view)
     levels = segmenter.segment(image)
@@ -236,9 +228,8 @@ def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, in
 
 def _tell_changes(record: EmbeddingRecord) -> None:
     if record.changes:
-        text = (
-            f"{record.folder} was made with other settings, so all photos are embedded again: "
-            + "; ".join(record.changes)
+        text = f"{record.folder} was made with other settings, so all photos are embedded again: " + "; ".join(
+            record.changes
         )
         warn(text, DrSplatWarning, stacklevel=4)
 

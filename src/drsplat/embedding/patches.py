@@ -68,9 +68,7 @@ class EmbeddedPatches(NamedTuple):
     too_small: int
 
 
-def find_patches(
-    annotations: Annotations, images: str | Path, limit: int | None = None, seed: int = 0
-) -> PatchSource:
+def find_patches(annotations: Annotations, images: str | Path, limit: int | None = None, seed: int = 0) -> PatchSource:
     """The instances to cut out, at most `limit` of them, drawn by `seed`; no photo is opened yet.
 
     images: a photo is looked for under its name there, then under the last part of its name.

@@ -5,13 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float32
 
-from ..query.thresholds import (
-    CUT,
-    automatic_threshold,
-    mixture_threshold,
-    otsu_threshold,
-    threshold_above,
-)
+from ..query.thresholds import CUT, automatic_threshold, mixture_threshold, otsu_threshold, threshold_above
 from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer
 

@@ -18,9 +18,7 @@ from .scorers import Scorer
 
 LONG_SIDE = 480
 SELECTED, OTHERS = (1.0, 0.85, 0.1), (0.1, 0.2, 0.65)  # Fig. S7: yellow, blue
-_HEAT = np.array(
-    [[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]]
-)
+_HEAT = np.array([[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]])
 
 
 def lerf_figures(
@@ -35,9 +33,7 @@ def lerf_figures(
         view = small(scene.views[frame.name])
         scores = scorer.scores(category)
         photo = photo_or_rendering(gaussians, view, threads=threads)
-        truth = np.asarray(
-            Image.fromarray(frame.mask(category)).resize((view.width, view.height)), np.float32
-        )
+        truth = np.asarray(Image.fromarray(frame.mask(category)).resize((view.width, view.height)), np.float32)
         where = f"{scene.name}, {frame.name}, “{category}”"
         found.append(Figure(f"{where}: the label", highlighted(photo, truth)))
         found += _answers(splats, view, scores, scorer.threshold, where, threads)
@@ -45,28 +41,18 @@ def lerf_figures(
 
 
 def scannet_figures(
-    scene: ScannetScene,
-    views: Sequence[View],
-    scorer: Scorer,
-    most: int = 6,
-    *,
-    threads: int = 0,
+    scene: ScannetScene, views: Sequence[View], scorer: Scorer, most: int = 6, *, threads: int = 0
 ) -> list[Figure]:
     """For up to `most` classes of the scene: photo with the labelled Gaussians, activation, selection.
 
     Each from the view that shows most of the class.
     """
     present = np.unique(scene.pseudo_labels[scene.pseudo_labels > 0])
-    chosen = present[
-        np.unique(np.linspace(0, len(present) - 1, min(most, len(present))).astype(int))
-    ]
+    chosen = present[np.unique(np.linspace(0, len(present) - 1, min(most, len(present))).astype(int))]
     members = [np.flatnonzero(scene.pseudo_labels == number) for number in chosen.tolist()]
     splats, found = splat_arrays(scene.gaussians), []
     for number, ids, view in zip(
-        chosen.tolist(),
-        members,
-        best_views(scene.gaussians, views, members, threads=threads),
-        strict=True,
+        chosen.tolist(), members, best_views(scene.gaussians, views, members, threads=threads), strict=True
     ):
         at, scores = small(view), scorer.scores(scene.labels.prompts[number - 1])
         photo = photo_or_rendering(scene.gaussians, at, threads=threads)
@@ -78,12 +64,7 @@ def scannet_figures(
 
 
 def _answers(
-    splats: SplatArrays,
-    view: View,
-    scores: Float32[np.ndarray, " N"],
-    threshold: float,
-    where: str,
-    threads: int,
+    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threshold: float, where: str, threads: int
 ) -> list[Figure]:
     picture = selection(splats, view, scores, threshold, threads)
     return [
@@ -110,11 +91,7 @@ def activation(
 
 
 def selection(
-    splats: SplatArrays,
-    view: View,
-    scores: Float32[np.ndarray, " N"],
-    threshold: float,
-    threads: int = 0,
+    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threshold: float, threads: int = 0
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Gaussians above the threshold in yellow, the others in blue.  Source: Fig. S7."""
     chosen = (scores > np.float32(threshold))[:, None]

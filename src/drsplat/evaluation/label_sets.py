@@ -32,9 +32,7 @@ class LabelSet:
 
     def __post_init__(self) -> None:
         if not self.ids or not len(self.ids) == len(self.names) == len(self.prompts):
-            raise InputError(
-                f"label set '{self.name}': expected an id, a name and a prompt per class"
-            )
+            raise InputError(f"label set '{self.name}': expected an id, a name and a prompt per class")
         for values in (self.ids, self.names):
             twice = [value for k, value in enumerate(values) if value in values[:k]]
             if twice:
@@ -78,9 +76,7 @@ def label_set(name: str) -> LabelSet:
         return _label_set(name, [row[1:] for row in rows if row[0] == name])
     path = Path(name)
     if not path.is_file():
-        raise InputError(
-            f"label set '{name}': expected one of {', '.join(BUILT_IN)}, or a .tsv file"
-        )
+        raise InputError(f"label set '{name}': expected one of {', '.join(BUILT_IN)}, or a .tsv file")
     return _label_set(path.stem, _rows_of(path))
 
 
@@ -96,17 +92,12 @@ def _rows_of(path: Path) -> list[list[str]]:
             continue
         whole = cells[0].isascii() and cells[0].isdecimal() and len(cells[0]) < 8
         if not whole or len(cells) not in (2, 3) or not all(cells):
-            raise FormatError(
-                f"{path}: line {number}: expected id, name and optionally prompt; tabs between"
-            )
+            raise FormatError(f"{path}: line {number}: expected id, name and optionally prompt; tabs between")
         rows.append(cells)
     return rows
 
 
 def _label_set(name: str, rows: Sequence[Sequence[str]]) -> LabelSet:
     return LabelSet(
-        name,
-        tuple(int(row[0]) for row in rows),
-        tuple(row[1] for row in rows),
-        tuple(row[-1] for row in rows),
+        name, tuple(int(row[0]) for row in rows), tuple(row[1] for row in rows), tuple(row[-1] for row in rows)
     )

@@ -86,9 +86,7 @@ def read_lerf_scene(data: Path, name: str) -> LerfScene:
     by_stem = {Path(view.name).stem: view for view in read_views(data / name)}
     missing = [frame.name for frame in frames if frame.name not in by_stem]
     if missing:
-        raise InputError(
-            f"{data / name}: {len(missing)} labelled photos have no pose, first '{missing[0]}'"
-        )
+        raise InputError(f"{data / name}: {len(missing)} labelled photos have no pose, first '{missing[0]}'")
     return LerfScene(name, frames, {f.name: _on_labels(by_stem[f.name], f) for f in frames})
 
 
@@ -110,9 +108,7 @@ def predict(
     Raises: MismatchError: a scorer of another scene.
     """
     if scorer.num_gaussians != len(gaussians):
-        raise MismatchError(
-            f"'{scorer.name}' scores {scorer.num_gaussians} Gaussians, the scene has {len(gaussians)}"
-        )
+        raise MismatchError(f"'{scorer.name}' scores {scorer.num_gaussians} Gaussians, the scene has {len(gaussians)}")
     chosen = choosers or {}
     columns = {
         FIXED: f"{scorer.threshold:g} for all queries, chosen without these scenes",
@@ -142,9 +138,7 @@ def predict(
         "peak_window": PEAK_WINDOW,
         "chosen": picked,
     }
-    Manifest(
-        PROTOCOL, scorer.name, scene.name, columns, inputs, leaked_frames(scene, scorer)
-    ).write(folder)
+    Manifest(PROTOCOL, scorer.name, scene.name, columns, inputs, leaked_frames(scene, scorer)).write(folder)
     with replacing(folder / scene.name / PEAKS, overwrite=True) as file:
         file.write(json.dumps(peaks, indent=1).encode() + b"\n")
 
@@ -190,8 +184,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
         "scenes": [_scene_record(*pair) for pair in zip(scenes, manifests, strict=True)],
         "thresholds": {name: columns[source] for name, source in shown_columns.items()},
         "columns": {
-            name: _summary(scenes, ious[source], seen[source], peaks)
-            for name, source in shown_columns.items()
+            name: _summary(scenes, ious[source], seen[source], peaks) for name, source in shown_columns.items()
         },
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
         "sweep_seen": {c: metrics.scene_macro(seen[c]) for c in columns if is_sweep(c)},
@@ -211,9 +204,7 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
             "capture first, with `colmap image_undistorter`"
         )
     if not same_aspect((view.width, view.height), (frame.width, frame.height)):
-        raise MismatchError(
-            f"'{view.name}' is {view.width}x{view.height}, its labels are {frame.width}x{frame.height}"
-        )
+        raise MismatchError(f"'{view.name}' is {view.width}x{view.height}, its labels are {frame.width}x{frame.height}")
     return view.resized(frame.width, frame.height)
 
 
@@ -230,10 +221,7 @@ class _Cut(NamedTuple):
 
 
 def _cuts(
-    scorer: Scorer,
-    category: str,
-    scores: Float32[np.ndarray, " N"],
-    chosen: Mapping[str, tuple[Chooser, str]],
+    scorer: Scorer, category: str, scores: Float32[np.ndarray, " N"], chosen: Mapping[str, tuple[Chooser, str]]
 ) -> list[_Cut]:
     """Of the scores, and where the scorer can be asked, of its answer."""
     at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
@@ -257,9 +245,7 @@ def _write_masks(
     return scores
 
 
-def _masks(
-    splats: SplatArrays, view: View, cut: _Cut, threads: int
-) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
+def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
     """Each column's mask; equal selections are rendered once."""
     count, mask = -1, np.zeros((view.height, view.width), bool)
     for column, threshold in sorted(cut.at.items(), key=lambda item: item[1]):
@@ -281,9 +267,7 @@ def silhouette(
     return mask
 
 
-def _whole_picture(
-    splats: SplatArrays, view: View, cut: _Cut, threads: int
-) -> Float32[np.ndarray, "c h w"]:
+def _whole_picture(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Float32[np.ndarray, "c h w"]:
     """sum_i w_i v_i of the whole scene: first of v = max(s, 0), then of each threshold's selection (v = 1)."""
     positive = np.nan_to_num(np.maximum(cut.scores, 0), nan=0.0)
     bars = np.array([*cut.at.values()], np.float32)
@@ -353,17 +337,12 @@ def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
 
 
 def _summary(
-    scenes: Sequence[LerfScene],
-    ious: Sequence[list[float]],
-    seen: Sequence[list[float]],
-    hits: Sequence[list[float]],
+    scenes: Sequence[LerfScene], ious: Sequence[list[float]], seen: Sequence[list[float]], hits: Sequence[list[float]]
 ) -> dict[str, Any]:
     by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
     every = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
     return {
-        "scene_macro": {
-            key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]
-        },
+        "scene_macro": {key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
         "query_micro": _numbers(*every),
         "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
     }
@@ -395,10 +374,7 @@ def _queries(
     rows = []
     for s, scene in enumerate(scenes):
         for p, (frame, category) in enumerate(scene.pairs):
-            alone, whole = (
-                {column: by_scene[s][p] for column, by_scene in kind.items()}
-                for kind in (ious, seen)
-            )
+            alone, whole = ({column: by_scene[s][p] for column, by_scene in kind.items()} for kind in (ious, seen))
             rows.append(
                 {"scene": scene.name, "frame": frame.name, "category": category}
                 | {"iou": alone, "seen": whole, "localized": bool(hits[s][p])}

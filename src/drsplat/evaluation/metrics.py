@@ -64,9 +64,7 @@ def query_micro(by_scene: Sequence[Numbers]) -> float:
 
 
 def weighted_iou(
-    predicted: Bool[np.ndarray, " n"],
-    truth: Bool[np.ndarray, " n"],
-    weights: Real[np.ndarray, " n"],
+    predicted: Bool[np.ndarray, " n"], truth: Bool[np.ndarray, " n"], weights: Real[np.ndarray, " n"]
 ) -> float:
     """d . (p * g) / d . (p + g - p * g); 0 where nothing is in either.
 
@@ -80,10 +78,7 @@ def weighted_iou(
 
 
 def class_overlaps(
-    predicted: Labels,
-    truth: Labels,
-    num_classes: int,
-    weights: Real[np.ndarray, " n"] | None = None,
+    predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, " c"], Float64[np.ndarray, " c"]]:
     """Per class the weight of prediction and truth together, of the prediction, and of the truth.
 
@@ -97,21 +92,14 @@ def class_overlaps(
     mass = np.ones(len(truth)) if weights is None else weights[counted].astype(np.float64)
     parts = (
         np.bincount(labels[rows], mass[rows], num_classes + 1)[1 : num_classes + 1].astype(float)
-        for labels, rows in (
-            (truth, predicted == truth),
-            (predicted, slice(None)),
-            (truth, slice(None)),
-        )
+        for labels, rows in ((truth, predicted == truth), (predicted, slice(None)), (truth, slice(None)))
     )
     both, of_prediction, of_truth = parts
     return both, of_prediction, of_truth
 
 
 def class_ious(
-    predicted: Labels,
-    truth: Labels,
-    num_classes: int,
-    weights: Real[np.ndarray, " n"] | None = None,
+    predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> Float64[np.ndarray, " c"]:
     """IoU of each class, Eq. 3's where there are weights; NaN for classes that the truth has not.
 
@@ -127,10 +115,7 @@ def class_ious(
 
 
 def class_accuracies(
-    predicted: Labels,
-    truth: Labels,
-    num_classes: int,
-    weights: Real[np.ndarray, " n"] | None = None,
+    predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> Float64[np.ndarray, " c"]:
     """Share of each class that is predicted so; NaN for classes that the truth has not.
 
@@ -198,9 +183,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
 
 
 def _ratio(
-    part: Float64[np.ndarray, " c"],
-    whole: Float64[np.ndarray, " c"],
-    present: Bool[np.ndarray, " c"],
+    part: Float64[np.ndarray, " c"], whole: Float64[np.ndarray, " c"], present: Bool[np.ndarray, " c"]
 ) -> Float64[np.ndarray, " c"]:
     ratio: np.ndarray = np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
     return ratio

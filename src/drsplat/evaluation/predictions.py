@@ -128,9 +128,7 @@ def read_mask(path: Path, width: int, height: int) -> Bool[np.ndarray, "h w"] | 
     except Exception as error:  # decoders of damaged files raise anything
         raise FormatError(f"{path}: cannot be read as a PNG: {error}") from error
     if size != (width, height):
-        raise FormatError(
-            f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}"
-        )
+        raise FormatError(f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}")
     occupied: np.ndarray = pixels > OCCUPIED
     return occupied
 

@@ -67,9 +67,7 @@ class _Runs(NamedTuple):
     counts: Int64[np.ndarray, " k"]
 
 
-def pseudo_labels(
-    gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0
-) -> Int32[np.ndarray, " n"]:
+def pseudo_labels(gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0) -> Int32[np.ndarray, " n"]:
     """The label of each Gaussian, -1 where no point is near in any sense.
 
     Where the density vote has no point within its cut-off, as with Gaussians smaller than the gaps
@@ -177,9 +175,7 @@ def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
 class _Grid:
     """Points sorted by cells of a cubic grid, x fastest: a run of cells along x is one slice."""
 
-    def __init__(
-        self, points: LabelledPoints, bounds: Float64[np.ndarray, "2 3"], cell: float
-    ) -> None:
+    def __init__(self, points: LabelledPoints, bounds: Float64[np.ndarray, "2 3"], cell: float) -> None:
         self.origin, extent = bounds[0], bounds[1] - bounds[0]
         self.cell = max(cell, float(extent.max()) / MAX_CELLS_ALONG, 1e-12)
         self.shape = (extent / self.cell).astype(np.int64) + 1
@@ -194,9 +190,7 @@ class _Grid:
     def runs(self, sources: _Sources) -> _Runs:
         """The slices of points whose cells a source's box touches."""
         low, high = (
-            np.floor(
-                (sources.means.astype(np.float64) + sign * sources.reach - self.origin) / self.cell
-            )
+            np.floor((sources.means.astype(np.float64) + sign * sources.reach - self.origin) / self.cell)
             for sign in (-1, 1)
         )
         low, high = np.maximum(low, 0), np.minimum(high, self.shape - 1)
@@ -214,11 +208,7 @@ class _Grid:
 
 
 def _vote_round(
-    sources: _Sources,
-    points: LabelledPoints,
-    cut_off: float,
-    found: Int32[np.ndarray, " n"],
-    threads: int,
+    sources: _Sources, points: LabelledPoints, cut_off: float, found: Int32[np.ndarray, " n"], threads: int
 ) -> _Sources:
     """Writes the labels of Gaussians with few candidates; returns the others."""
     corners = (points.positions.min(0), points.positions.max(0))
@@ -235,11 +225,7 @@ def _vote_round(
 
 
 def _vote_block(
-    sources: _Sources,
-    grid: _Grid,
-    cut_off: float,
-    found: Int32[np.ndarray, " n"],
-    block: Int64[np.ndarray, " b"],
+    sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.ndarray, " n"], block: Int64[np.ndarray, " b"]
 ) -> Int64[np.ndarray, " c"]:
     """The rows of a block that have too many candidates."""
     inside = sources.rows(slice(block[0], block[-1] + 1))
@@ -257,9 +243,7 @@ def _vote_block(
     return block[~few]
 
 
-def _vote_batch(
-    sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.ndarray, " n"], runs: _Runs
-) -> None:
+def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.ndarray, " n"], runs: _Runs) -> None:
     total = int(runs.counts.sum())
     shifts = runs.starts - (np.cumsum(runs.counts) - runs.counts)
     points = np.repeat(shifts, runs.counts) + np.arange(total)
@@ -267,10 +251,7 @@ def _vote_batch(
     per_source = np.bincount(runs.owner - first, runs.counts, last - first).astype(np.int64)
     owner = np.repeat(np.arange(last - first, dtype=np.int32), per_source)
     means, whiten = sources.means[first:last], sources.whiten[first:last]
-    offsets = [
-        column[points] - np.repeat(mean, per_source)
-        for column, mean in zip(grid.columns, means.T, strict=True)
-    ]
+    offsets = [column[points] - np.repeat(mean, per_source) for column, mean in zip(grid.columns, means.T, strict=True)]
     squared = np.zeros(total, np.float32)
     for axis in range(3):
         along = np.repeat(whiten[:, 3 * axis], per_source) * offsets[0]

@@ -24,8 +24,7 @@ LERF_PAIRS = {"figurines": 56, "ramen": 71, "teatime": 59, "waldo_kitchen": 22}
 """Pairs of a photo and a category in the labels of LERF-OVS."""
 
 SCANNET_8 = frozenset(
-    f"scene{number}_00"
-    for number in ("0000", "0062", "0070", "0097", "0140", "0347", "0400", "0590")
+    f"scene{number}_00" for number in ("0000", "0062", "0070", "0097", "0140", "0347", "0400", "0590")
 )
 SCANNET_10 = SCANNET_8 | {"scene0200_00", "scene0645_00"}
 

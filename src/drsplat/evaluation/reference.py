@@ -43,11 +43,7 @@ def printed_labels(
 
 
 def voxel_scores(
-    gaussians: Gaussians,
-    labels: Integer[np.ndarray, " n"],
-    voxels: Positions,
-    num_labels: int,
-    cut_off: float,
+    gaussians: Gaussians, labels: Integer[np.ndarray, " n"], voxels: Positions, num_labels: int, cut_off: float
 ) -> Float64[np.ndarray, "v s"]:
     """sum over i of alpha_i 1{label_i = s} N(v | mu_i, Sigma_i).  Source: Dr. Splat Eq. 4."""
     squared = squared_distances(gaussians, voxels)

@@ -93,10 +93,7 @@ def without_nan(value: Any) -> Any:
 
 
 def html_page(
-    results: Sequence[Mapping[str, Any]],
-    tables: Sequence[Table],
-    figures: Sequence[Figure],
-    charts: Sequence[str],
+    results: Sequence[Mapping[str, Any]], tables: Sequence[Table], figures: Sequence[Figure], charts: Sequence[str]
 ) -> str:
     title = f"{results[0]['protocol']}: {', '.join(str(r['method']) for r in results)}"
     parts = [f"<h1>{escape(title)}</h1>", *map(_table, tables)]
@@ -116,8 +113,7 @@ def html_page(
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
     rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(shown(cell))}</td>" for cell in row) + "</tr>\n"
-        for row in table.rows
+        "<tr>" + "".join(f"<td>{escape(shown(cell))}</td>" for cell in row) + "</tr>\n" for row in table.rows
     )
     note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
     return (
@@ -149,10 +145,7 @@ def _figure(figure: Figure) -> str:
 
 
 def _thresholds(result: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f"<li><b>{escape(name)}</b>: {escape(how)}</li>"
-        for name, how in result["thresholds"].items()
-    )
+    rows = "".join(f"<li><b>{escape(name)}</b>: {escape(how)}</li>" for name, how in result["thresholds"].items())
     return f"<h3>{escape(str(result['method']))}</h3><ul>{rows}</ul>"
 
 
@@ -170,9 +163,7 @@ def _study_charts(results: Sequence[Mapping[str, Any]]) -> list[str]:
             study = result["study"]
             points = [(row["voxel"], row[kind], row["scene"]) for row in study["scenes"]]
             found = study["correlations"].get(kind)
-            note = (
-                f"Pearson {found['pearson']:.3f}, Spearman {found['spearman']:.3f}" if found else ""
-            )
+            note = f"Pearson {found['pearson']:.3f}, Spearman {found['spearman']:.3f}" if found else ""
             title = "with significance" if kind == "weighted" else "without significance"
             charts.append(scatter(points, "mIoU of voxels", "mIoU of Gaussians", title, note))
     return charts

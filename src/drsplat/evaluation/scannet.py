@@ -87,9 +87,7 @@ def read_raw_category_scene(
     instances = read_scannet_instances(segments, groups)
     check_vertices(cloud, instances, str(folder))
     beside = folder / TABLE_NAME
-    known = read_label_table(
-        table or (beside if beside.is_file() else folder.resolve().parent / TABLE_NAME)
-    )
+    known = read_label_table(table or (beside if beside.is_file() else folder.resolve().parent / TABLE_NAME))
     ids = raw_category_labels(instances, known)
     points = LabelledPoints(cloud.positions, labels.classes(ids))
     return ScannetScene(folder.resolve().name, points, labels, gaussians)
@@ -148,11 +146,7 @@ def predict_classes(
         "scorer": dict(scorer.about),
         "label_set": scene.labels.name,
         "prompts": list(scene.labels.prompts),
-        "thresholds": {
-            FIXED: scorer.threshold,
-            **{sweep_column(t): t for t in scorer.sweep},
-            **picked,
-        },
+        "thresholds": {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}, **picked},
     }
     Manifest(protocol, scorer.name, scene.name, columns, inputs).write(folder)
 
@@ -176,22 +170,16 @@ def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " 
     if found is None:
         return np.zeros(len(scene.gaussians), np.int32)
     if len(found) and not 0 <= found.min() <= found.max() <= len(scene.labels):
-        raise FormatError(
-            f"{path}: expected classes 0 to {len(scene.labels)}, got {found.min()} to {found.max()}"
-        )
+        raise FormatError(f"{path}: expected classes 0 to {len(scene.labels)}, got {found.min()} to {found.max()}")
     return found.astype(np.int32)
 
 
-def predicted_scores(
-    scene: ScannetScene, folder: Path, number: int
-) -> Float32[np.ndarray, " n"] | None:
+def predicted_scores(scene: ScannetScene, folder: Path, number: int) -> Float32[np.ndarray, " n"] | None:
     scores = read_array(scores_path(folder, scene.name, number), len(scene.gaussians), "f")
     return None if scores is None else scores.astype(np.float32)
 
 
-def predicted_answers(
-    scene: ScannetScene, folder: Path, number: int
-) -> Float32[np.ndarray, " n"] | None:
+def predicted_answers(scene: ScannetScene, folder: Path, number: int) -> Float32[np.ndarray, " n"] | None:
     values = read_array(answer_path(folder, scene.name, number), len(scene.gaussians), "f")
     return None if values is None else values.astype(np.float32)
 

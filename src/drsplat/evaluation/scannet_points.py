@@ -18,13 +18,7 @@ from ..codes import Track, untracked
 from ..errors import InputError, MismatchError
 from . import metrics
 from .predictions import read_manifest
-from .scannet import (
-    ScannetScene,
-    over_scenes,
-    predict_classes,
-    predicted_classes,
-    segmentation_record,
-)
+from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 from .scorers import Scorer
 
 PROTOCOL = "scannet-points@1"
@@ -52,10 +46,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
         "method": manifests[0].method,
         "label_set": scenes[0].labels.name,
         "thresholds": {"argmax": "the class of the highest score; no threshold"},
-        "segmentation": {
-            "scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")),
-            "by_scene": by_scene,
-        },
+        "segmentation": {"scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")), "by_scene": by_scene},
         "scenes": [{"name": m.scene, "inputs": dict(m.inputs)} for m in manifests],
     }
 
@@ -83,7 +74,5 @@ def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
 def _record(scene: ScannetScene, folder: Path) -> dict[str, Any]:
     truth, found, count = frozen_truth(scene), predicted_classes(scene, folder), len(scene.labels)
     return segmentation_record(
-        metrics.class_ious(found, truth, count),
-        metrics.class_accuracies(found, truth, count),
-        scene.labels,
+        metrics.class_ious(found, truth, count), metrics.class_accuracies(found, truth, count), scene.labels
     )

@@ -46,9 +46,7 @@ def predict(
 
     Raises: MismatchError: a scorer of another scene.
     """
-    predict_classes(
-        scene, scorer, folder, PROTOCOL, choosers=choosers, keep_scores=True, track=track
-    )
+    predict_classes(scene, scorer, folder, PROTOCOL, choosers=choosers, keep_scores=True, track=track)
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
@@ -63,8 +61,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
     columns = _common_columns(manifests)
     segmented = {scene.name: segmentation(scene, folder) for scene in scenes}
     located = [
-        _class_ious_by_column(scene, manifest, folder)
-        for scene, manifest in zip(scenes, manifests, strict=True)
+        _class_ious_by_column(scene, manifest, folder) for scene, manifest in zip(scenes, manifests, strict=True)
     ]
     means = {c: metrics.scene_macro([list(s[c].values()) for s in located]) for c in columns}
     tuned = best_sweep(means)
@@ -75,14 +72,8 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
         "method": manifests[0].method,
         "label_set": scenes[0].labels.name,
         "thresholds": {name: columns[source] for name, source in shown.items()},
-        "segmentation": {
-            "scene_macro": over_scenes(list(segmented.values()), ("miou", "macc")),
-            "by_scene": segmented,
-        },
-        "localization": {
-            name: _summary(names, [scene[source] for scene in located])
-            for name, source in shown.items()
-        },
+        "segmentation": {"scene_macro": over_scenes(list(segmented.values()), ("miou", "macc")), "by_scene": segmented},
+        "localization": {name: _summary(names, [scene[source] for scene in located]) for name, source in shown.items()},
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
         "scenes": [_scene_record(*pair) for pair in zip(scenes, manifests, strict=True)],
     }
@@ -99,9 +90,7 @@ def segmentation(scene: ScannetScene, folder: Path, *, weighted: bool = True) ->
     )
 
 
-def _class_ious_by_column(
-    scene: ScannetScene, manifest: Manifest, folder: Path
-) -> dict[str, dict[str, float]]:
+def _class_ious_by_column(scene: ScannetScene, manifest: Manifest, folder: Path) -> dict[str, dict[str, float]]:
     """IoU of the classes that the scene has, by column and name."""
     truth, counted = scene.pseudo_labels, scene.pseudo_labels > 0
     weights = scene.significance[counted]
@@ -136,11 +125,7 @@ def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
     first = manifests[0]
     for other in manifests[1:]:
         same_sets = other.inputs.get("label_set") == first.inputs.get("label_set")
-        if (
-            dict(other.columns) != dict(first.columns)
-            or other.method != first.method
-            or not same_sets
-        ):
+        if dict(other.columns) != dict(first.columns) or other.method != first.method or not same_sets:
             raise MismatchError(
                 f"'{other.scene}' was predicted by '{other.method}' in another way than '{first.scene}' by "
                 f"'{first.method}': predict all scenes with the same classes and thresholds"
@@ -174,9 +159,7 @@ def _scene_record(scene: ScannetScene, manifest: Manifest) -> dict[str, Any]:
         "name": scene.name,
         "gaussians": len(scene.gaussians),
         "labelled": int(labelled.sum()),
-        "labelled_significance": float(
-            scene.significance[labelled].sum() / max(scene.significance.sum(), 1e-300)
-        ),
+        "labelled_significance": float(scene.significance[labelled].sum() / max(scene.significance.sum(), 1e-300)),
         "classes": len(np.unique(scene.pseudo_labels[labelled])),
         "inputs": dict(manifest.inputs),
     }

@@ -57,9 +57,7 @@ class Scorer:
             yield from self.several(texts[begin : begin + CHUNK])
 
 
-def cosine_scorer(
-    known: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0
-) -> Scorer:
+def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0) -> Scorer:
     """Cosines of the field. threshold: the encoder's own where it has one, else 0.5.
 
     Raises: MismatchError: another encoder than the field's.
@@ -97,9 +95,7 @@ def cosine_scorer(
     )
 
 
-def _answer(
-    known: LanguageField, encoder: Encoder, threads: int
-) -> Callable[[str], tuple[Scores, float]]:
+def _answer(known: LanguageField, encoder: Encoder, threads: int) -> Callable[[str], tuple[Scores, float]]:
     scene = Scene(known, encoder=encoder, threads=threads)
 
     def answer(text: str) -> tuple[Scores, float]:
@@ -109,9 +105,7 @@ def _answer(
     return answer
 
 
-def feature_scorer(
-    features: Float[np.ndarray, "N D"], encoder: Encoder, name: str = "features"
-) -> Scorer:
+def feature_scorer(features: Float[np.ndarray, "N D"], encoder: Encoder, name: str = "features") -> Scorer:
     """Cosines with features made by any system; rows without direction are absent.
 
     features: float16 or float32, of any length, may be a memory map: read a block at a time.
@@ -126,11 +120,7 @@ def feature_scorer(
     def scores(text: str) -> Scores:
         return _cosines(features, np.asarray(encoder.encode_texts([text])[0], np.float32))
 
-    about = {
-        "features": hashed(features),
-        "encoder": encoder.identity.name,
-        "measure": "cosine",
-    }
+    about = {"features": hashed(features), "encoder": encoder.identity.name, "measure": "cosine"}
     threshold, least = _fixed(encoder), _own(encoder)
     return Scorer(name, len(features), scores, threshold, COSINES, about, least=least)
 
@@ -176,8 +166,7 @@ def read_features(path: Path) -> Float[np.ndarray, "N D"]:
     features = map_npy(path)
     if features.ndim != 2 or features.dtype not in (np.float16, np.float32):
         raise InputError(
-            f"{path}: expected float16 or float32 (N, D), one row per Gaussian; got {features.dtype} "
-            f"{features.shape}"
+            f"{path}: expected float16 or float32 (N, D), one row per Gaussian; got {features.dtype} {features.shape}"
         )
     return features
 

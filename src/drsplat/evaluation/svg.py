@@ -51,9 +51,7 @@ def bars(rows: Sequence[tuple[str, Number]], unit: str, title: str) -> str:
     for k, (name, value) in enumerate(rows):
         y, length = 36 + 30 * k, (WIDTH - left - 90) * value / longest
         parts.append(_text(left - 8, y + 15, name, "end"))
-        parts.append(
-            f'<rect x="{left}" y="{y}" width="{max(length, 1):.1f}" height="20" rx="3" fill="{MARK}"/>'
-        )
+        parts.append(f'<rect x="{left}" y="{y}" width="{max(length, 1):.1f}" height="20" rx="3" fill="{MARK}"/>')
         parts.append(_text(left + length + 6, y + 15, f"{value:.3g} {unit}", "start"))
     return _svg(height, parts)
 
@@ -68,12 +66,7 @@ def _round_up(value: Number) -> float:
     while power < value:
         power *= 10
     return next(
-        (
-            round(step * power, 9)
-            for step in (0.2, 0.4, 0.6, 0.8)
-            if step * power >= value * (1 - 1e-9)
-        ),
-        round(power, 9),
+        (round(step * power, 9) for step in (0.2, 0.4, 0.6, 0.8) if step * power >= value * (1 - 1e-9)), round(power, 9)
     )
 
 

@@ -89,11 +89,7 @@ def _segmentation(results: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _papers(
-    result: Mapping[str, Any],
-    task: str,
-    keys: Sequence[str],
-    ours: Sequence[float],
-    width: int,
+    result: Mapping[str, Any], task: str, keys: Sequence[str], ours: Sequence[float], width: int
 ) -> list[tuple[Cell, ...]]:
     """The papers' rows and how far ours are from the paper's, on the same data only."""
     known = published_for(result, task) if same_data(result) else ()
@@ -101,8 +97,7 @@ def _papers(
     paper = next((entry for entry in known if entry.method == DR_SPLAT), None)
     if paper is not None:
         gaps = [
-            None if theirs is None else mine - theirs
-            for mine, theirs in zip(ours, _numbers(paper, keys), strict=True)
+            None if theirs is None else mine - theirs for mine, theirs in zip(ours, _numbers(paper, keys), strict=True)
         ]
         rows.append(_padded("ours minus the paper's", width, gaps))
     return rows
@@ -161,19 +156,12 @@ def _scenes(result: Mapping[str, Any]) -> Table:
 
 def _study(study: Mapping[str, Any]) -> Table:
     rows: list[tuple[Cell, ...]] = [
-        (row["scene"], *(100 * row[key] for key in ("voxel", "weighted", "unweighted")))
-        for row in study["scenes"]
+        (row["scene"], *(100 * row[key] for key in ("voxel", "weighted", "unweighted"))) for row in study["scenes"]
     ]
     for name in ("pearson", "spearman"):
         found = study["correlations"]
         if found:
-            rows.append(
-                (f"{name} with voxels", None, *(found[k][name] for k in ("weighted", "unweighted")))
-            )
-    note = (
-        ""
-        if study["enough_scenes"]
-        else "fewer than eight scenes: too few for a correlation to mean much"
-    )
+            rows.append((f"{name} with voxels", None, *(found[k][name] for k in ("weighted", "unweighted"))))
+    note = "" if study["enough_scenes"] else "fewer than eight scenes: too few for a correlation to mean much"
     columns = ("scene", "voxels", "with significance", "without")
     return Table("Fig. S3: mIoU by voxels, and by Gaussians", columns, tuple(rows), note)

@@ -23,13 +23,7 @@ from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume
 from .predictions import read_manifest
-from .scannet import (
-    ScannetScene,
-    over_scenes,
-    predict_classes,
-    predicted_classes,
-    segmentation_record,
-)
+from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 from .scorers import Scorer
 
 PROTOCOL = "voxel@1"
@@ -103,9 +97,7 @@ def predict(scene: ScannetScene, scorer: Scorer, folder: Path, *, track: Track =
     predict_classes(scene, scorer, folder, PROTOCOL, track=track)
 
 
-def score(
-    scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, threads: int = 0
-) -> dict[str, Any]:
+def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:
     """Voxel against voxel, and beside it Eq. 3 with and without significance.
 
     Predictions of scannet-volume@1 are read, too. The study's correlations are NaN below 3 scenes.
@@ -116,9 +108,7 @@ def score(
         raise InputError("expected at least one scene to score")
     known = (PROTOCOL, scannet_volume.PROTOCOL)
     manifests = [read_manifest(folder, scene.name, known) for scene in scenes]
-    by_scene = {
-        scene.name: voxel_record(scene, folder, side=side, threads=threads) for scene in scenes
-    }
+    by_scene = {scene.name: voxel_record(scene, folder, side=side, threads=threads) for scene in scenes}
     compared = [
         {
             "scene": scene.name,
@@ -134,33 +124,24 @@ def score(
         "label_set": scenes[0].labels.name,
         "thresholds": {"argmax": "the class of the highest score; no threshold"},
         "voxel_side": side,
-        "segmentation": {
-            "scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")),
-            "by_scene": by_scene,
-        },
+        "segmentation": {"scene_macro": over_scenes(list(by_scene.values()), ("miou", "macc")), "by_scene": by_scene},
         "study": study(compared),
         "scenes": [{"name": m.scene, "inputs": dict(m.inputs)} for m in manifests],
     }
 
 
-def voxel_record(
-    scene: ScannetScene, folder: Path, *, side: float = SIDE, threads: int = 0
-) -> dict[str, Any]:
+def voxel_record(scene: ScannetScene, folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:
     """IoU and accuracy of the classes of one scene, in voxels."""
     found, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
     kept = np.flatnonzero(truth > 0)
     grid = grid_over(scene.points.positions, side)
     both = [truth[kept], found[kept]]
-    true, predicted = voxel_labels(
-        scene.gaussians.subset(kept), both, count + 1, grid, threads=threads
-    )
+    true, predicted = voxel_labels(scene.gaussians.subset(kept), both, count + 1, grid, threads=threads)
     filled = true >= 0
     predicted, true = predicted[filled], true[filled]
     return {
         **segmentation_record(
-            metrics.class_ious(predicted, true, count),
-            metrics.class_accuracies(predicted, true, count),
-            scene.labels,
+            metrics.class_ious(predicted, true, count), metrics.class_accuracies(predicted, true, count), scene.labels
         ),
         "voxels": int(filled.sum()),
     }
@@ -198,18 +179,13 @@ class _Sources:
         scales = gaussians.scales.astype(np.float64)
         self.peaks = gaussians.opacities / ((2 * np.pi) ** 1.5 * scales.prod(1))
         reach = CUT_OFF * np.sqrt(gaussians.covariances()[:, [0, 3, 5]])
-        low, high = (
-            (self.means + sign * reach - grid.origin) / grid.side - 0.5 for sign in (-1, 1)
-        )
+        low, high = ((self.means + sign * reach - grid.origin) / grid.side - 0.5 for sign in (-1, 1))
         self.low = np.maximum(np.ceil(low), 0).astype(np.int64)
         self.high = np.minimum(np.floor(high), np.array(grid.shape) - 1).astype(np.int64)
 
 
 def _slab(
-    sources: _Sources,
-    labellings: Sequence[Int32[np.ndarray, " n"]],
-    num_labels: int,
-    slab: tuple[int, int],
+    sources: _Sources, labellings: Sequence[Int32[np.ndarray, " n"]], num_labels: int, slab: tuple[int, int]
 ) -> list[Int32[np.ndarray, " v"]]:
     """Labels of the voxels with x in [slab[0], slab[1])."""
     low, high = sources.low.copy(), sources.high.copy()
@@ -235,10 +211,7 @@ def _slab(
 
 
 def _pairs(
-    sources: _Sources,
-    ids: Int64[np.ndarray, " b"],
-    low: Int64[np.ndarray, "b 3"],
-    spans: Int64[np.ndarray, "b 3"],
+    sources: _Sources, ids: Int64[np.ndarray, " b"], low: Int64[np.ndarray, "b 3"], spans: Int64[np.ndarray, "b 3"]
 ) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, "p 3"], Float64[np.ndarray, " p"]]:
     """Gaussian, voxel and alpha N(v) of all pairs within the cut-off."""
     counts = spans.prod(1)

@@ -38,13 +38,9 @@ class MaskIds:
     def __post_init__(self) -> None:
         for name, values in (("views", self.views), ("ids", self.ids)):
             if values.ndim != 1 or values.dtype != np.int32 or len(values) != len(self.views):
-                raise InputError(
-                    f"masks: {name} must be int32 (M,), got {values.dtype} {values.shape}"
-                )
+                raise InputError(f"masks: {name} must be int32 (M,), got {values.dtype} {values.shape}")
         if len(self.views) and not 0 <= self.views.min() <= self.views.max() < len(self.view_names):
-            raise InputError(
-                f"masks: a column names a view that is not among the {len(self.view_names)}"
-            )
+            raise InputError(f"masks: a column names a view that is not among the {len(self.view_names)}")
 
     def __len__(self) -> int:
         return len(self.views)
@@ -68,26 +64,17 @@ class Evidence:
         if not isinstance(weights, csr_array) or weights.dtype != np.float32:
             raise InputError("weights: expected a float32 scipy.sparse.csr_array")
         if not embeddings.ndim == 2 or embeddings.dtype != np.float32:
-            raise InputError(
-                f"embeddings: expected float32 (M, D), got {embeddings.dtype} {embeddings.shape}"
-            )
+            raise InputError(f"embeddings: expected float32 (M, D), got {embeddings.dtype} {embeddings.shape}")
         if not weights.shape[1] == len(self.masks) == len(embeddings):
             raise InputError(
                 f"expected one mask and one embedding per column: {weights.shape[1]} columns, "
                 f"{len(self.masks)} masks, {len(embeddings)} embeddings"
             )
-        if (
-            len(weights.indices)
-            and not 0 <= weights.indices.min() <= weights.indices.max() < weights.shape[1]
-        ):
-            raise InputError(
-                f"weights: a column index is out of range ({weights.shape[1]} columns)"
-            )
+        if len(weights.indices) and not 0 <= weights.indices.min() <= weights.indices.max() < weights.shape[1]:
+            raise InputError(f"weights: a column index is out of range ({weights.shape[1]} columns)")
         norms = np.sqrt(np.einsum("md,md->m", embeddings, embeddings))
         if not (np.abs(norms - 1) < UNIT_TOLERANCE).all():
-            raise InputError(
-                "embeddings must be finite unit vectors: divide each row by its L2 norm"
-            )
+            raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
 
     def __len__(self) -> int:
         return int(self.weights.shape[0])
@@ -113,9 +100,7 @@ class Evidence:
         Source: Dr. Splat Sec. A "Training stage".
         """
         w = self.weights
-        return weighted_rows(
-            w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads
-        )
+        return weighted_rows(w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads)
 
     def rows(self, index: Integer[np.ndarray, " r"]) -> "Evidence":
         """The evidence of some rows, in that order. Weights are shared where only empty rows go."""
@@ -128,17 +113,11 @@ class Evidence:
         kept = self.weights[index]
         return self._with_weights(kept.data, kept.indices, kept.indptr)
 
-    def _with_weights(
-        self, data: np.ndarray, indices: np.ndarray, indptr: np.ndarray
-    ) -> "Evidence":
+    def _with_weights(self, data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> "Evidence":
         shape = (len(indptr) - 1, self.weights.shape[1])
-        return Evidence(
-            csr_array((data, indices, indptr), shape=shape), self.masks, self.embeddings
-        )
+        return Evidence(csr_array((data, indices, indptr), shape=shape), self.masks, self.embeddings)
 
-    def explain(
-        self, row: int, query: Float32[np.ndarray, " d"], top: int = 5
-    ) -> list[Explanation]:
+    def explain(self, row: int, query: Float32[np.ndarray, " d"], top: int = 5) -> list[Explanation]:
         """The photos and masks that speak most for `query` in a row: the largest W_ij <q, e_j>.
 
         Only what speaks for it is listed, so there may be fewer than `top`, or none.
@@ -146,19 +125,13 @@ class Evidence:
         Raises: InputError: no such row, or a query of another dimension.
         """
         if not 0 <= row < len(self) or query.shape != (self.dim,):
-            raise InputError(
-                f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)"
-            )
+            raise InputError(f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)")
         entries = slice(self.weights.indptr[row], self.weights.indptr[row + 1])
         columns = self.weights.indices[entries]
         support = self.weights.data[entries] * (self.embeddings[columns].astype(np.float64) @ query)
         total = support[support > 0].sum()
         order = np.argsort(-support, kind="stable")[:top]
-        return [
-            self._explanation(int(columns[k]), float(support[k] / total))
-            for k in order
-            if support[k] > 0
-        ]
+        return [self._explanation(int(columns[k]), float(support[k] / total)) for k in order if support[k] > 0]
 
     def _explanation(self, column: int, share: float) -> Explanation:
         masks = self.masks
@@ -189,9 +162,7 @@ _ARRAYS = {
 }
 
 
-def evidence_from_tensors(
-    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str
-) -> Evidence:
+def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str) -> Evidence:
     """The evidence of a file's arrays, which are used as they are: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.

@@ -4,11 +4,4 @@ from .building import build_field
 from .language_field import LanguageField, Negatives, WordList, relevancy_from_scores
 from .loading import load_field
 
-__all__ = [
-    "LanguageField",
-    "Negatives",
-    "WordList",
-    "build_field",
-    "load_field",
-    "relevancy_from_scores",
-]
+__all__ = ["LanguageField", "Negatives", "WordList", "build_field", "load_field", "relevancy_from_scores"]

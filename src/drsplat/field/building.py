@@ -48,34 +48,24 @@ def build_field(
     Source: Dr. Splat Sec. A "Training stage".
     """
     if evidence.dim != encoder.dim:
-        raise MismatchError(
-            f"embeddings of {evidence.dim} numbers, but {encoder.name} makes {encoder.dim}"
-        )
+        raise MismatchError(f"embeddings of {evidence.dim} numbers, but {encoder.name} makes {encoder.dim}")
     features = MEAN(evidence) if aggregated is None else aggregated
     if len(features) != len(evidence):
         raise InputError(f"{len(features)} features for evidence of {len(evidence)} rows")
     seen = np.flatnonzero(features.present)
     if not len(seen):
-        raise InputError(
-            "no Gaussian is under any mask: check that poses, photos and scene belong together"
-        )
+        raise InputError("no Gaussian is under any mask: check that poses, photos and scene belong together")
     if isinstance(code, Smaller):
         code = code.chosen(evidence.num_seen, len(evidence.masks), evidence.dim)
     if isinstance(code, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
     coded, directed = _coded(features.rows(seen), code, encoder, threads, track)
     ids, kept = seen[directed].astype(np.uint32), evidence.rows(seen[directed])
-    return LanguageField(
-        ids, coded, encoder, scene, len(evidence), kept, aggregator=features.record
-    )
+    return LanguageField(ids, coded, encoder, scene, len(evidence), kept, aggregator=features.record)
 
 
 def _coded(
-    features: Aggregated,
-    code: PQ | Mixture | Codebook,
-    encoder: EncoderIdentity,
-    threads: int,
-    track: Track,
+    features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track
 ) -> tuple[Code, Bool[np.ndarray, " r"]]:
     """The code of the rows that have a direction, and which of all do."""
     if isinstance(code, Mixture):
@@ -85,9 +75,7 @@ def _coded(
     return _quantised(features, code, threads, track)
 
 
-def _mixed(
-    features: Aggregated, atoms_per_row: int, threads: int, track: Track
-) -> tuple[Code, Bool[np.ndarray, " r"]]:
+def _mixed(features: Aggregated, atoms_per_row: int, threads: int, track: Track) -> tuple[Code, Bool[np.ndarray, " r"]]:
     source = features.evidence
     if features.donors is not None:
         source = source.rows(features.donors)
@@ -106,9 +94,7 @@ def _quantised(
     return pq_code(codebook, codes, threads=threads), directed
 
 
-def _scene_codebook(
-    features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track
-) -> Codebook:
+def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:
     count = min(len(features), TRAINING_POINTS)
     spread = np.linspace(0, len(features) - 1, count).astype(np.int64)
     points = features.rows(spread).features(0, count, threads=threads)

@@ -87,39 +87,27 @@ class LanguageField:
         if ids.ndim != 1 or ids.dtype != np.uint32 or not (ids[1:] > ids[:-1]).all():
             raise InputError("gaussian_ids: expected ascending uint32 (R,)")
         if rows and ids[-1] >= self.num_gaussians:
-            raise InputError(
-                f"gaussian_ids: {ids[-1]} in a scene of {self.num_gaussians} Gaussians"
-            )
+            raise InputError(f"gaussian_ids: {ids[-1]} in a scene of {self.num_gaussians} Gaussians")
         if len(self.code) != rows:
-            raise InputError(
-                f"code: expected {rows} rows, one per gaussian_id, got {len(self.code)}"
-            )
+            raise InputError(f"code: expected {rows} rows, one per gaussian_id, got {len(self.code)}")
         if self.code.dim != self.encoder.dim:
             raise MismatchError(
-                f"features of {self.code.dim} numbers for the encoder {self.encoder.name} of "
-                f"{self.encoder.dim}"
+                f"features of {self.code.dim} numbers for the encoder {self.encoder.name} of {self.encoder.dim}"
             )
         if isinstance(self.code, PQCode) and not self.encoder.matches(self.codebook.encoder):
             raise MismatchError(
                 f"the embeddings are of {_named(self.encoder)}, the codebook is of "
                 f"{_named(self.codebook.encoder)}: use a codebook of the same encoder"
             )
-        if self.up is not None and not (
-            self.up.shape == (3,) and abs(np.linalg.norm(self.up) - 1) < 1e-6
-        ):
+        if self.up is not None and not (self.up.shape == (3,) and abs(np.linalg.norm(self.up) - 1) < 1e-6):
             raise InputError(f"up: expected a unit vector of three numbers, got {self.up}")
-        if self.evidence is not None and (len(self.evidence), self.evidence.dim) != (
-            rows,
-            self.encoder.dim,
-        ):
+        if self.evidence is not None and (len(self.evidence), self.evidence.dim) != (rows, self.encoder.dim):
             raise InputError(
                 f"evidence: expected {rows} rows of {self.encoder.dim}-d embeddings, got "
                 f"{len(self.evidence)} of {self.evidence.dim}"
             )
         if self.negatives is not None and self.negatives.maxima.shape != (rows,):
-            raise InputError(
-                f"negatives: expected {rows} maxima, got {self.negatives.maxima.shape}"
-            )
+            raise InputError(f"negatives: expected {rows} maxima, got {self.negatives.maxima.shape}")
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)
@@ -128,9 +116,7 @@ class LanguageField:
         """The row of each Gaussian of the scene; -1 where it has no feature, or there is no such Gaussian."""
         if not len(self):
             return np.full(len(gaussian_ids), -1)
-        ids = np.clip(gaussian_ids, 0, self.gaussian_ids[-1]).astype(
-            np.uint32
-        )  # else all rows are cast
+        ids = np.clip(gaussian_ids, 0, self.gaussian_ids[-1]).astype(np.uint32)  # else all rows are cast
         rows = np.searchsorted(self.gaussian_ids, ids)
         return np.where(self.gaussian_ids[rows] == gaussian_ids, rows, -1)
 
@@ -141,9 +127,7 @@ class LanguageField:
         Raises: InputError: they are kept in another way.
         """
         if not isinstance(self.code, PQCode):
-            raise InputError(
-                f"this field's features are of the code '{self.code.kind}': no codebook"
-            )
+            raise InputError(f"this field's features are of the code '{self.code.kind}': no codebook")
         return self.code.codebook
 
     @cached_property
@@ -157,9 +141,7 @@ class LanguageField:
             digest.update(np.ascontiguousarray(arrays[name]).data)
         return digest.hexdigest()
 
-    def scores(
-        self, query: Float32[np.ndarray, "*c D"], *, threads: int = 0
-    ) -> Float32[np.ndarray, "*c r"]:
+    def scores(self, query: Float32[np.ndarray, "*c D"], *, threads: int = 0) -> Float32[np.ndarray, "*c r"]:
         """Cosine of a query, of any length, with each feature; of several queries, a row for each.
 
         The query is never quantised. Several at once take less time than one by one, and give the same
@@ -172,9 +154,7 @@ class LanguageField:
         scores = self.code.scores(np.atleast_2d(unit), threads=threads)
         return scores if query.ndim == 2 else scores[0]
 
-    def select(
-        self, query: Float32[np.ndarray, " D"], threshold: float, *, threads: int = 0
-    ) -> Hits:
+    def select(self, query: Float32[np.ndarray, " D"], threshold: float, *, threads: int = 0) -> Hits:
         """Rows whose cosine with the query exceeds the threshold, ascending: one scan, and no other array.
 
         Raises: as `scores`.
@@ -182,9 +162,7 @@ class LanguageField:
         """
         return self.code.select(self._unit(query), threshold, threads=threads)
 
-    def select_relevant(
-        self, query: Float32[np.ndarray, " D"], threshold: float = 0.5, *, threads: int = 0
-    ) -> Hits:
+    def select_relevant(self, query: Float32[np.ndarray, " D"], threshold: float = 0.5, *, threads: int = 0) -> Hits:
         """Rows whose relevancy exceeds the threshold, ascending, with their cosines; one scan.
 
         relevancy > t where score - max_n <n, f> > log(t / (1 - t)) / 10.
@@ -215,11 +193,7 @@ class LanguageField:
         return self.code.best(self._unit(queries), threads=threads)
 
     def relevancy(
-        self,
-        query: Float32[np.ndarray, " D"],
-        negatives: Float32[np.ndarray, "n D"] | None = None,
-        *,
-        threads: int = 0,
+        self, query: Float32[np.ndarray, " D"], negatives: Float32[np.ndarray, "n D"] | None = None, *, threads: int = 0
     ) -> Float32[np.ndarray, " r"]:
         """How much better the query fits than any negative, in (0, 1); one scan if they are cached.
 
@@ -230,22 +204,14 @@ class LanguageField:
         Source: Kerr et al. 2023 (LERF) Sec. 3.3.
         """
         known = self.negatives
-        if negatives is not None and not (
-            known and np.array_equal(known.embeddings, _unit(negatives))
-        ):
+        if negatives is not None and not (known and np.array_equal(known.embeddings, _unit(negatives))):
             known = self.score_negatives(negatives, threads=threads)
         if known is None:
-            raise InputError(
-                "relevancy needs negatives: pass their embeddings, or call with_negatives first"
-            )
+            raise InputError("relevancy needs negatives: pass their embeddings, or call with_negatives first")
         return relevancy_from_scores(self.scores(query, threads=threads), known.maxima)
 
     def score_negatives(
-        self,
-        embeddings: Float32[np.ndarray, "n D"],
-        texts: tuple[str, ...] = (),
-        *,
-        threads: int = 0,
+        self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> Negatives:
         """Each row's best score among some negatives.
 
@@ -253,8 +219,7 @@ class LanguageField:
         """
         if not len(embeddings) or (texts and len(texts) != len(embeddings)):
             raise InputError(
-                "expected one or more negatives, one per text; "
-                f"got {len(embeddings)} and {len(texts)} texts"
+                f"expected one or more negatives, one per text; got {len(embeddings)} and {len(texts)} texts"
             )
         unit = _unit(embeddings)
         maxima = self.best(unit[:FEW], threads=threads).scores
@@ -264,18 +229,12 @@ class LanguageField:
         return Negatives(texts, unit, maxima)
 
     def with_negatives(
-        self,
-        embeddings: Float32[np.ndarray, "n D"],
-        texts: tuple[str, ...] = (),
-        *,
-        threads: int = 0,
+        self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> "LanguageField":
         """The same field with its negatives scored once and for all; `save` keeps them."""
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
 
-    def with_contrast(
-        self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]
-    ) -> "LanguageField":
+    def with_contrast(self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]) -> "LanguageField":
         """The same field with the words that queries are contrasted with; `save` keeps them.
 
         Raises: InputError: not one embedding of the encoder's dimension for each text.
@@ -286,9 +245,7 @@ class LanguageField:
             )
         return replace(self, contrast=WordList(texts, _unit(embeddings)))
 
-    def dense(
-        self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0
-    ) -> Float32[np.ndarray, " N"]:
+    def dense(self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0) -> Float32[np.ndarray, " N"]:
         """Per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
         values = np.full(self.num_gaussians, fill, np.float32)
         values[self.gaussian_ids] = scores
@@ -298,9 +255,7 @@ class LanguageField:
         """Decoded unit features of some rows."""
         return self.code.decode(np.arange(len(self))[rows])
 
-    def explain(
-        self, gaussian_id: int, query: Float32[np.ndarray, " D"], top: int = 5
-    ) -> list[Explanation]:
+    def explain(self, gaussian_id: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Explanation]:
         """The photos and masks that speak most for `query` at a Gaussian; none without a feature.
 
         Raises: InputError: no such Gaussian, or the field was made without evidence.

@@ -18,17 +18,7 @@ from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
-from .language_field import (
-    CODES,
-    CONTRAST,
-    EVIDENCE,
-    FORMAT,
-    NEGATIVES,
-    VERSION,
-    LanguageField,
-    Negatives,
-    WordList,
-)
+from .language_field import CODES, CONTRAST, EVIDENCE, FORMAT, NEGATIVES, VERSION, LanguageField, Negatives, WordList
 from .stored import StoredField
 
 SUMMED = 3  # the first version with checksums
@@ -37,11 +27,7 @@ MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
 CURE = "Restore the field from a copy, or register again"
 
 _Tensors = dict[str, np.ndarray]
-_ARRAYS = {
-    "gaussian_ids": ("uint32", "r"),
-    "coarse_ids": ("uint16", "r"),
-    "inverse_norms": ("float32", "r"),
-}
+_ARRAYS = {"gaussian_ids": ("uint32", "r"), "coarse_ids": ("uint16", "r"), "inverse_norms": ("float32", "r")}
 _OLD_CODES, _GROUPED_CODES = {"codes": ("uint8", "r L")}, {"grouped_codes": ("uint8", "g L k")}
 
 
@@ -56,9 +42,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     path = Path(path)
     manifest = read_manifest(path)
     if manifest.get("format") != FORMAT:
-        raise FormatError(
-            f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}"
-        )
+        raise FormatError(f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}")
     version = manifest.get("version")
     if type(version) is not int or not 1 <= version <= VERSION:
         raise FormatError(
@@ -90,10 +74,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
     return field.compared_by(
-        {
-            name: partial(_compare, file, evidence if name == EVIDENCE else None)
-            for name, file in files.items()
-        }
+        {name: partial(_compare, file, evidence if name == EVIDENCE else None) for name, file in files.items()}
     )
 
 
@@ -164,9 +145,7 @@ def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
     except InputError as error:
         raise FormatError(f"{path}: incomplete: {error}") from None
     if metadata.get("field") != manifest.get("field"):
-        raise MismatchError(
-            f"{path / name} was written with another field: do not mix files of two fields"
-        )
+        raise MismatchError(f"{path / name} was written with another field: do not mix files of two fields")
     return _File(path / name, tensors, metadata, int(str(manifest["version"])) >= SUMMED)
 
 
@@ -188,9 +167,7 @@ def _negatives(file: _File | None, manifest: dict[str, object], dim: int) -> Neg
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         raise FormatError(f"{path.parent}: negatives must be a list of texts")
     if texts and len(texts) != len(embeddings):
-        raise FormatError(
-            f"{path.parent}: {len(texts)} negative texts for {len(embeddings)} embeddings"
-        )
+        raise FormatError(f"{path.parent}: {len(texts)} negative texts for {len(embeddings)} embeddings")
     return Negatives(tuple(texts), embeddings, tensors["maxima"])
 
 

@@ -91,6 +91,4 @@ def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
     if np.all(good):
         return
     bad = np.flatnonzero((~good).reshape(len(good), -1).any(axis=1))
-    raise FormatError(
-        f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {CURE}"
-    )
+    raise FormatError(f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {CURE}")

@@ -41,10 +41,7 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
     """
     inexact = [view.name for view in views if _is_inexact(view)]
     if inexact:
-        text = (
-            f"{path}: cameras.json holds neither principal point nor distortion; lost for "
-            f"{len(inexact)} views: "
-        )
+        text = f"{path}: cameras.json holds neither principal point nor distortion; lost for {len(inexact)} views: "
         warnings.warn(text + listed(inexact), DrSplatWarning, stacklevel=3)
     entries = [_entry(index, view) for index, view in enumerate(views)]
     with replacing(path, overwrite) as file:
@@ -58,18 +55,11 @@ def _view(entry: object, where: str) -> View:
         raise FormatError(f"{where}: expected img_name to be text, got {shown(entry['img_name'])}")
     name = safe_name(entry["img_name"], where)
     where = f"{where} ({name!a})"
-    size = (
-        as_count(entry["width"], f"{where}: width"),
-        as_count(entry["height"], f"{where}: height"),
-    )
+    size = (as_count(entry["width"], f"{where}: width"), as_count(entry["height"], f"{where}: height"))
     focal = as_number(entry["fx"], f"{where}: fx"), as_number(entry["fy"], f"{where}: fy")
-    rotation = nearest_rotation(
-        as_matrix(entry["rotation"], 3, 3, f"{where}: rotation"), f"{where}: rotation"
-    )
+    rotation = nearest_rotation(as_matrix(entry["rotation"], 3, 3, f"{where}: rotation"), f"{where}: rotation")
     center = as_vector(entry["position"], 3, f"{where}: position")
-    return posed_view(
-        where, name, pinhole(*focal, size[0] / 2, size[1] / 2), inverse_pose(rotation, center), size
-    )
+    return posed_view(where, name, pinhole(*focal, size[0] / 2, size[1] / 2), inverse_pose(rotation, center), size)
 
 
 def _entry(index: int, view: View) -> dict[str, object]:

@@ -20,11 +20,7 @@ from .photo_files import find_photo, image_folder, listed, on_photo
 from .point_ply import read_point_ply
 from .transforms import point_file, read_applied_transform, read_transforms
 
-CAMERA_FILES = (
-    ("transforms", "transforms.json"),
-    ("transforms", "transforms_train.json"),
-    ("cameras", "cameras.json"),
-)
+CAMERA_FILES = (("transforms", "transforms.json"), ("transforms", "transforms_train.json"), ("cameras", "cameras.json"))
 
 
 class SparsePoints(NamedTuple):
@@ -81,10 +77,7 @@ def read_views(
 
 
 def read_sparse_points(
-    capture: str | Path,
-    *,
-    points: str | Path | None = None,
-    dataparser_transforms: str | Path | None = None,
+    capture: str | Path, *, points: str | Path | None = None, dataparser_transforms: str | Path | None = None
 ) -> SparsePoints | None:
     """The points of a capture in the frame of its views, or None where it has none.
 
@@ -126,9 +119,7 @@ def _find_source(capture: Path) -> _Source:
         raise InputError(f"{capture}: there is no such capture")
     model = find_model(capture)
     found = [] if model is None else [_Source("colmap", model)]
-    found += [
-        _Source(kind, capture / name) for kind, name in CAMERA_FILES if (capture / name).is_file()
-    ]
+    found += [_Source(kind, capture / name) for kind, name in CAMERA_FILES if (capture / name).is_file()]
     if not found:
         raise InputError(
             f"{capture}: expected a COLMAP model (cameras and images in sparse/0, .bin or .txt), "
@@ -136,10 +127,7 @@ def _find_source(capture: Path) -> _Source:
         )
     if len(found) > 1:
         others = ", ".join(str(source.path) for source in found[1:])
-        text = (
-            f"{capture}: cameras were read from {found[0].path}, not from {others}: name a file "
-            "to choose it"
-        )
+        text = f"{capture}: cameras were read from {found[0].path}, not from {others}: name a file to choose it"
         warnings.warn(text, DrSplatWarning, stacklevel=4)
     return found[0]
 
@@ -148,9 +136,7 @@ def _file_source(path: Path) -> _Source:
     if path.suffix in (".bin", ".txt"):
         return _Source("colmap", path.parent)
     if path.suffix != ".json":
-        raise InputError(
-            f"{path}: expected a folder, a COLMAP .bin or .txt, a transforms.json or a cameras.json"
-        )
+        raise InputError(f"{path}: expected a folder, a COLMAP .bin or .txt, a transforms.json or a cameras.json")
     return _Source("cameras" if isinstance(read_json(path), list) else "transforms", path)
 
 
@@ -159,12 +145,8 @@ def _read(source: _Source, images: str | Path | None) -> list[View]:
         folder = None if images is None else image_folder(source.path.parent, images)
         return read_transforms(source.path, folder)
     if source.kind == "colmap":
-        return _with_photos(
-            read_colmap(source.path), image_folder(source.path, images), source.path
-        )
-    return _with_photos(
-        read_cameras_json(source.path), image_folder(source.path.parent, images), source.path
-    )
+        return _with_photos(read_colmap(source.path), image_folder(source.path, images), source.path)
+    return _with_photos(read_cameras_json(source.path), image_folder(source.path.parent, images), source.path)
 
 
 def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
@@ -173,15 +155,9 @@ def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
     found = [find_photo(folder, view.name) for view in views]
     missing = [view.name for view, photo in zip(views, found, strict=True) if photo is None]
     if missing:
-        text = (
-            f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: "
-            f"{listed(missing)}"
-        )
+        text = f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: {listed(missing)}"
         warnings.warn(text, DrSplatWarning, stacklevel=5)
-    return [
-        view if photo is None else _attach(view, photo)
-        for view, photo in zip(views, found, strict=True)
-    ]
+    return [view if photo is None else _attach(view, photo) for view, photo in zip(views, found, strict=True)]
 
 
 def _attach(view: View, photo: Path) -> View:
@@ -195,9 +171,7 @@ def _scene_frame(source: _Source, capture: Path, named: str | Path | None) -> Sc
     if named is None and not beside.is_file():
         return None
     frame = read_dataparser_transforms(beside if named is None else Path(named))
-    return (
-        frame.after(read_applied_transform(source.path)) if source.kind == "transforms" else frame
-    )
+    return frame.after(read_applied_transform(source.path)) if source.kind == "transforms" else frame
 
 
 def _sorted(views: list[View], path: Path) -> list[View]:

@@ -28,9 +28,7 @@ def raw_bytes(array: np.ndarray) -> memoryview:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
 
-def with_checksums(
-    header: Mapping[str, object], tensors: Mapping[str, np.ndarray]
-) -> dict[str, object]:
+def with_checksums(header: Mapping[str, object], tensors: Mapping[str, np.ndarray]) -> dict[str, object]:
     """A safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
     sums = {name: _hex(raw_bytes(array)) for name, array in tensors.items()}
     metadata = {**_metadata(header), TENSORS: json.dumps(sums)}
@@ -48,10 +46,7 @@ def check_header(header: Mapping[str, object], where: str) -> None:
 
 
 def check_checksums(
-    tensors: Mapping[str, np.ndarray],
-    metadata: Mapping[str, str],
-    where: str,
-    required: bool = True,
+    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str, required: bool = True
 ) -> None:
     """Compare each tensor of a file with its checksum. Files of older versions have none: not `required`.
 
@@ -72,9 +67,7 @@ def sealed(document: Mapping[str, object]) -> dict[str, object]:
     return {**document, DOCUMENT: _of_json(_unsealed(document))}
 
 
-def check_seal(
-    document: Mapping[str, object], where: str, required: bool = True, cure: str = ""
-) -> None:
+def check_seal(document: Mapping[str, object], where: str, required: bool = True, cure: str = "") -> None:
     """Compare a JSON document with its checksum; those of older versions have none: not `required`.
 
     Raises: FormatError: another document than was written, or no checksum.

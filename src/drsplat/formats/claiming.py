@@ -44,9 +44,7 @@ def claimed_output(output: str | os.PathLike[str]) -> Iterator[None]:
     """
     path = Path(os.path.realpath(output))
     if not path.parent.is_dir():
-        raise InputError(
-            f"there is no folder {path.parent} to write {path.name} into: make it first"
-        )
+        raise InputError(f"there is no folder {path.parent} to write {path.name} into: make it first")
     with _held(path.with_name(f".{path.name}{LOCK}"), path):
         yield
 
@@ -101,9 +99,7 @@ def _opened(lock: Path) -> BinaryIO:
 
 
 def _not_ours(lock: Path) -> InputError:
-    return InputError(
-        f"{lock} is a link, a folder or a pipe, which drsplat does not make: remove it"
-    )
+    return InputError(f"{lock} is a link, a folder or a pipe, which drsplat does not make: remove it")
 
 
 def _is_named(file: BinaryIO, lock: Path) -> bool:

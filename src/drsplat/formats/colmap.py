@@ -52,9 +52,7 @@ def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[
     """
     folder = next((f for f in map(Path(capture).joinpath, MODEL_FOLDERS) if has_points(f)), None)
     if folder is None:
-        raise InputError(
-            f"{capture}: expected points3D.bin or points3D.txt in one of {', '.join(MODEL_FOLDERS)}"
-        )
+        raise InputError(f"{capture}: expected points3D.bin or points3D.txt in one of {', '.join(MODEL_FOLDERS)}")
     parser, suffix = _parser(folder, "points3D")
     path = folder / f"points3D{suffix}"
     return _point_arrays(list(parser.points(path)), path)
@@ -66,10 +64,7 @@ def _point_arrays(
     positions = np.array([record[:3] for record in records], np.float64).reshape(-1, 3)
     bad = np.flatnonzero(~np.isfinite(positions).all(1))
     if len(bad):
-        raise FormatError(
-            f"{path}: {len(bad)} of {len(records)} points are not finite, the first at index "
-            f"{bad[0]}"
-        )
+        raise FormatError(f"{path}: {len(bad)} of {len(records)} points are not finite, the first at index {bad[0]}")
     if any(not 0 <= channel <= 255 for record in records for channel in record[3:]):
         raise FormatError(f"{path}: expected colours in 0..255")
     return positions, np.array([record[3:] for record in records], np.uint8).reshape(-1, 3)
@@ -81,28 +76,18 @@ def _view(record: ImageRecord, cameras: dict[int, CameraRecord], path: Path) -> 
         raise FormatError(f"{where}: camera {record.camera_id} is not in the cameras file")
     camera = cameras[record.camera_id]
     lens = _lens(camera, f"{path.parent}, camera {camera.camera_id}")
-    intrinsics = pinhole(
-        lens.get("fx", lens.get("f", 0.0)),
-        lens.get("fy", lens.get("f", 0.0)),
-        lens["cx"],
-        lens["cy"],
-    )
-    cam_from_world = pose(
-        rotation_from_quaternion(record.quaternion, where), np.array(record.translation)
-    )
+    intrinsics = pinhole(lens.get("fx", lens.get("f", 0.0)), lens.get("fy", lens.get("f", 0.0)), lens["cx"], lens["cy"])
+    cam_from_world = pose(rotation_from_quaternion(record.quaternion, where), np.array(record.translation))
     distortion = tuple(lens.get(name, 0.0) for name in ("k1", "k2", "p1", "p2"))
     name = safe_name(record.name, where)
-    return posed_view(
-        where, name, intrinsics, cam_from_world, (camera.width, camera.height), distortion
-    )
+    return posed_view(where, name, intrinsics, cam_from_world, (camera.width, camera.height), distortion)
 
 
 def _lens(camera: CameraRecord, where: str) -> dict[str, float]:
     names = parameter_names(camera.model, where)
     if len(names) != len(camera.parameters):
         raise FormatError(
-            f"{where}: {camera.model} has parameters {' '.join(names)}, got "
-            f"{len(camera.parameters)} numbers"
+            f"{where}: {camera.model} has parameters {' '.join(names)}, got {len(camera.parameters)} numbers"
         )
     return dict(zip(names, camera.parameters, strict=True))
 

@@ -17,9 +17,7 @@ from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord,
 
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the model's parameters
-_IMAGE = struct.Struct(
-    "<I7dI"
-)  # id, quaternion, translation, camera id; then name, count, 2D points
+_IMAGE = struct.Struct("<I7dI")  # id, quaternion, translation, camera id; then name, count, 2D points
 _POINT = struct.Struct("<Q3d3BdQ")  # id, xyz, rgb, error, length of the track; then the track
 _OBSERVATION_BYTES = 24
 _TRACK_BYTES = 8
@@ -43,8 +41,7 @@ class _Cursor:
         left = len(self._content) - self._at
         if count * record_bytes > left:
             raise FormatError(
-                f"{self.path}: claims {count} records of {record_bytes} bytes or more, has "
-                f"{left} bytes left"
+                f"{self.path}: claims {count} records of {record_bytes} bytes or more, has {left} bytes left"
             )
         return int(count)
 
@@ -61,8 +58,7 @@ class _Cursor:
     def skip(self, num_bytes: int) -> None:
         if self._at + num_bytes > len(self._content):
             raise FormatError(
-                f"{self.path}: truncated: {num_bytes} bytes expected at byte {self._at} of "
-                f"{len(self._content)}"
+                f"{self.path}: truncated: {num_bytes} bytes expected at byte {self._at} of {len(self._content)}"
             )
         self._at += num_bytes
 
@@ -70,8 +66,7 @@ class _Cursor:
         left = len(self._content) - self._at
         if left:
             raise FormatError(
-                f"{self.path}: {left} bytes follow the last record: damaged or of an unknown "
-                "COLMAP version"
+                f"{self.path}: {left} bytes follow the last record: damaged or of an unknown COLMAP version"
             )
 
 

@@ -26,8 +26,7 @@ def images(path: Path) -> Iterator[ImageRecord]:
             where, observations = next(lines, (where, ""))
             if len(observations.split()) % 3:
                 raise FormatError(
-                    f"{where}: expected the 2D points of the image above (X Y POINT3D_ID, or an "
-                    "empty line)"
+                    f"{where}: expected the 2D points of the image above (X Y POINT3D_ID, or an empty line)"
                 )
 
 
@@ -38,9 +37,7 @@ def points(path: Path) -> Iterator[PointRecord]:
 
 def _camera(line: str) -> CameraRecord:
     camera_id, model, width, height, *parameters = line.split()
-    return CameraRecord(
-        int(camera_id), model, int(width), int(height), tuple(map(float, parameters))
-    )
+    return CameraRecord(int(camera_id), model, int(width), int(height), tuple(map(float, parameters)))
 
 
 def _image(line: str) -> ImageRecord:

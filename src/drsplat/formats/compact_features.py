@@ -44,9 +44,7 @@ class CompactFile:
         height, width = self.size
         dtype = _dtype(len(self.embeddings))
         raw = _decompressed(
-            self.maps[self.levels[level if len(self.levels) > 1 else 0]],
-            self.path,
-            height * width * dtype.itemsize,
+            self.maps[self.levels[level if len(self.levels) > 1 else 0]], self.path, height * width * dtype.itemsize
         )
         ids = np.frombuffer(raw, dtype).reshape(height, width).astype(np.int64) - 1
         if ids.max() >= len(self.embeddings):
@@ -73,9 +71,7 @@ def write_compact(
     dtype = _dtype(len(embeddings))
     squeeze = zstandard.ZstdCompressor(level=_STRENGTH, write_content_size=False).compress
     tensors = {
-        f"map_{number}": np.frombuffer(
-            squeeze((planes[index] + 1).astype(dtype).tobytes()), np.uint8
-        )
+        f"map_{number}": np.frombuffer(squeeze((planes[index] + 1).astype(dtype).tobytes()), np.uint8)
         for number, index in enumerate(kept)
     }
     about = {
@@ -96,30 +92,12 @@ def read_compact(path: Path) -> CompactFile:
         raise FormatError(f"{path}: expected '{FORMAT}', got {ascii(about.get('format'))[:60]}")
     size, levels = (_counts(about.get(name), f"{path}: {name}") for name in ("size", "levels"))
     names = [f"map_{number}" for number in range(len(set(levels)))]
-    check_tensors(
-        tensors,
-        {"embeddings": ("float32", "n d")} | {name: ("uint8", name) for name in names},
-        str(path),
-    )
-    if (
-        len(size) != 2
-        or not 0 < size[0] * size[1] <= MOST_PIXELS
-        or not tensors["embeddings"].shape[1]
-    ):
-        raise FormatError(
-            f"{path}: expected maps of 1 to {MOST_PIXELS:,} pixels and embeddings, got {list(size)}"
-        )
+    check_tensors(tensors, {"embeddings": ("float32", "n d")} | {name: ("uint8", name) for name in names}, str(path))
+    if len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS or not tensors["embeddings"].shape[1]:
+        raise FormatError(f"{path}: expected maps of 1 to {MOST_PIXELS:,} pixels and embeddings, got {list(size)}")
     if len(levels) not in (1, 4) or set(levels) != set(range(len(names))):
-        raise FormatError(
-            f"{path}: expected a map for each of four levels, or one, got {list(levels)}"
-        )
-    return CompactFile(
-        path,
-        tensors["embeddings"],
-        (size[0], size[1]),
-        levels,
-        tuple(tensors[name] for name in names),
-    )
+        raise FormatError(f"{path}: expected a map for each of four levels, or one, got {list(levels)}")
+    return CompactFile(path, tensors["embeddings"], (size[0], size[1]), levels, tuple(tensors[name] for name in names))
 
 
 def _dtype(num_embeddings: int) -> np.dtype[np.unsignedinteger]:

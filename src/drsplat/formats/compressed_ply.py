@@ -22,14 +22,7 @@ from .ply_header import Header
 CHUNK_ROWS = 256
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 POSITION_BOUNDS = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
-SCALE_BOUNDS = (
-    "min_scale_x",
-    "min_scale_y",
-    "min_scale_z",
-    "max_scale_x",
-    "max_scale_y",
-    "max_scale_z",
-)
+SCALE_BOUNDS = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
 COLOUR_BOUNDS = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
 
 
@@ -50,9 +43,7 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     tables = read_elements(buffer, header, {"chunk", "vertex", *(["sh"] if rest else [])})
     vertex, chunk = tables["vertex"], tables["chunk"]
     if len(chunk) != -(-len(vertex) // CHUNK_ROWS):
-        raise FormatError(
-            f"{len(vertex)} packed Gaussians need a chunk per {CHUNK_ROWS}, got {len(chunk)} chunks"
-        )
+        raise FormatError(f"{len(vertex)} packed Gaussians need a chunk per {CHUNK_ROWS}, got {len(chunk)} chunks")
     colour = _unpack(_packed(vertex, 3), (24, 16, 8, 0), (8, 8, 8, 8))
     means = _unpack(_packed(vertex, 0), (21, 11, 0), (11, 10, 11))
     _within_chunks(means, gather(chunk, POSITION_BOUNDS))
@@ -69,16 +60,10 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
 
 
 def _require(header: Header, element: str, names: tuple[str, ...], code: str) -> None:
-    found = (
-        {p.name: p.code for p in header.elements[element].properties}
-        if element in header.elements
-        else {}
-    )
+    found = {p.name: p.code for p in header.elements[element].properties} if element in header.elements else {}
     wrong = [name for name in names if found.get(name) != code]
     if wrong:
-        raise FormatError(
-            f"compressed PLY: '{element}' must have {', '.join(wrong)} of type {code}"
-        )
+        raise FormatError(f"compressed PLY: '{element}' must have {', '.join(wrong)} of type {code}")
 
 
 def _rest_names(header: Header) -> list[str]:
@@ -87,13 +72,9 @@ def _rest_names(header: Header) -> list[str]:
         return []
     element = header.elements["sh"]
     per_channel = len(element.properties) // 3
-    names = [
-        f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)
-    ]
+    names = [f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)]
     if 1 + per_channel not in SH_COEFFICIENTS[1:] or set(names) != set(element.names()):
-        raise FormatError(
-            "compressed PLY: 'sh' must have the properties f_rest_0 onwards, 9, 24 or 45 of them"
-        )
+        raise FormatError("compressed PLY: 'sh' must have the properties f_rest_0 onwards, 9, 24 or 45 of them")
     _require(header, "sh", tuple(names), "u1")
     count = header.elements["vertex"].count
     if element.count != count:
@@ -112,18 +93,11 @@ def _unpack(
     result = np.empty((len(packed), len(shifts)), np.float32)
     for column, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
         limit = (1 << width) - 1
-        np.divide(
-            (packed >> np.uint32(shift)) & np.uint32(limit),
-            limit,
-            out=result[:, column],
-            casting="unsafe",
-        )
+        np.divide((packed >> np.uint32(shift)) & np.uint32(limit), limit, out=result[:, column], casting="unsafe")
     return result
 
 
-def _within_chunks(
-    fractions: Float32[np.ndarray, "n 3"], bounds: Float32[np.ndarray, "c 6"]
-) -> None:
+def _within_chunks(fractions: Float32[np.ndarray, "n 3"], bounds: Float32[np.ndarray, "c 6"]) -> None:
     """Replace each fraction by the point it marks between the bounds of its row's chunk."""
     for start, (low, high) in enumerate(zip(bounds[:, :3], bounds[:, 3:], strict=True)):
         block = fractions[start * CHUNK_ROWS : (start + 1) * CHUNK_ROWS]

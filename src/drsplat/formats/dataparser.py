@@ -23,9 +23,7 @@ class SceneFrame:
 
     def after(self, applied: "SceneFrame") -> "SceneFrame":
         """The way from the frame that `applied` leads to, where this one starts before it."""
-        return SceneFrame(
-            self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale
-        )
+        return SceneFrame(self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale)
 
     def points(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """World positions in the scene."""

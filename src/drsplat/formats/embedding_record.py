@@ -42,11 +42,7 @@ class EmbeddingRecord:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        settings: Mapping[str, object],
-        finished: dict[str, Finished],
-        changes: tuple[str, ...] = (),
+        self, folder: Path, settings: Mapping[str, object], finished: dict[str, Finished], changes: tuple[str, ...] = ()
     ) -> None:
         self.folder, self.finished, self.changes = folder, finished, changes
         self._settings = settings
@@ -72,9 +68,7 @@ class EmbeddingRecord:
         for ending in _ENDINGS:
             (self.folder / f"{stem}{ending}").unlink(missing_ok=True)
 
-    def add(
-        self, stem: str, photo: str, masks: Mapping[str, int], empty_masks: int, form: Form
-    ) -> None:
+    def add(self, stem: str, photo: str, masks: Mapping[str, int], empty_masks: int, form: Form) -> None:
         """After the files are written."""
         compact, maps, rows = (self.folder / f"{stem}{e}" for e in (COMPACT, MAPS, EMBEDDINGS))
         digest = hash_file(compact if form == "compact" else rows)
@@ -89,9 +83,7 @@ class EmbeddingRecord:
             file.write(json.dumps(sealed(document), indent=1).encode())
 
 
-def open_record(
-    folder: Path, settings: Mapping[str, object], overwrite: bool = False
-) -> EmbeddingRecord:
+def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = False) -> EmbeddingRecord:
     """The record of a folder for files of these settings; both are made where they are not there.
 
     Where the folder's settings are others, nothing in it counts as finished. With `overwrite`
@@ -226,9 +218,7 @@ def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
     try:
         plain: dict[str, object] = json.loads(json.dumps(settings))
     except TypeError as error:
-        raise InputError(
-            f"an identity must hold text, numbers and lists of them: {error}"
-        ) from None
+        raise InputError(f"an identity must hold text, numbers and lists of them: {error}") from None
     return plain
 
 

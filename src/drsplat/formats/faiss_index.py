@@ -35,9 +35,7 @@ class _Bytes:
 
     def take(self, count: int) -> bytes:
         if count > len(self._content) - self._at:
-            raise FormatError(
-                f"{self._path}: truncated FAISS index: {count} bytes wanted at byte {self._at}"
-            )
+            raise FormatError(f"{self._path}: truncated FAISS index: {count} bytes wanted at byte {self._at}")
         self._at += count
         return self._content[self._at - count : self._at]
 
@@ -95,9 +93,7 @@ def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Float32[np.ndarray,
         raise FormatError(f"{path}: coarse centroids of {given} numbers in an index of {dim}")
     count = source.number(8)
     if count != lists * dim:
-        raise FormatError(
-            f"{path}: {lists} lists of {dim} numbers announced, {count} numbers stored"
-        )
+        raise FormatError(f"{path}: {lists} lists of {dim} numbers announced, {count} numbers stored")
     coarse = source.floats(count).reshape(lists, dim)
     direct_map = source.number(1)
     source.take(8 * source.number(8))
@@ -111,9 +107,7 @@ def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Float32[np.ndarray,
 def _product_quantizer(source: _Bytes, dim: int, path: Path) -> Float32[np.ndarray, "L c d"]:
     given, subvectors, bits, count = (source.number(8) for _ in range(4))
     if given != dim or not 1 <= subvectors <= dim or dim % subvectors:
-        raise FormatError(
-            f"{path}: {subvectors} sub-vectors of {given} numbers in an index of {dim}"
-        )
+        raise FormatError(f"{path}: {subvectors} sub-vectors of {given} numbers in an index of {dim}")
     if bits != 8:
         raise FormatError(f"{path}: expected 8 bits per sub-vector, got {bits}")
     if count != 256 * dim:

@@ -19,15 +19,7 @@ from ..contents import open_file
 from ..errors import FormatError, InputError
 from .checksums import sealed
 from .json_files import parsed
-from .replacing import (
-    lock,
-    refuse_missing_parent,
-    replacing,
-    saying_what_is_full,
-    sweep,
-    sync_folder,
-    temporary_beside,
-)
+from .replacing import lock, refuse_missing_parent, replacing, saying_what_is_full, sweep, sync_folder, temporary_beside
 from .tensors import write_tensors
 
 MANIFEST = "field.json"
@@ -41,10 +33,7 @@ class TensorFile(NamedTuple):
 
 
 def write_folder(
-    path: Path,
-    manifest: Mapping[str, object],
-    files: Mapping[str, TensorFile],
-    overwrite: bool = False,
+    path: Path, manifest: Mapping[str, object], files: Mapping[str, TensorFile], overwrite: bool = False
 ) -> None:
     """Write all files beside `path`, then give the folder its name.
 

@@ -71,13 +71,10 @@ def _sh_names(names: list[str]) -> list[str]:
     """Property names in the memory order of Gaussians.sh: by coefficient, channels innermost."""
     count = sum(name.startswith("f_rest_") for name in names)
     per_channel = count // 3
-    rest = [
-        f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)
-    ]
+    rest = [f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)]
     if count % 3 or 1 + per_channel not in SH_COEFFICIENTS or not set(rest) <= set(names):
         raise FormatError(
-            f"vertex has {count} f_rest properties; expected f_rest_0 onwards, 0, 9, 24 or 45 of "
-            "them (SH degree 0-3)"
+            f"vertex has {count} f_rest properties; expected f_rest_0 onwards, 0, 9, 24 or 45 of them (SH degree 0-3)"
         )
     return [*DC, *rest]
 
@@ -101,9 +98,7 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
     Raises: InputError: values that could not be read back.
     """
     _refuse_unwritable(gaussians)
-    rest = [
-        gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])
-    ]
+    rest = [gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])]
     log_scales = np.log(gaussians.scales)
     positions = gaussians.positions if gaussians.origin.any() else gaussians.means
     return {

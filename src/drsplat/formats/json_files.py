@@ -37,9 +37,7 @@ def parsed(text: str | bytes) -> object:
             json.dumps(document, ensure_ascii=False).encode()
         except UnicodeEncodeError as error:
             half = ascii(error.object[error.start])
-            raise ValueError(
-                f"expected text that can be written, got half a character, {half}"
-            ) from None
+            raise ValueError(f"expected text that can be written, got half a character, {half}") from None
     return document
 
 
@@ -103,9 +101,5 @@ def shown(value: object) -> str:
     """A value short enough for an error message."""
     if isinstance(value, int) and value.bit_length() > 256:
         return "a huge integer"  # str() of it may be refused by Python itself
-    text = (
-        ascii(value)
-        if not isinstance(value, list | dict)
-        else f"a {type(value).__name__} of {len(value)}"
-    )
+    text = ascii(value) if not isinstance(value, list | dict) else f"a {type(value).__name__} of {len(value)}"
     return text if len(text) <= 80 else text[:77] + "..."

@@ -108,20 +108,15 @@ def parse_ksplat(buffer: memoryview) -> Gaussians:
 
 def _header(buffer: memoryview) -> _Header:
     if len(buffer) < HEADER.itemsize:
-        raise FormatError(
-            f"KSPLAT is truncated: {len(buffer)} bytes, its header has {HEADER.itemsize}"
-        )
+        raise FormatError(f"KSPLAT is truncated: {len(buffer)} bytes, its header has {HEADER.itemsize}")
     if bytes(buffer[:2]) != MAGIC[:2]:
-        raise FormatError(
-            f"KSPLAT version {buffer[0]}.{buffer[1]}; 0.1 can be read: export it again"
-        )
+        raise FormatError(f"KSPLAT version {buffer[0]}.{buffer[1]}; 0.1 can be read: export it again")
     header = _Header(*np.frombuffer(buffer, HEADER, 1).tolist()[0])
     if header.level > 2:
         raise FormatError(f"KSPLAT: expected compression level 0, 1 or 2, got {header.level}")
     if header.loaded != header.rows:
         raise FormatError(
-            f"KSPLAT was saved when {header.loaded} of its {header.rows} Gaussians had been loaded: "
-            "export it again"
+            f"KSPLAT was saved when {header.loaded} of its {header.rows} Gaussians had been loaded: export it again"
         )
     return header
 
@@ -136,9 +131,7 @@ def _places(buffer: memoryview, header: _Header) -> Iterator[_Place]:
     sections = np.frombuffer(buffer, SECTION, header.sections, HEADER.itemsize).tolist()
     for index, section in enumerate(map(_Section._make, sections)):
         if section.degree > 2:
-            raise FormatError(
-                f"KSPLAT section {index}: expected harmonics of degree 0 to 2, got {section.degree}"
-            )
+            raise FormatError(f"KSPLAT section {index}: expected harmonics of degree 0 to 2, got {section.degree}")
         table = at + 4 * section.partial + section.bucket_bytes * section.buckets
         end = table + section.rows * _row(header.level, section.degree).itemsize
         if end > len(buffer):
@@ -196,9 +189,7 @@ def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Float64[
     counts = np.concatenate([full, _lengths(buffer, section, at)])
     half = section.half_steps or HALF_STEPS
     steps = table["means"].astype(np.float64) - half
-    return np.asarray(
-        steps * (section.block / 2 / half) + centres.reshape(-1, 3).repeat(counts, axis=0)
-    )
+    return np.asarray(steps * (section.block / 2 / half) + centres.reshape(-1, 3).repeat(counts, axis=0))
 
 
 def _fill_further(sh: Float32[np.ndarray, "n k 3"], rest: np.ndarray, header: _Header) -> None:

@@ -91,14 +91,11 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         features = _one_level(files, self.level)
         if features.embeddings.shape[1] != self.dim:
             raise FormatError(
-                f"{files.path}: has {features.embeddings.shape[1]} dimensions, "
-                f"the folder's first has {self.dim}"
+                f"{files.path}: has {features.embeddings.shape[1]} dimensions, the folder's first has {self.dim}"
             )
         return features
 
-    def stored(
-        self, name: str
-    ) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
         """All levels of a photo and its embeddings as they are in its files: what `write_features` takes.
 
         Raises: as indexing does.
@@ -188,14 +185,10 @@ def write_features(
     except FormatError as error:
         raise InputError(str(error)) from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    compact, maps, rows = (
-        path.with_name(path.name + ending) for ending in (COMPACT, MAPS, EMBEDDINGS)
-    )
+    compact, maps, rows = (path.with_name(path.name + ending) for ending in (COMPACT, MAPS, EMBEDDINGS))
     others = (maps, rows) if form == "compact" else (compact,)
     if not overwrite and any(other.exists() for other in others):
-        raise InputError(
-            f"{path} has features of another form: pass overwrite=True to replace them"
-        )
+        raise InputError(f"{path} has features of another form: pass overwrite=True to replace them")
     for other in others:
         other.unlink(missing_ok=True)
     if form == "compact":
@@ -220,8 +213,7 @@ def _listed_keys(directory: Path) -> dict[str, Form]:
     bare = [key for key in pairs if not (directory / f"{key}{EMBEDDINGS}").is_file()]
     if bare:
         raise FormatError(
-            f"{directory}: {len(bare)} of {len(pairs)} photos have {MAPS} but no {EMBEDDINGS}: "
-            f"{listed(bare)}"
+            f"{directory}: {len(bare)} of {len(pairs)} photos have {MAPS} but no {EMBEDDINGS}: {listed(bare)}"
         )
     twice = sorted(set(pairs) & set(compact))
     if twice:
@@ -229,10 +221,7 @@ def _listed_keys(directory: Path) -> dict[str, Form]:
             f"{directory}: {len(twice)} photos have features in two forms, {COMPACT} and {MAPS}: remove one: "
             f"{listed(twice)}"
         )
-    forms: dict[str, Form] = {
-        **dict.fromkeys(pairs, "langsplat"),
-        **dict.fromkeys(compact, "compact"),
-    }
+    forms: dict[str, Form] = {**dict.fromkeys(pairs, "langsplat"), **dict.fromkeys(compact, "compact")}
     return dict(sorted(forms.items()))
 
 
@@ -269,9 +258,7 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
         raise FormatError(f"{path}: expected (4, H, W) or (H, W), got {maps.shape}")
     stored = np.ascontiguousarray(maps[level] if maps.ndim == 3 else maps)
     # in the file's own type: a cast would wrap or hide what is wrong
-    wrong = (
-        ~((stored >= -1) & (stored < num_rows)) if stored.dtype.kind != "u" else stored >= num_rows
-    )
+    wrong = ~((stored >= -1) & (stored < num_rows)) if stored.dtype.kind != "u" else stored >= num_rows
     if stored.dtype.kind == "f":
         wrong |= stored != np.floor(stored)
     if wrong.any():
@@ -291,17 +278,14 @@ def _map_embeddings(path: Path) -> np.ndarray:
     return rows
 
 
-def _unit_rows(
-    rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path
-) -> Float32[np.ndarray, "s d"]:
+def _unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)
         norms = np.sqrt((taken**2).sum(1))
     bad = wanted[~(np.isfinite(norms) & (norms > 0))]
     if len(bad):
         raise FormatError(
-            f"{path}: row {bad[0]} has no direction (zero or not finite); {len(bad)} such rows "
-            "are in use"
+            f"{path}: row {bad[0]} has no direction (zero or not finite); {len(bad)} such rows are in use"
         )
     unit: np.ndarray = (taken / norms[:, None]).astype(np.float32)
     return unit

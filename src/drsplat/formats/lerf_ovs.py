@@ -80,10 +80,7 @@ def read_lerf_frame(path: Path) -> LabelledFrame:
         raise FormatError(f"{path}: info.name: expected '{path.stem}', got {shown(name)}")
     if not isinstance(objects, list):
         raise FormatError(f"{path}: objects: expected a list, got {shown(objects)}")
-    read = [
-        _object(entry, (width, height), f"{path}: object {index}")
-        for index, entry in enumerate(objects)
-    ]
+    read = [_object(entry, (width, height), f"{path}: object {index}") for index, entry in enumerate(objects)]
     return LabelledFrame(
         path.stem,
         width,

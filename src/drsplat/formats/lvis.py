@@ -144,9 +144,7 @@ def _array(values: object, dtype: type[np.float64] | type[np.int64]) -> object:
         return values
 
 
-def _by_id(
-    entries: list[object], what: str, parse: Callable[[dict[str, object], int, str], T]
-) -> dict[int, T]:
+def _by_id(entries: list[object], what: str, parse: Callable[[dict[str, object], int, str], T]) -> dict[int, T]:
     found: dict[int, T] = {}
     for place, entry in enumerate(entries):
         if not isinstance(entry, dict):
@@ -187,9 +185,7 @@ def _category(entry: dict[str, object], number: int, where: str) -> str:
 
 
 def _instance(entry: dict[str, object], number: int, where: str) -> Instance:
-    photo, category = (
-        as_count(entry.get(key), f"{where}: {key}") for key in ("image_id", "category_id")
-    )
+    photo, category = (as_count(entry.get(key), f"{where}: {key}") for key in ("image_id", "category_id"))
     area = as_number(entry.get("area"), f"{where}: area")
     crowd = as_count(entry.get("iscrowd", 0), f"{where}: iscrowd") != 0
     segmentation = _segmentation(entry.get("segmentation"), f"{where}: segmentation")
@@ -203,9 +199,7 @@ def _segmentation(value: object, where: str) -> Polygons | Runs:
         raise FormatError(f"{where}: expected polygons or run lengths, got {shown(value)}")
     for polygon in value:
         if not isinstance(polygon, np.ndarray) or len(polygon) % 2:
-            raise FormatError(
-                f"{where}: expected polygons, lists of x and y in turns; got {shown(polygon)}"
-            )
+            raise FormatError(f"{where}: expected polygons, lists of x and y in turns; got {shown(polygon)}")
         if not (np.abs(polygon) <= _MAX_COORDINATE).all():  # false for NaN
             raise FormatError(f"{where}: a polygon has a coordinate that no photo has")
     return tuple(value)
@@ -217,17 +211,12 @@ def _runs(value: dict[str, object], where: str) -> Runs:
         raise FormatError(f"{where}: size: expected [height, width], got {shown(size)}")
     height, width = (as_count(side, f"{where}: size") for side in size)
     if not isinstance(counts, str | np.ndarray):
-        raise FormatError(
-            f"{where}: counts: expected whole numbers or compressed text, got {shown(counts)}"
-        )
+        raise FormatError(f"{where}: counts: expected whole numbers or compressed text, got {shown(counts)}")
     return Runs(counts, height, width)
 
 
 def _check_links(
-    instance: Instance,
-    photos: Mapping[int, AnnotatedPhoto],
-    categories: Mapping[int, str],
-    where: str,
+    instance: Instance, photos: Mapping[int, AnnotatedPhoto], categories: Mapping[int, str], where: str
 ) -> None:
     photo = photos.get(instance.photo)
     if photo is None:
@@ -237,6 +226,5 @@ def _check_links(
     runs = instance.segmentation
     if isinstance(runs, Runs) and (runs.height, runs.width) != (photo.height, photo.width):
         raise FormatError(
-            f"{where}: segmentation: size: {runs.width}x{runs.height}, but its image has "
-            f"{photo.width}x{photo.height}"
+            f"{where}: segmentation: size: {runs.width}x{runs.height}, but its image has {photo.width}x{photo.height}"
         )

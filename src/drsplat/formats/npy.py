@@ -44,14 +44,9 @@ def write_npy(path: Path, array: np.ndarray, overwrite: bool = False) -> None:
 
 def _mapped(file: BinaryIO, path: Path) -> np.ndarray:
     dtype, shape, order = _header(file, path)
-    size, expected = (
-        os.fstat(file.fileno()).st_size,
-        file.tell() + math.prod(shape) * dtype.itemsize,
-    )
+    size, expected = (os.fstat(file.fileno()).st_size, file.tell() + math.prod(shape) * dtype.itemsize)
     if size < expected:
-        raise FormatError(
-            f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}"
-        )
+        raise FormatError(f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}")
     if 0 in shape:  # nothing to map
         return np.zeros(shape, dtype)
     return np.memmap(file, dtype, "r", file.tell(), shape, order)
@@ -68,14 +63,9 @@ def _header(file: BinaryIO, path: Path) -> tuple[np.dtype[Any], tuple[int, ...],
     header = file.read(min(length, 1 << 16))
     descr, order, shape = (pattern.search(header) for pattern in (_DESCR, _ORDER, _SHAPE))
     if len(header) < length or descr is None or order is None or shape is None:
-        raise FormatError(
-            f"{path}: expected a header of an array of integers or floats, got {header[:120]!a}"
-        )
+        raise FormatError(f"{path}: expected a header of an array of integers or floats, got {header[:120]!a}")
     numbers = tuple(int(number) for number in re.findall(rb"\d+", shape[1]))
-    if (
-        not 1 <= len(numbers) <= 8
-        or math.prod(max(number, 1) for number in numbers) * 8 > _MAX_BYTES
-    ):
+    if not 1 <= len(numbers) <= 8 or math.prod(max(number, 1) for number in numbers) * 8 > _MAX_BYTES:
         raise FormatError(f"{path}: no array has the shape ({ascii(shape[1])[2:-1]})")
     try:
         return np.dtype(descr[1].decode()), numbers, "F" if order[1] == b"True" else "C"

@@ -8,18 +8,7 @@ from ..errors import FormatError, InputError, MismatchError
 from ..scene.photos import photo_size
 from ..scene.views import View, same_aspect
 
-PHOTO_SUFFIXES = (
-    ".jpg",
-    ".jpeg",
-    ".png",
-    ".JPG",
-    ".JPEG",
-    ".PNG",
-    ".webp",
-    ".tif",
-    ".tiff",
-    ".bmp",
-)
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".bmp")
 """Tried in this order where a file names its photos without suffix."""
 
 _MAX_NAME_BYTES = 1024
@@ -37,13 +26,10 @@ def safe_name(name: str, where: str) -> str:
     unprintable = any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
     if not parts or escapes or unprintable:
         raise FormatError(
-            f"{where}: expected a file name relative to the image folder, without '..', got "
-            f"{ascii(name)[:200]}"
+            f"{where}: expected a file name relative to the image folder, without '..', got {ascii(name)[:200]}"
         )
     if len(posix.encode()) > _MAX_NAME_BYTES or any(len(part.encode()) > 240 for part in parts):
-        raise FormatError(
-            f"{where}: a file name of {len(name)} characters is longer than file systems allow"
-        )
+        raise FormatError(f"{where}: a file name of {len(name)} characters is longer than file systems allow")
     return "/".join(parts)
 
 
@@ -77,9 +63,7 @@ def image_folder(capture: Path, images: str | Path | None) -> Path:
     for folder in (capture / images, Path(images)):
         if folder.is_dir():
             return folder
-    raise InputError(
-        f"images: there is no folder '{images}', neither in {capture} nor as a path of its own"
-    )
+    raise InputError(f"images: there is no folder '{images}', neither in {capture} nor as a path of its own")
 
 
 def on_photo(view: View, path: Path) -> View:

@@ -31,9 +31,7 @@ def read_elements(buffer: memoryview, header: Header, names: Collection[str]) ->
     """
     for name in names:
         if name not in header.elements:
-            raise FormatError(
-                f"PLY has no element '{name}', only {', '.join(header.elements) or 'none'}"
-            )
+            raise FormatError(f"PLY has no element '{name}', only {', '.join(header.elements) or 'none'}")
         if header.elements[name].has_lists or not header.elements[name].properties:
             raise FormatError(f"PLY element '{name}' must hold scalar properties, and only those")
     if header.order == "=":
@@ -62,20 +60,13 @@ def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> 
         offset = end
     if offset < len(buffer):
         left_out = len(buffer) - offset
-        warnings.warn(
-            f"{left_out} bytes after the last PLY element were left out",
-            DrSplatWarning,
-            stacklevel=3,
-        )
+        warnings.warn(f"{left_out} bytes after the last PLY element were left out", DrSplatWarning, stacklevel=3)
     return found
 
 
 def _end_of_lists(buffer: memoryview, offset: int, element: Element, order: str) -> int:
     # Every list has a length of a byte or more, so the file bounds the walk whatever `count` says.
-    sizes = [
-        (np.dtype(p.code).itemsize, np.dtype(p.count_code or "u1").itemsize, p)
-        for p in element.properties
-    ]
+    sizes = [(np.dtype(p.code).itemsize, np.dtype(p.count_code or "u1").itemsize, p) for p in element.properties]
     byte_order = "little" if order == "<" else "big"
     for _ in range(element.count):
         for item_size, length_size, p in sizes:
@@ -100,9 +91,7 @@ def _read_ascii(text: io.BytesIO, header: Header, names: Collection[str]) -> dic
         if element.name in names:
             found[element.name] = _ascii_rows(rows, element)
         elif sum(1 for _ in islice(rows, element.count)) < element.count:
-            raise FormatError(
-                f"PLY is truncated: fewer than {element.count} lines of '{element.name}'"
-            )
+            raise FormatError(f"PLY is truncated: fewer than {element.count} lines of '{element.name}'")
     return found
 
 
@@ -110,9 +99,7 @@ def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
     result: np.ndarray = np.empty(0, element.record("="))
     lines = list(islice(rows, element.count))
     if len(lines) < element.count:
-        raise FormatError(
-            f"PLY is truncated: {len(lines)} of {element.count} lines of '{element.name}'"
-        )
+        raise FormatError(f"PLY is truncated: {len(lines)} of {element.count} lines of '{element.name}'")
     if not lines:
         return result
     try:
@@ -121,16 +108,13 @@ def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
         raise FormatError(f"PLY text of '{element.name}' is damaged: {error}") from None
     if table.shape != (element.count, len(element.properties)):
         raise FormatError(
-            f"PLY text of '{element.name}': expected {len(element.properties)} numbers a line, "
-            f"got {table.shape[1]}"
+            f"PLY text of '{element.name}': expected {len(element.properties)} numbers a line, got {table.shape[1]}"
         )
     result = np.empty(element.count, result.dtype)
     for column, p in zip(table.T, element.properties, strict=True):
         result[p.name] = column
         if p.code[0] != "f" and (result[p.name] != column).any():
-            raise FormatError(
-                f"PLY property '{p.name}' is declared {p.code} but holds other numbers"
-            )
+            raise FormatError(f"PLY property '{p.name}' is declared {p.code} but holds other numbers")
     return result
 
 
@@ -162,9 +146,7 @@ def _float32_words(record: np.dtype, names: Sequence[str]) -> list[int] | None:
 
 
 def write_vertices(
-    path: str | PathLike[str],
-    columns: Mapping[str, Shaped[np.ndarray, " n"]],
-    overwrite: bool = False,
+    path: str | PathLike[str], columns: Mapping[str, Shaped[np.ndarray, " n"]], overwrite: bool = False
 ) -> None:
     """Write a binary little-endian PLY, atomically: one element `vertex`, a property per column.
 
@@ -197,7 +179,6 @@ def _code(name: str, column: Shaped[np.ndarray, " n"]) -> str:
     code = column.dtype.newbyteorder("<").str[1:]
     if code not in WRITTEN_TYPES:
         raise InputError(
-            f"column '{name}' is {column.dtype}, which PLY cannot hold: cast it to float32, "
-            "float64, int32 or uint8"
+            f"column '{name}' is {column.dtype}, which PLY cannot hold: cast it to float32, float64, int32 or uint8"
         )
     return "<" + code

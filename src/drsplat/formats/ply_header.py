@@ -92,9 +92,7 @@ def _parse_lines(lines: list[str]) -> tuple[str, dict[str, Element]]:
                 continue
             case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS and not order:
                 order = BYTE_ORDERS[encoding]
-            case ["element", name, count] if (
-                count.isdecimal() and len(count) < 19 and name not in counts
-            ):
+            case ["element", name, count] if count.isdecimal() and len(count) < 19 and name not in counts:
                 counts[name] = int(count)
                 current = properties[name] = []
             case ["property", kind, name] if kind in SCALAR_TYPES and current is not None:

@@ -15,9 +15,7 @@ AXES, COLORS = ("x", "y", "z"), ("red", "green", "blue")
 GREY = 128  # of points without colour
 
 
-def read_point_ply(
-    path: str | PathLike[str],
-) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+def read_point_ply(path: str | PathLike[str]) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     """Positions and RGB of the element `vertex`, in file order; other elements and properties are left out.
 
     red, green and blue are whole numbers up to 255, or fractions up to 1; without them points are grey.
@@ -47,9 +45,7 @@ def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
     positions = np.stack([rows[name].astype(np.float64) for name in AXES], axis=1)
     bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
     if len(bad):
-        raise FormatError(
-            f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}"
-        )
+        raise FormatError(f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}")
     if not set(COLORS) <= set(names):
         return positions, np.full(positions.shape, GREY, np.uint8)
     return positions, _bytes(np.stack([rows[name] for name in COLORS], axis=1))

@@ -81,9 +81,7 @@ def posed_view(
     Raises: FormatError: an impossible raster, focal length, pose or distortion.
     """
     if not (1 <= size[0] <= MAX_SIDE and 1 <= size[1] <= MAX_SIDE):
-        raise FormatError(
-            f"{where}: expected a raster of 1 to {MAX_SIDE} pixels a side, got {size[0]}x{size[1]}"
-        )
+        raise FormatError(f"{where}: expected a raster of 1 to {MAX_SIDE} pixels a side, got {size[0]}x{size[1]}")
     numbers = [*intrinsics.flat, *cam_from_world.flat, *distortion]
     if not all(abs(number) <= MAX_COORDINATE for number in numbers):
         raise FormatError(f"{where}: a camera parameter is not finite or beyond {MAX_COORDINATE:g}")

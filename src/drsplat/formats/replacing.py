@@ -72,9 +72,7 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
 def refuse_missing_parent(path: Path) -> None:
     """Raises: InputError: there is no folder for `path` to be in."""
     if not path.parent.is_dir():
-        raise InputError(
-            f"there is no folder {path.parent} to write {path.name} into: make it first"
-        )
+        raise InputError(f"there is no folder {path.parent} to write {path.name} into: make it first")
 
 
 @contextmanager
@@ -97,8 +95,7 @@ def saying_what_is_full(path: Path) -> Iterator[None]:
 
 def _told(path: Path, reason: str) -> str:
     return (
-        f"{path}: there is no room left to write it ({reason}), so it was left as it was: free "
-        "some space and try again"
+        f"{path}: there is no room left to write it ({reason}), so it was left as it was: free some space and try again"
     )
 
 

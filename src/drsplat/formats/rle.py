@@ -15,9 +15,7 @@ _MAX_DIGITS = 8  # 40 bits: more pixels than any photo has
 _CROSSINGS = 1 << 18  # worked on at once, so that memory does not grow with a polygon's height
 
 
-def decode_runs(
-    counts: Int64[np.ndarray, " n"], height: int, width: int, where: str
-) -> Bool[np.ndarray, "h w"]:
+def decode_runs(counts: Int64[np.ndarray, " n"], height: int, width: int, where: str) -> Bool[np.ndarray, "h w"]:
     """The mask of run lengths, the first of which are pixels outside.
 
     Raises: FormatError: a negative length, or lengths that do not add up to the image. Nothing is
@@ -26,14 +24,10 @@ def decode_runs(
     pixels = height * width
     wrong = counts[(counts < 0) | (counts > pixels)]
     if len(wrong):
-        raise FormatError(
-            f"{where}: a run of {wrong[0]} pixels in an image of {width}x{height}, {pixels} pixels"
-        )
+        raise FormatError(f"{where}: a run of {wrong[0]} pixels in an image of {width}x{height}, {pixels} pixels")
     total = sum(counts.tolist())  # Python's integers: a sum of int64 could wrap to the right number
     if total != pixels:
-        raise FormatError(
-            f"{where}: the runs add up to {total} pixels, the image {width}x{height} has {pixels}"
-        )
+        raise FormatError(f"{where}: the runs add up to {total} pixels, the image {width}x{height} has {pixels}")
     inside = np.arange(len(counts)) % 2 == 1
     mask: np.ndarray = np.ascontiguousarray(np.repeat(inside, counts).reshape(width, height).T)
     return mask
@@ -71,15 +65,12 @@ def _codes(text: str, where: str) -> UInt8[np.ndarray, " c"]:
     bad = np.flatnonzero(codes > _DIGIT + _MORE)
     if len(bad):
         raise FormatError(
-            f"{where}: expected compressed run lengths, characters '0' to 'o'; got byte "
-            f"{raw[bad[0]]} at {bad[0]}"
+            f"{where}: expected compressed run lengths, characters '0' to 'o'; got byte {raw[bad[0]]} at {bad[0]}"
         )
     return codes
 
 
-def fill_polygon(
-    points: Float[np.ndarray, "v 2"], height: int, width: int
-) -> Bool[np.ndarray, "h w"]:
+def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> Bool[np.ndarray, "h w"]:
     """The pixels whose centres lie inside a closed polygon, by the even-odd rule.
 
     points: x, y in pixels; the centre of pixel (0, 0) is at (0.5, 0.5), a centre on a left or upper

@@ -56,9 +56,7 @@ def scene_file(scene: Path, ending: str) -> Path:
     named = [path for path in found if path.name == f"{scene.resolve().name}{ending}"]
     if len(named or found) != 1:
         listed = ", ".join(path.name for path in found[:4]) or "none"
-        raise InputError(
-            f"{scene}: expected one file {scene.resolve().name}{ending}, found {listed}"
-        )
+        raise InputError(f"{scene}: expected one file {scene.resolve().name}{ending}, found {listed}")
     return (named or found)[0]
 
 
@@ -70,16 +68,12 @@ def read_scannet_labels(path: Path) -> LabelledCloud:
     """
     rows = _vertices(path)
     if "label" not in (rows.dtype.names or ()):
-        raise FormatError(
-            f"{path}: vertex has no property 'label': expected *_vh_clean_2.labels.ply"
-        )
+        raise FormatError(f"{path}: vertex has no property 'label': expected *_vh_clean_2.labels.ply")
     if rows.dtype["label"].kind not in "iu":
         raise FormatError(f"{path}: label: expected whole numbers, got {rows.dtype['label']}")
     labels = rows["label"].astype(np.int64)
     if len(labels) and not 0 <= labels.min() <= labels.max() <= MAX_LABEL:
-        raise FormatError(
-            f"{path}: label: expected 0 to {MAX_LABEL}, got {labels.min()} to {labels.max()}"
-        )
+        raise FormatError(f"{path}: label: expected 0 to {MAX_LABEL}, got {labels.min()} to {labels.max()}")
     return LabelledCloud(_positions(rows, path), labels.astype(np.int32))
 
 
@@ -133,9 +127,7 @@ def read_label_table(path: Path) -> dict[str, int]:
     for number, line in enumerate(lines[1:], 2):
         cells = line.split("\t")
         if len(cells) <= max(at, named) or not (cells[at].isdecimal() and cells[at].isascii()):
-            raise FormatError(
-                f"{path}: line {number}: id: expected a whole number in column {at + 1}"
-            )
+            raise FormatError(f"{path}: line {number}: id: expected a whole number in column {at + 1}")
         if len(cells[at]) > 7 or int(cells[at]) > MAX_LABEL:
             raise FormatError(f"{path}: line {number}: id: expected at most {MAX_LABEL}")
         table.setdefault(cells[named], int(cells[at]))
@@ -199,8 +191,6 @@ def _group(group: object, where: str) -> tuple[str, np.ndarray]:
     name, members = group.get("label"), group.get("segments")
     if not isinstance(name, str):
         raise FormatError(f"{where}: label: expected a text, got {shown(name)}")
-    if not isinstance(members, list) or not all(
-        type(item) is int and abs(item) < 1 << 62 for item in members
-    ):
+    if not isinstance(members, list) or not all(type(item) is int and abs(item) < 1 << 62 for item in members):
         raise FormatError(f"{where} ({name[:60]!a}): segments: expected a list of whole numbers")
     return name, np.array(members, np.int64)

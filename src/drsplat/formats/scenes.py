@@ -71,9 +71,7 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
     start = bytes(buffer[:4])
     if start.startswith((b"ply\n", b"ply\r")):
         header = read_header(buffer)
-        return (parse_compressed_ply if is_compressed(header) else parse_gaussian_ply)(
-            buffer, header
-        )
+        return (parse_compressed_ply if is_compressed(header) else parse_gaussian_ply)(buffer, header)
     if start == SPZ_MAGIC or start.startswith(GZIP_DEFLATE):
         return parse_spz(buffer)
     if start == ZIP_MAGIC:
@@ -106,8 +104,7 @@ def scene_file(path: Path) -> Path:
         return path / META
     if not found:
         raise InputError(
-            f"{path} is a folder without point_cloud/iteration_*/point_cloud.ply or {META}: name the "
-            "scene file itself"
+            f"{path} is a folder without point_cloud/iteration_*/point_cloud.ply or {META}: name the scene file itself"
         )
     return found[max(found)]
 
@@ -139,21 +136,15 @@ def write_gaussians(
     further = {**own, **columns}
     for name, column in further.items():
         if name in properties or name.startswith("f_rest_"):
-            raise InputError(
-                f"column '{name}' would replace a property of the Gaussians: call it something else"
-            )
+            raise InputError(f"column '{name}' would replace a property of the Gaussians: call it something else")
         if column.shape != (len(gaussians),):
-            raise InputError(
-                f"column '{name}': expected shape ({len(gaussians)},), got {column.shape}"
-            )
+            raise InputError(f"column '{name}': expected shape ({len(gaussians)},), got {column.shape}")
     write_vertices(path, {**properties, **further}, overwrite)
 
 
 def _filled(gaussians: Gaussians, sh_degree: int) -> Gaussians:
     """With zeros for the harmonics up to a degree."""
     if not gaussians.sh_degree <= sh_degree < len(SH_COEFFICIENTS):
-        raise InputError(
-            f"sh_degree: expected {gaussians.sh_degree}, which the Gaussians have, to 3; got {sh_degree}"
-        )
+        raise InputError(f"sh_degree: expected {gaussians.sh_degree}, which the Gaussians have, to 3; got {sh_degree}")
     missing = SH_COEFFICIENTS[sh_degree] - gaussians.sh.shape[1]
     return replace(gaussians, sh=np.pad(gaussians.sh, ((0, 0), (0, missing), (0, 0))))

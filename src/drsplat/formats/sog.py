@@ -118,9 +118,7 @@ class _Sog:
 
     def _scales(self) -> Float32[np.ndarray, "n 3"]:
         sizes = self._plane("scales")[:, :3]
-        return exp(
-            self._between("scales", sizes, 255) if self.legacy else self._looked_up("scales", sizes)
-        )
+        return exp(self._between("scales", sizes, 255) if self.legacy else self._looked_up("scales", sizes))
 
     def _opacities(self, colours: Bytes) -> Float32[np.ndarray, " n"]:
         if self.legacy:
@@ -139,9 +137,7 @@ class _Sog:
         labels = self._plane("shN", 1)[:, :2].astype(np.uint16)
         chosen = labels[:, 0] | labels[:, 1] << 8
         if self.count and chosen.max() >= len(palette):
-            raise FormatError(
-                f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}"
-            )
+            raise FormatError(f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}")
         return np.asarray(palette[chosen])
 
     def _palette(self) -> Float32[np.ndarray, "p k 3"]:
@@ -149,10 +145,7 @@ class _Sog:
         data = self.member(name)
         width, height = webp_size(data, name)
         size, coefficients = self._palette_shape(width, height)
-        if (
-            width != PALETTE_ROW * coefficients
-            or not size <= PALETTE_ROW * height <= LARGEST_PALETTE
-        ):
+        if width != PALETTE_ROW * coefficients or not size <= PALETTE_ROW * height <= LARGEST_PALETTE:
             raise FormatError(f"'{name}' is {width}x{height} pixels for a palette of {size}")
         pixels = webp_pixels(data, name)[..., :3].reshape(-1, coefficients, 3)[:size]
         if not self.legacy:

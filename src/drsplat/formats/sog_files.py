@@ -120,9 +120,7 @@ def webp_size(data: bytes, name: str) -> tuple[int, int]:
         kind, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
         body = at + 8
         if kind == b"VP8X":
-            canvas = tuple(
-                int.from_bytes(data[body + k : body + k + 3], "little") + 1 for k in (4, 7)
-            )
+            canvas = tuple(int.from_bytes(data[body + k : body + k + 3], "little") + 1 for k in (4, 7))
         elif kind == b"VP8L" and data[body] == 0x2F:
             bits = struct.unpack_from("<I", data, body + 1)[0]
             width, height = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1

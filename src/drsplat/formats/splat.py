@@ -13,9 +13,7 @@ from ..errors import FormatError
 from ..scene.gaussians import SH_C0, Gaussians
 from .activation import checked
 
-RECORD = np.dtype(
-    [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)]
-)
+RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 
 
 def parse_splat(buffer: memoryview) -> Gaussians:
@@ -25,8 +23,7 @@ def parse_splat(buffer: memoryview) -> Gaussians:
     """
     if len(buffer) == 0 or len(buffer) % RECORD.itemsize:
         raise FormatError(
-            f"a .splat file is records of {RECORD.itemsize} bytes; {len(buffer)} bytes are no "
-            "whole number of them"
+            f"a .splat file is records of {RECORD.itemsize} bytes; {len(buffer)} bytes are no whole number of them"
         )
     rows = np.frombuffer(buffer, RECORD)
     colour = rows["rgba"].astype(np.float32) / 255

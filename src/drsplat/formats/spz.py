@@ -51,9 +51,7 @@ class SpzHeader:
     def plane_bytes(self) -> list[int]:
         """Size of each plane, in order."""
         rotation = 3 if self.version == 2 else 4
-        return [
-            self.count * size for size in (9, 1, 3, 3, rotation, 3 * REST_COEFFICIENTS[self.degree])
-        ]
+        return [self.count * size for size in (9, 1, 3, 3, rotation, 3 * REST_COEFFICIENTS[self.degree])]
 
 
 def parse_spz(buffer: memoryview) -> Gaussians:
@@ -69,15 +67,9 @@ def parse_spz(buffer: memoryview) -> Gaussians:
     n = header.count
     signs = _signs(extensions)
     if header.degree > 3:
-        warnings.warn(
-            "SH coefficients of degree 4 (9 per channel) were left out",
-            DrSplatWarning,
-            stacklevel=3,
-        )
+        warnings.warn("SH coefficients of degree 4 (9 per channel) were left out", DrSplatWarning, stacklevel=3)
     log_scales = scales.reshape(n, 3).astype(np.float32) / 16 - 10
-    turn = np.array(
-        [1, *(signs.prod() * signs)], np.float32
-    )  # (w, x, y, z) of F R F for a diagonal F
+    turn = np.array([1, *(signs.prod() * signs)], np.float32)  # (w, x, y, z) of F R F for a diagonal F
     return checked(
         _positions(positions, header.fractional_bits) * signs,
         (_first_three(rotations) if header.version == 2 else _smallest_three(rotations)) * turn,
@@ -98,18 +90,14 @@ def _header(raw: bytes) -> SpzHeader:
         raise FormatError("no SPZ: its 16-byte header does not begin with 'NGSP'")
     header = SpzHeader(*PREFIX.unpack(raw)[1:])
     if header.version not in (2, 3, 4):
-        raise FormatError(
-            f"SPZ version {header.version}; versions 2, 3 and 4 can be read: save it again as one"
-        )
+        raise FormatError(f"SPZ version {header.version}; versions 2, 3 and 4 can be read: save it again as one")
     if header.degree >= len(REST_COEFFICIENTS) or header.fractional_bits > 24:
         raise FormatError(
             f"SPZ header is damaged: SH degree {header.degree} (at most 4), "
             f"{header.fractional_bits} fractional bits (at most 24)"
         )
     if header.flags & HAS_LOD_TREE:
-        raise FormatError(
-            "SPZ holds a level-of-detail tree, the scene several times over: export it without LOD"
-        )
+        raise FormatError("SPZ holds a level-of-detail tree, the scene several times over: export it without LOD")
     return header
 
 
@@ -125,9 +113,7 @@ def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], by
     raw, tail = gunzipped(buffer, PREFIX.size, payload_bytes)
     header = _header(raw[: PREFIX.size])
     if tail and not header.flags & HAS_EXTENSIONS:
-        raise FormatError(
-            f"SPZ holds {len(tail)} bytes more than {header.count} Gaussians: its header is damaged"
-        )
+        raise FormatError(f"SPZ holds {len(tail)} bytes more than {header.count} Gaussians: its header is damaged")
     sizes = header.plane_bytes()
     whole = np.frombuffer(raw, np.uint8, sum(sizes), PREFIX.size)
     return np.split(whole, np.cumsum(sizes)[:-1]), tail, header
@@ -154,20 +140,12 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
     for size in sizes:
         compressed, promised = next(table) if size else (0, 0)
         if promised != size or offset + compressed > len(buffer):
-            raise FormatError(
-                f"SPZ is truncated or damaged: a stream of {promised} bytes, expected {size}"
-            )
+            raise FormatError(f"SPZ is truncated or damaged: a stream of {promised} bytes, expected {size}")
         planes.append(np.frombuffer(unzstd(buffer[offset : offset + compressed], size), np.uint8))
         offset += compressed
     if offset != len(buffer):
-        raise FormatError(
-            f"SPZ holds {len(buffer) - offset} bytes after its last stream: its header is damaged"
-        )
-    return (
-        planes,
-        bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"",
-        header,
-    )
+        raise FormatError(f"SPZ holds {len(buffer) - offset} bytes after its last stream: its header is damaged")
+    return (planes, bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"", header)
 
 
 def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
@@ -180,9 +158,7 @@ def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
             system = int.from_bytes(extensions[offset + 8 : offset + 12], "little") or system
         offset += 8 + length
     if system > 8:
-        raise FormatError(
-            f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first"
-        )
+        raise FormatError(f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first")
     # Bits of system - 1: right, up, front. RDF is right, not up, front.
     stored = [(system - 1) >> bit & 1 for bit in range(3)]
     return np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
@@ -210,21 +186,14 @@ def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"
 
 
 def _harmonics(
-    colours: UInt8[np.ndarray, " _"],
-    rest: UInt8[np.ndarray, " _"],
-    header: SpzHeader,
-    signs: Float32[np.ndarray, "3"],
+    colours: UInt8[np.ndarray, " _"], rest: UInt8[np.ndarray, " _"], header: SpzHeader, signs: Float32[np.ndarray, "3"]
 ) -> Float32[np.ndarray, "n k 3"]:
     n = header.count
     kept = min(REST_COEFFICIENTS[header.degree], len(PARITIES))
     sh = np.empty((n, 1 + kept, 3), np.float32)
-    sh[:, 0] = (colours.reshape(n, 3).astype(np.float32) / 255 - np.float32(0.5)) / np.float32(
-        COLOUR_SCALE
-    )
+    sh[:, 0] = (colours.reshape(n, 3).astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOUR_SCALE)
     x, y, z = signs
-    flips = np.array(
-        [np.prod([{"x": x, "y": y, "z": z}[a] for a in axes]) for axes in PARITIES], np.float32
-    )
+    flips = np.array([np.prod([{"x": x, "y": y, "z": z}[a] for a in axes]) for axes in PARITIES], np.float32)
     stored = rest.reshape(n, REST_COEFFICIENTS[header.degree], 3)[:, :kept]
     np.multiply(stored.astype(np.float32) / 128 - 1, flips[:kept, None], out=sh[:, 1:])
     return sh

@@ -31,9 +31,7 @@ def refuse_implausible(size: int, compressed: int) -> None:
         )
 
 
-def gunzipped(
-    buffer: memoryview, start_bytes: int, payload_bytes: Callable[[bytes], int]
-) -> tuple[bytes, bytes]:
+def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[bytes], int]) -> tuple[bytes, bytes]:
     """The payload, whose size `payload_bytes` tells from its start, and up to 1 MiB behind it.
 
     A `buffer` that is not gzip is taken as the payload itself.
@@ -43,10 +41,7 @@ def gunzipped(
     """
     if bytes(buffer[:2]) != GZIP_MAGIC:
         size = payload_bytes(bytes(buffer[:start_bytes]))
-        raw, tail = (
-            bytes(buffer[: min(size, len(buffer))]),
-            bytes(buffer[size : size + EXTENSION_BYTES + 1]),
-        )
+        raw, tail = (bytes(buffer[: min(size, len(buffer))]), bytes(buffer[size : size + EXTENSION_BYTES + 1]))
         whole = len(buffer) <= size + EXTENSION_BYTES
     else:
         stream = zlib.decompressobj(wbits=31)
@@ -55,17 +50,12 @@ def gunzipped(
             size = payload_bytes(start)
             refuse_implausible(size, len(buffer))
             raw = start + stream.decompress(stream.unconsumed_tail, max(size - len(start), 1))
-            raw, tail = (
-                raw[:size],
-                raw[size:] + stream.decompress(stream.unconsumed_tail, EXTENSION_BYTES),
-            )
+            raw, tail = (raw[:size], raw[size:] + stream.decompress(stream.unconsumed_tail, EXTENSION_BYTES))
         except zlib.error as error:
             raise FormatError(f"gzip stream is damaged: {error}") from None
         whole = stream.eof and not stream.unused_data
     if len(raw) < size or not whole:
-        raise FormatError(
-            f"SPZ is truncated or damaged: its header promises {size} bytes, it holds {len(raw)}"
-        )
+        raise FormatError(f"SPZ is truncated or damaged: its header promises {size} bytes, it holds {len(raw)}")
     return raw, tail
 
 
@@ -80,16 +70,10 @@ def unzstd(compressed: memoryview, size: int) -> bytes:
     try:
         declared = zstandard.frame_content_size(compressed)
         if declared not in (-1, size):  # -1: not stored in the frame
-            raise FormatError(
-                f"SPZ is damaged: a zstd frame of {declared} bytes where {size} were expected"
-            )
-        raw = zstandard.ZstdDecompressor().decompress(
-            compressed, max_output_size=size, allow_extra_data=False
-        )
+            raise FormatError(f"SPZ is damaged: a zstd frame of {declared} bytes where {size} were expected")
+        raw = zstandard.ZstdDecompressor().decompress(compressed, max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise FormatError(f"zstd stream is damaged: {error}") from None
     if len(raw) != size:
-        raise FormatError(
-            f"SPZ is damaged: a zstd stream of {len(raw)} bytes where {size} were expected"
-        )
+        raise FormatError(f"SPZ is damaged: a zstd stream of {len(raw)} bytes where {size} were expected")
     return bytes(raw)

@@ -50,11 +50,7 @@ def write_tensors(
     offset = 0
     for name in order:
         array, end = arrays[name], offset + arrays[name].nbytes
-        header[name] = {
-            "dtype": _NAMES[array.dtype],
-            "shape": array.shape,
-            "data_offsets": [offset, end],
-        }
+        header[name] = {"dtype": _NAMES[array.dtype], "shape": array.shape, "data_offsets": [offset, end]}
         offset = end
     text = json.dumps(with_checksums(header, arrays), separators=(",", ":")).encode()
     text += b" " * (-(8 + len(text)) % LINE)
@@ -83,25 +79,19 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
     header, payload = _header(raw, path)
     check_header(header, str(path))
     metadata = header.pop("__metadata__", {})
-    if not isinstance(metadata, dict) or not all(
-        isinstance(value, str) for value in metadata.values()
-    ):
+    if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
         raise FormatError(f"{path}: metadata must be text by name")
     spans = {name: _span(entry, f"{path}: tensor {name!a}") for name, entry in header.items()}
     _check_layout([(begin, end) for begin, end, _, _ in spans.values()], payload.size, path)
     tensors = {}
     for name, (begin, end, dtype, shape) in spans.items():
         if (raw.size - payload.size + begin) % dtype.itemsize:
-            raise FormatError(
-                f"{path}: tensor {name!a} is not aligned to its {dtype.itemsize}-byte items"
-            )
+            raise FormatError(f"{path}: tensor {name!a} is not aligned to its {dtype.itemsize}-byte items")
         tensors[name] = payload[begin:end].view(dtype).reshape(shape)
     return tensors, metadata
 
 
-def read_tensors(
-    path: str | os.PathLike[str],
-) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """As `map_tensors`, of a file of ours, each array compared with its checksum.
 
     Raises: as `map_tensors`; FormatError: an array is not what was written, or has no checksum.
@@ -111,9 +101,7 @@ def read_tensors(
     return tensors, metadata
 
 
-def check_tensors(
-    tensors: Mapping[str, np.ndarray], expected: Mapping[str, tuple[str, str]], where: str
-) -> None:
+def check_tensors(tensors: Mapping[str, np.ndarray], expected: Mapping[str, tuple[str, str]], where: str) -> None:
     """Refuse a file whose arrays are not as expected: name -> (dtypes, dimensions).
 
     Dimensions are named, one letter or word each; those of one name must be of one length.
@@ -128,17 +116,13 @@ def check_tensors(
             raise FormatError(f"{where}: {name}: expected {dtypes} ({dimensions}), got {given}")
         for dimension, length in zip(names, array.shape, strict=True):
             if lengths.setdefault(dimension, length) != length:
-                raise FormatError(
-                    f"{where}: {name}: expected {dimension} = {lengths[dimension]}, got {length}"
-                )
+                raise FormatError(f"{where}: {name}: expected {dimension} = {lengths[dimension]}, got {length}")
 
 
 def _header(raw: np.ndarray, path: Path) -> tuple[dict[str, Any], np.ndarray]:
     length = int.from_bytes(raw[:8].tobytes(), "little")
     if raw.size < 8 or length > min(raw.size - 8, _MAX_HEADER):
-        raise FormatError(
-            f"{path}: expected safetensors: a header of {length} bytes in a file of {raw.size}"
-        )
+        raise FormatError(f"{path}: expected safetensors: a header of {length} bytes in a file of {raw.size}")
     try:
         header = json.loads(raw[8 : 8 + length].tobytes(), object_pairs_hook=unique_names)
     except (ValueError, RecursionError) as error:
@@ -179,6 +163,4 @@ def _check_layout(spans: list[tuple[int, int]], size: int, path: Path) -> None:
             raise FormatError(f"{path}: tensors overlap or leave a hole at byte {position}")
         position = end
     if position != size:
-        raise FormatError(
-            f"{path}: the header describes {position} bytes of tensors, the file has {size}"
-        )
+        raise FormatError(f"{path}: the header describes {position} bytes of tensors, the file has {size}")

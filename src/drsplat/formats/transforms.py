@@ -23,9 +23,7 @@ CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV
 _MAX_PATH = 1024  # characters
 IMAGE_FOLDER = re.compile(r"images(_\d+)?")
 
-_OPENCV_FROM_OPENGL = np.array(
-    [1.0, -1.0, -1.0]
-)  # camera axes: y up and z backward become y down and z forward
+_OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes: y up and z backward become y down and z forward
 
 Entry = Mapping[str, object]
 
@@ -64,10 +62,7 @@ def read_applied_transform(path: Path) -> SceneFrame:
     """The frame of transforms.json from that of COLMAP: applied_transform and applied_scale."""
     document = _document(path)
     identity = np.eye(4)[:3].tolist()
-    transform, scale = (
-        document.get("applied_transform", identity),
-        document.get("applied_scale", 1.0),
-    )
+    transform, scale = (document.get("applied_transform", identity), document.get("applied_scale", 1.0))
     return scene_frame(transform, scale, f"{path}: applied")
 
 
@@ -101,9 +96,7 @@ def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     width, height = _size(entry, photo, where)
     distortion = tuple(_number(entry, key, where, 0.0) for key in ("k1", "k2", "p1", "p2"))
     intrinsics = _intrinsics(entry, width, height, where)
-    view = posed_view(
-        where, name, intrinsics, _cam_from_world(entry, where), (width, height), distortion
-    )
+    view = posed_view(where, name, intrinsics, _cam_from_world(entry, where), (width, height), distortion)
     return on_photo(view, photo)
 
 
@@ -194,11 +187,7 @@ def _find(base: Path, images: Path | None, name: str, given: Path | None) -> Pat
     """given: the absolute path that the file may have."""
     if images is not None:
         return find_photo(images, _inner(name)) or find_photo(images, name)
-    if (
-        given is not None
-        and _is_absolute(str(given))
-        and (there := find_photo(given.parent, given.name))
-    ):
+    if given is not None and _is_absolute(str(given)) and (there := find_photo(given.parent, given.name)):
         return there
     return find_photo(base, name) or find_photo(base / "images", name)
 
@@ -220,12 +209,8 @@ def _number(entry: Entry, key: str, where: str, default: float) -> float:
 def _report(path: Path, missing: list[str], num_found: int) -> None:
     if missing and not num_found:
         raise InputError(
-            f"{path}: none of its {len(missing)} photos exists, the first is {missing[0]}: pass "
-            "images=FOLDER"
+            f"{path}: none of its {len(missing)} photos exists, the first is {missing[0]}: pass images=FOLDER"
         )
     if missing:
-        text = (
-            f"{path}: {len(missing)} of {len(missing) + num_found} frames left out, their photos "
-            "are missing: "
-        )
+        text = f"{path}: {len(missing)} of {len(missing) + num_found} frames left out, their photos are missing: "
         warnings.warn(text + listed(missing), DrSplatWarning, stacklevel=6)

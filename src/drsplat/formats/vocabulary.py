@@ -24,12 +24,7 @@ class VocabularyEncoder:
     embeddings: one unit vector per text of `texts`.
     """
 
-    def __init__(
-        self,
-        identity: EncoderIdentity,
-        texts: Sequence[str],
-        embeddings: Float32[np.ndarray, "t d"],
-    ) -> None:
+    def __init__(self, identity: EncoderIdentity, texts: Sequence[str], embeddings: Float32[np.ndarray, "t d"]) -> None:
         self.identity, self.texts, self.embeddings = identity, tuple(texts), embeddings
         self._rows = {text: row for row, text in enumerate(self.texts)}
 
@@ -47,18 +42,14 @@ class VocabularyEncoder:
         if text in self._rows:
             return self._rows[text]
         by_lower = {known.lower(): known for known in self.texts}
-        close = [
-            by_lower[word]
-            for word in difflib.get_close_matches(text.lower(), by_lower, n=5, cutoff=0.5)
-        ]
+        close = [by_lower[word] for word in difflib.get_close_matches(text.lower(), by_lower, n=5, cutoff=0.5)]
         advice = (
             f"closest: {', '.join(map(repr, close))}"
             if close
             else f"it starts with {', '.join(map(repr, self.texts[:5]))}"
         )
         raise InputError(
-            f"{text!r} is not among the {len(self.texts)} texts of vocabulary "
-            f"'{self.identity.name}'; {advice}"
+            f"{text!r} is not among the {len(self.texts)} texts of vocabulary '{self.identity.name}'; {advice}"
         )
 
 
@@ -81,9 +72,7 @@ def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEnco
         texts, vectors, stored = _read_safetensors(path)
     else:
         texts, vectors, stored = *_read_json(path), {}
-    identity = EncoderIdentity(
-        name or stored.get("name") or path.stem, vectors.shape[1], stored.get("weights", "")
-    )
+    identity = EncoderIdentity(name or stored.get("name") or path.stem, vectors.shape[1], stored.get("weights", ""))
     return VocabularyEncoder(identity, texts, _unit(texts, vectors, path))
 
 
@@ -93,20 +82,14 @@ def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bo
     Raises: InputError: the file exists and `overwrite` is false, or its folder does not.
     """
     identity = encoder.identity
-    metadata = {
-        "texts": json.dumps(encoder.texts),
-        "name": identity.name,
-        "weights": identity.weights,
-    }
+    metadata = {"texts": json.dumps(encoder.texts), "name": identity.name, "weights": identity.weights}
     write_tensors(path, {TENSOR: encoder.embeddings}, metadata, overwrite)
 
 
 def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     document = read_json(path)
     if not isinstance(document, dict) or not document:
-        raise FormatError(
-            f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {shown(document)}"
-        )
+        raise FormatError(f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {shown(document)}")
     if is_sog_meta(document):
         raise FormatError(
             f"{path}: this is the meta.json of an unpacked SOG, a scene, and no vocabulary: name it where "
@@ -124,36 +107,18 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
     tensors, metadata = map_tensors(path)
     vectors = tensors.get(TENSOR)
     if vectors is None or "texts" not in metadata:
-        raise FormatError(
-            f"{path}: expected a safetensors file with '{TENSOR}' and metadata 'texts'"
-        )
+        raise FormatError(f"{path}: expected a safetensors file with '{TENSOR}' and metadata 'texts'")
     check_checksums(tensors, metadata, str(path), required=False)
     try:
         texts = parsed(metadata["texts"])
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{path}: expected metadata 'texts' and 'name': {error}") from error
     if not is_text(metadata.get("name", "")) or not is_text(metadata.get("weights", "")):
-        raise FormatError(
-            f"{path}: expected the encoder's name and weights as text in its metadata"
-        )
-    if (
-        not isinstance(texts, list)
-        or not all(isinstance(text, str) for text in texts)
-        or len(set(texts)) < len(texts)
-    ):
-        raise FormatError(
-            f"{path}: expected metadata 'texts' to be a JSON list of different texts, got "
-            f"{shown(texts)}"
-        )
-    if (
-        vectors.ndim != 2
-        or 0 in vectors.shape
-        or vectors.dtype.kind != "f"
-        or len(vectors) != len(texts)
-    ):
-        raise FormatError(
-            f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}"
-        )
+        raise FormatError(f"{path}: expected the encoder's name and weights as text in its metadata")
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts) or len(set(texts)) < len(texts):
+        raise FormatError(f"{path}: expected metadata 'texts' to be a JSON list of different texts, got {shown(texts)}")
+    if vectors.ndim != 2 or 0 in vectors.shape or vectors.dtype.kind != "f" or len(vectors) != len(texts):
+        raise FormatError(f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}")
     return texts, vectors, metadata
 
 
@@ -163,8 +128,6 @@ def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Float32[np.n
         norms = np.sqrt((wide**2).sum(1))
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
     if len(bad):
-        raise FormatError(
-            f"{path}: the vector of {shown(texts[bad[0]])} has no direction (zero or not finite)"
-        )
+        raise FormatError(f"{path}: the vector of {shown(texts[bad[0]])} has no direction (zero or not finite)")
     unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
     return unit

@@ -38,14 +38,8 @@ def weighted_rows(
         raise InputError(f"rows {begin}:{end} asked of a matrix of {len(indptr) - 1} rows")
     starts = np.ascontiguousarray(indptr[begin : end + 1], np.int64)
     low, high = int(starts[0]), int(starts[-1])
-    if (
-        not 0 <= low <= high <= len(indices)
-        or len(indices) != len(data)
-        or (np.diff(starts) < 0).any()
-    ):
-        raise InputError(
-            f"rows {begin}:{end}: row starts do not fit {len(indices)} columns, {len(data)} weights"
-        )
+    if not 0 <= low <= high <= len(indices) or len(indices) != len(data) or (np.diff(starts) < 0).any():
+        raise InputError(f"rows {begin}:{end}: row starts do not fit {len(indices)} columns, {len(data)} weights")
     columns = np.ascontiguousarray(indices[low:high], np.int32)
     try:
         rows = _native.weighted_rows(
@@ -57,18 +51,12 @@ def weighted_rows(
             _checked_isa(isa),
         )
     except ValueError as error:
-        raise InputError(
-            f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings"
-        ) from None
+        raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
     return np.asarray(rows)
 
 
 def pq_encode(
-    features: Float32[np.ndarray, "n D"],
-    centroids: Float32[np.ndarray, "L c d"],
-    *,
-    threads: int = 0,
-    isa: str = "",
+    features: Float32[np.ndarray, "n D"], centroids: Float32[np.ndarray, "L c d"], *, threads: int = 0, isa: str = ""
 ) -> UInt8[np.ndarray, "n L"]:
     """The nearest of 256 centroids (L2) of each of L sub-vectors, ties to the lowest index.
 
@@ -106,9 +94,7 @@ def pq_scores(
     Source: Jegou et al. 2011, asymmetric distance.  Twin: kernels.reference_algebra.pq_scores.
     """
     if lut.shape != (codes.shape[1], CENTROIDS):
-        raise InputError(
-            f"expected a table ({codes.shape[1]}, {CENTROIDS}) for these codes, got {lut.shape}"
-        )
+        raise InputError(f"expected a table ({codes.shape[1]}, {CENTROIDS}) for these codes, got {lut.shape}")
     if scale.shape != (len(codes),) or (bias is not None and bias.shape != scale.shape):
         raise InputError(f"expected one scale and one bias for each of {len(codes)} rows")
     scores = _native.pq_scores(

@@ -87,11 +87,7 @@ def mixture_encode(
 
 
 def nearest_centres(
-    points: Float32[np.ndarray, "n D"],
-    centres: Float32[np.ndarray, "c D"],
-    *,
-    threads: int = 0,
-    isa: str = "",
+    points: Float32[np.ndarray, "n D"], centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
 ) -> Int32[np.ndarray, " n"]:
     """The centre of largest inner product with each point, ties to the lowest.
 
@@ -119,18 +115,11 @@ def nearest_members(
     """
     given = [np.ascontiguousarray(part) for part in (points, groups, members)]
     arrays = (*_contiguous(dictionary), *given)
-    return np.asarray(
-        _refusing(_native.nearest_members, *arrays, wanted, threads, _checked_isa(isa))
-    )
+    return np.asarray(_refusing(_native.nearest_members, *arrays, wanted, threads, _checked_isa(isa)))
 
 
 def mixture_scores(
-    blocks: Blocks,
-    dictionary: Dictionary,
-    queries: Float32[np.ndarray, "q D"],
-    *,
-    threads: int = 0,
-    isa: str = "",
+    blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
 ) -> Float32[np.ndarray, "q n"]:
     """scale_i * sum_k weight_ik * <query, atom of id_ik>, where <query, atom> is in steps of 1 / 32767.
 
@@ -182,12 +171,7 @@ def mixture_top(
 
 
 def mixture_best(
-    blocks: Blocks,
-    dictionary: Dictionary,
-    queries: Float32[np.ndarray, "c D"],
-    *,
-    threads: int = 0,
-    isa: str = "",
+    blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
 ) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
     """Which query scores best in each row, ties to the first; its score, and the second best.
 

@@ -67,19 +67,13 @@ def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]
     return grouped
 
 
-def rows_of_groups(
-    grouped: UInt8[np.ndarray, "g L 256"], rows: Integer[np.ndarray, " b"]
-) -> UInt8[np.ndarray, "b L"]:
+def rows_of_groups(grouped: UInt8[np.ndarray, "g L 256"], rows: Integer[np.ndarray, " b"]) -> UInt8[np.ndarray, "b L"]:
     """Codes of some rows, one after the other."""
     return np.asarray(grouped[rows // GROUP, :, rows % GROUP])
 
 
 def lookup_tables(
-    centroids: Float32[np.ndarray, "L d c"],
-    queries: Float32[np.ndarray, "q D"],
-    *,
-    threads: int = 0,
-    isa: str = "",
+    centroids: Float32[np.ndarray, "L d c"], queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
 ) -> Float32[np.ndarray, "q L c"]:
     """The inner product of each part of each query with each centroid of that part.
 
@@ -98,9 +92,7 @@ def lookup_tables(
     return np.asarray(_native.lookup_tables(*arrays, threads, _checked_isa(isa)))
 
 
-def scan_scores(
-    rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT
-) -> Float32[np.ndarray, "q n"]:
+def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> Float32[np.ndarray, "q n"]:
     """score_i = (sum_m lut[m, codes[i, m]] + coarse[coarse_ids[i]]) * inverse_norms[i], for each query.
 
     Raises: InputError: arrays that do not fit each other.
@@ -166,9 +158,7 @@ def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _Asked:
     codes, norms, ids = rows
     count, subvectors = len(norms), codes.shape[1]
     if codes.shape != (-(-count // GROUP), subvectors, GROUP) or not 0 < subvectors < 1 << 16:
-        raise InputError(
-            f"expected codes ({-(-count // GROUP)}, L, {GROUP}) for {count} rows, got {codes.shape}"
-        )
+        raise InputError(f"expected codes ({-(-count // GROUP)}, L, {GROUP}) for {count} rows, got {codes.shape}")
     queries = len(tables.luts)
     if tables.luts.shape[1:] != (subvectors, CENTROIDS) or not 0 < queries <= 1 << 16:
         raise InputError(
@@ -188,10 +178,7 @@ def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _Asked:
     if not how.error > 0 or how.wide < 0:
         raise InputError(f"expected an error above 0 and wide of 0 or more, got {how}")
     arrays = (codes, norms, ids), tables
-    whole = tuple(
-        tuple(None if part is None else np.ascontiguousarray(part) for part in parts)
-        for parts in arrays
-    )
+    whole = tuple(tuple(None if part is None else np.ascontiguousarray(part) for part in parts) for parts in arrays)
     return whole[0], whole[1], (how.error, how.wide, how.threads, _checked_isa(how.isa))
 
 

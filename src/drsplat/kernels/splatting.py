@@ -79,9 +79,7 @@ def default_isa() -> str:
         return _native.default_isa()
     except ValueError:
         wanted = os.environ.get("DRSPLAT_ISA")
-        raise InputError(
-            f"DRSPLAT_ISA asks for '{wanted}'; this machine and build have {available_isas()}"
-        ) from None
+        raise InputError(f"DRSPLAT_ISA asks for '{wanted}'; this machine and build have {available_isas()}") from None
 
 
 def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays:
@@ -121,9 +119,7 @@ def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
             f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE} pixels a side: resize it"
         )
     if abs(view.K[0, 1]) > 1e-6 * view.K[0, 0]:
-        raise InputError(
-            f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported"
-        )
+        raise InputError(f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported")
     pose, K = view.cam_from_world, view.K
     numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2], near]
     return np.array(numbers, np.float32)
@@ -133,9 +129,7 @@ def _checked_isa(isa: str) -> str:
     if not isa:
         return default_isa()
     if isa not in available_isas():
-        raise InputError(
-            f"instruction set '{isa}' is not available; this machine and build have {available_isas()}"
-        )
+        raise InputError(f"instruction set '{isa}' is not available; this machine and build have {available_isas()}")
     return isa
 
 
@@ -181,13 +175,7 @@ def view_weights(
 
 
 def topk_contributions(
-    splats: SplatArrays,
-    view: View,
-    k: int,
-    *,
-    first_hits: int | None = None,
-    threads: int = 0,
-    isa: str = "",
+    splats: SplatArrays, view: View, k: int, *, first_hits: int | None = None, threads: int = 0, isa: str = ""
 ) -> Contributions:
     """Return the k largest blending weights of each pixel and the Gaussians that own them.
 
@@ -226,9 +214,7 @@ def render_channels(
     n, channels = len(splats.opacities), values.shape[1]
     behind = np.zeros(channels, np.float32) if background is None else background
     if len(values) != n or behind.shape != (channels,):
-        raise InputError(
-            f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}"
-        )
+        raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
     image, alpha, depth = _native.render(
         *splats[:3],
         _camera_of(splats, view),

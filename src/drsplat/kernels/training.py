@@ -138,11 +138,7 @@ def photometric_loss(
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected two images (H, W, 3), got {image.shape} and {target.shape}")
     l1, ssim, gradient = _native.photometric_loss(
-        np.ascontiguousarray(image),
-        np.ascontiguousarray(target),
-        ssim_weight,
-        threads,
-        _checked_isa(isa),
+        np.ascontiguousarray(image), np.ascontiguousarray(target), ssim_weight, threads, _checked_isa(isa)
     )
     return Loss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim, gradient)
 

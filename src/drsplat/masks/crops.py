@@ -17,9 +17,7 @@ Crop = UInt8[np.ndarray, "_ _ 3"]
 
 
 def crop(
-    image: UInt8[np.ndarray, "H W 3"],
-    part: Bool[np.ndarray, "h w"],
-    box: Integer[np.ndarray, "4"] | Sequence[int],
+    image: UInt8[np.ndarray, "H W 3"], part: Bool[np.ndarray, "h w"], box: Integer[np.ndarray, "4"] | Sequence[int]
 ) -> Crop:
     """The pixels of a mask on black, in the middle of a square whose side is the longer one of its box.
 
@@ -47,9 +45,7 @@ def crop(
     return _padded(image[y0:y1, x0:x1], part)
 
 
-def _padded(
-    pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"] | None = None
-) -> Crop:
+def _padded(pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"] | None = None) -> Crop:
     height, width = pixels.shape[:2]
     side = max(width, height)
     left, top = (side - width) // 2, (side - height) // 2

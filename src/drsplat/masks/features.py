@@ -24,23 +24,17 @@ class ViewFeatures:
 
     def __post_init__(self) -> None:
         if self.mask_ids.ndim != 2 or self.mask_ids.dtype != np.int32:
-            raise InputError(
-                f"mask_ids: expected int32 (H, W), got {self.mask_ids.dtype} {self.mask_ids.shape}"
-            )
+            raise InputError(f"mask_ids: expected int32 (H, W), got {self.mask_ids.dtype} {self.mask_ids.shape}")
         if self.embeddings.ndim != 2 or self.embeddings.dtype != np.float32:
             raise InputError(
                 f"embeddings: expected float32 (S, D), got {self.embeddings.dtype} {self.embeddings.shape}"
             )
         largest = int(self.mask_ids.max(initial=-1))
         if largest >= len(self.embeddings):
-            raise InputError(
-                f"mask id {largest} has no embedding: there are {len(self.embeddings)}"
-            )
+            raise InputError(f"mask id {largest} has no embedding: there are {len(self.embeddings)}")
         norms = np.linalg.norm(self.embeddings, axis=1)
         if not (np.abs(norms - 1) < 1e-3).all():
-            raise InputError(
-                "embeddings must be finite unit vectors: divide each row by its L2 norm"
-            )
+            raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
 
     def __repr__(self) -> str:
         (count, dim), (height, width) = self.embeddings.shape, self.mask_ids.shape
@@ -53,6 +47,4 @@ class ViewFeatures:
             return self
         rows = ((np.arange(height) + 0.5) * h / height).astype(np.intp)
         columns = ((np.arange(width) + 0.5) * w / width).astype(np.intp)
-        return ViewFeatures(
-            np.ascontiguousarray(self.mask_ids[rows[:, None], columns]), self.embeddings
-        )
+        return ViewFeatures(np.ascontiguousarray(self.mask_ids[rows[:, None], columns]), self.embeddings)

@@ -74,9 +74,7 @@ def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Float32[np.ndarray, " n"]
     if 0 in full.shape[1:]:
         raise InputError(f"masks of {full.shape[2]}x{full.shape[1]} pixels: expected at least 1x1")
     boxes = np.array([tight_box(mask) or (0, 0, 1, 1) for mask in full], np.int32).reshape(-1, 4)
-    parts = tuple(
-        mask[y0:y1, x0:x1].copy() for mask, (x0, y0, x1, y1) in zip(full, boxes, strict=True)
-    )
+    parts = tuple(mask[y0:y1, x0:x1].copy() for mask, (x0, y0, x1, y1) in zip(full, boxes, strict=True))
     return Masks(full.shape[1], full.shape[2], boxes, parts, scores)
 
 

@@ -26,9 +26,7 @@ class MaskMaps:
     masks: Masks
 
 
-def mask_nms(
-    masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5
-) -> Int64[np.ndarray, " k"]:
+def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5) -> Int64[np.ndarray, " k"]:
     """Indices of the masks that stay, ascending.
 
     A mask goes if it has no pixels; if its score is not above min_score; if its IoU with one of a
@@ -98,9 +96,7 @@ def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray,
     return np.flatnonzero(marks).astype(np.int64)
 
 
-def _runs(
-    masks: Masks,
-) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
+def _runs(masks: Masks) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
     """Where runs of a mask's pixels start and end, y * (width + 1) + x, and whose they are."""
     none = np.empty(0, np.int64)
     edges = [none] + [_edges(masks, i) for i in range(len(masks))]

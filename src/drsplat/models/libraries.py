@@ -18,9 +18,7 @@ def models_library() -> Any:
     """
     absent = [name for name in ("torch", "transformers") if find_spec(name) is None]
     if absent:
-        raise MissingExtraError(
-            f"models such as CLIP need {' and '.join(absent)}, not installed: {INSTALL}"
-        )
+        raise MissingExtraError(f"models such as CLIP need {' and '.join(absent)}, not installed: {INSTALL}")
     try:
         import_module("torch")
         return import_module("transformers")
@@ -70,6 +68,5 @@ def _unusable(error: BaseException) -> MissingExtraError:
             "this torch"
         )
     return MissingExtraError(
-        f"torch and transformers are installed but cannot be imported: {error}. Install them anew: "
-        f"{INSTALL}"
+        f"torch and transformers are installed but cannot be imported: {error}. Install them anew: {INSTALL}"
     )

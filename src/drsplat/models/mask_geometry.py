@@ -50,9 +50,7 @@ def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
     return bool((near_crop & ~near_image).any())
 
 
-def box_nms(
-    boxes: Sequence[Box], scores: Sequence[float], max_iou: float
-) -> Int64[np.ndarray, " k"]:
+def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> Int64[np.ndarray, " k"]:
     """Indices of boxes that overlap no kept one of a higher score by more than max_iou, best first.
 
     Of equal scores the earlier goes first. Corners are pixels, both included, and the area is the

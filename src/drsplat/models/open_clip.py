@@ -80,22 +80,14 @@ def tensors(config: Any) -> Iterator[Tensor]:
     yield Tensor("logit_scale", (), ("logit_scale",))
     yield Tensor("visual.class_embedding", (wide,), (seen + "class_embedding",))
     yield Tensor("visual.conv1.weight", (wide, 3, side, side), (seen + "patch_embedding.weight",))
-    yield Tensor(
-        "visual.positional_embedding", (places, wide), (seen + "position_embedding.weight",)
-    )
+    yield Tensor("visual.positional_embedding", (places, wide), (seen + "position_embedding.weight",))
     yield from _linear("visual.ln_pre", "vision_model.pre_layrnorm", wide)
     yield from _layers("visual.", "vision_model.", vision)
     yield from _linear("visual.ln_post", "vision_model.post_layernorm", wide)
     yield Tensor("visual.proj", (wide, dim), ("visual_projection.weight",), True)
     read = "text_model.embeddings."
-    yield Tensor(
-        "token_embedding.weight", (text.vocab_size, words), (read + "token_embedding.weight",)
-    )
-    yield Tensor(
-        "positional_embedding",
-        (text.max_position_embeddings, words),
-        (read + "position_embedding.weight",),
-    )
+    yield Tensor("token_embedding.weight", (text.vocab_size, words), (read + "token_embedding.weight",))
+    yield Tensor("positional_embedding", (text.max_position_embeddings, words), (read + "position_embedding.weight",))
     yield from _layers("", "text_model.", text)
     yield from _linear("ln_final", "text_model.final_layer_norm", words)
     yield Tensor("text_projection", (words, dim), ("text_projection.weight",), True)

@@ -51,18 +51,14 @@ def config_arguments(path: Path) -> dict[str, Any]:
     }
 
 
-def _sizes(
-    model: dict[str, Any], part: str, defaults: dict[str, int], where: str
-) -> dict[str, int]:
+def _sizes(model: dict[str, Any], part: str, defaults: dict[str, int], where: str) -> dict[str, int]:
     """Of one tower, by the names of transformers."""
     where = f"{where}.{part}"
     given = _with_defaults(_object(model, part, where), defaults | _BOTH, where)
     ratio = as_number(given.pop("mlp_ratio"), f"{where}.mlp_ratio")
     names = {"width": "hidden_size", "layers": "num_hidden_layers", "heads": "num_attention_heads",
              "context_length": "max_position_embeddings"}  # fmt: skip
-    sizes = {
-        names.get(name, name): _positive(_side(given[name]), f"{where}.{name}") for name in defaults
-    }
+    sizes = {names.get(name, name): _positive(_side(given[name]), f"{where}.{name}") for name in defaults}
     return {**sizes, "intermediate_size": int(sizes["hidden_size"] * ratio)}
 
 

@@ -14,14 +14,7 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from ..errors import InputError
 from ..masks.masks import LEVELS, Masks, tight_box
 from ..masks.selection import mask_nms
-from .mask_geometry import (
-    Box,
-    box_nms,
-    crop_boxes,
-    cut_by_crop,
-    point_grid,
-    without_small_regions,
-)
+from .mask_geometry import Box, box_nms, crop_boxes, cut_by_crop, point_grid, without_small_regions
 
 _OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
 
@@ -86,10 +79,7 @@ class PointPredictor(Protocol):
     identity: Mapping[str, object]
 
     def find(
-        self,
-        crop: UInt8[np.ndarray, "h w 3"],
-        points: Float64[np.ndarray, "p 2"],
-        settings: PointMaskSettings,
+        self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
         """Masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
@@ -125,10 +115,7 @@ class PointSegmenter:
 
     def __init__(self, predictor: PointPredictor, settings: PointMaskSettings | None = None):
         self.predictor, self.settings = predictor, settings or PointMaskSettings()
-        self.identity: Mapping[str, object] = {
-            **predictor.identity,
-            "settings": asdict(self.settings),
-        }
+        self.identity: Mapping[str, object] = {**predictor.identity, "settings": asdict(self.settings)}
 
     def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
         """Masks by level, in the order in which they are painted.
@@ -145,14 +132,9 @@ class PointSegmenter:
             for level, candidates in kept.items():
                 candidates += _distinct_in_crop(found, _OUTPUTS[level], self.settings.max_box_iou)
         cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
-        return {
-            level: self._level(some, (height, width), len(crops) > 1, cleaned)
-            for level, some in kept.items()
-        }
+        return {level: self._level(some, (height, width), len(crops) > 1, cleaned) for level, some in kept.items()}
 
-    def _in_crop(
-        self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int
-    ) -> list[_Candidate]:
+    def _in_crop(self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int) -> list[_Candidate]:
         x0, y0, x1, y1 = crop
         side = max(1, self.settings.points_per_side // self.settings.crop_points_divisor**layer)
         points = point_grid(side) * (x1 - x0, y1 - y0)
@@ -213,9 +195,7 @@ class PointSegmenter:
         return masks.subset(mask_nms(masks, s.mask_iou, s.mask_score, s.mask_inner))
 
 
-def _distinct_in_crop(
-    found: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float
-) -> list[_Candidate]:
+def _distinct_in_crop(found: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:
     some = [candidate for candidate in found if candidate.output in outputs]
     kept = box_nms([c.box for c in some], [c.predicted_iou for c in some], max_iou)
     return [some[i] for i in kept]

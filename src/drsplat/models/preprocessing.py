@@ -97,10 +97,7 @@ def preprocessing_of(settings: dict[str, Any], path: Path, default: Preprocessin
 
 
 def _settings(folder: Path) -> tuple[Path, dict[str, Any] | None]:
-    for name, key in (
-        ("preprocessor_config.json", None),
-        ("processor_config.json", "image_processor"),
-    ):
+    for name, key in (("preprocessor_config.json", None), ("processor_config.json", "image_processor")):
         path = folder / name
         if not path.is_file():
             continue
@@ -117,11 +114,7 @@ def _settings(folder: Path) -> tuple[Path, dict[str, Any] | None]:
 def _side(size: object, where: str) -> int:
     """Of 224, {"shortest_edge": 224} or {"height": 224, "width": 224}."""
     if isinstance(size, dict):
-        sides = {
-            as_count(size[key], where)
-            for key in ("shortest_edge", "height", "width")
-            if size.get(key)
-        }
+        sides = {as_count(size[key], where) for key in ("shortest_edge", "height", "width") if size.get(key)}
         if len(sides) != 1:
             raise FormatError(f"{where}: expected one side of a square, got {shown(str(size))}")
         size = sides.pop()

@@ -198,8 +198,7 @@ def _shards(folder: Path) -> list[Path]:
     missing = [name for name in names if not (folder / name).is_file()]
     if strange or missing:
         raise FormatError(
-            f"{folder / INDEX}: names {shown((strange or missing)[0])}, which is not there: download "
-            "the model again"
+            f"{folder / INDEX}: names {shown((strange or missing)[0])}, which is not there: download the model again"
         )
     return [folder / name for name in names]
 
@@ -211,9 +210,7 @@ def _check_header(path: Path) -> None:
         with safetensors.safe_open(str(path), framework="numpy"):
             pass
     except (safetensors.SafetensorError, OSError, ValueError) as error:
-        raise FormatError(
-            f"{path}: damaged or incomplete ({_first_line(error)}): download it again"
-        ) from error
+        raise FormatError(f"{path}: damaged or incomplete ({_first_line(error)}): download it again") from error
 
 
 @contextmanager

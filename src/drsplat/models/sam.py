@@ -62,9 +62,7 @@ class ModelFrame:
         values[:, :height, :width] = ((pixels - self.mean) / self.std).transpose(2, 0, 1)
         return values
 
-    def scaled_points(
-        self, points: Float64[np.ndarray, "p 2"], height: int, width: int
-    ) -> Float32[np.ndarray, "p 2"]:
+    def scaled_points(self, points: Float64[np.ndarray, "p 2"], height: int, width: int) -> Float32[np.ndarray, "p 2"]:
         """x, y in pixels of the image to those of the square."""
         new_height, new_width = self.scaled_size(height, width)
         scaled = points * (new_width / width, new_height / height)
@@ -91,10 +89,7 @@ class SamPredictor:
         self.identity: Mapping[str, object] = dict(identity)
 
     def find(
-        self,
-        crop: UInt8[np.ndarray, "h w 3"],
-        points: Float64[np.ndarray, "p 2"],
-        settings: PointMaskSettings,
+        self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
         """See PointPredictor. The image is encoded once; batches of points are decoded."""
         import torch
@@ -111,9 +106,7 @@ class SamPredictor:
             wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
             yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
 
-    def _answers(
-        self, features: Any, points: Float32[np.ndarray, "p 2"]
-    ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
+    def _answers(self, features: Any, points: Float32[np.ndarray, "p 2"]) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
         """Three masks' logits per point, (p, 3, h, w) over the square, and their predicted IoU."""
         import torch
 
@@ -158,9 +151,7 @@ class SamPredictor:
 
 
 def load_segmenter(
-    name: str = DEFAULT_SEGMENTER,
-    device: str = "auto",
-    settings: PointMaskSettings | None = None,
+    name: str = DEFAULT_SEGMENTER, device: str = "auto", settings: PointMaskSettings | None = None
 ) -> PointSegmenter | GraphSegmenter:
     """The built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
 

@@ -69,8 +69,7 @@ class TransformersEncoder:
         kind = model_type(folder)
         if kind not in FAMILIES:
             raise InputError(
-                f"{name}: its architecture is '{kind}', not an encoder that drsplat knows "
-                f"({', '.join(FAMILIES)})"
+                f"{name}: its architecture is '{kind}', not an encoder that drsplat knows ({', '.join(FAMILIES)})"
             )
         self._family, self._folder, files = FAMILIES[kind], folder, weight_files(folder)
         models_library()
@@ -89,9 +88,7 @@ class TransformersEncoder:
         self._tokenizer: Any = None
         self._texts: OrderedDict[str, np.ndarray] = OrderedDict()
 
-    def encode_images(
-        self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]
-    ) -> Float32[np.ndarray, "n d"]:
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
         """Unit vectors of images of any size, in their order; a batch at a time is in memory.
 
         Raises: InputError: an image without pixels. FormatError: a vector without direction.
@@ -181,17 +178,12 @@ class TransformersEncoder:
     def _tokens(self, texts: Sequence[str]) -> dict[str, Any]:
         """Raises: InputError: a text has more tokens than the model reads."""
         self._tokenizer = self._tokenizer or load_tokenizer(self._folder)
-        fixed, most = (
-            self._family.fixed_length,
-            self._model.config.text_config.max_position_embeddings,
-        )
+        fixed, most = (self._family.fixed_length, self._model.config.text_config.max_position_embeddings)
         texts = [text.lower() for text in texts] if fixed else list(texts)
         lengths = [len(ids) for ids in self._tokenizer(texts)["input_ids"]]
         if max(lengths) > most:
             text = texts[int(np.argmax(lengths))]
-            raise InputError(
-                f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it"
-            )
+            raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
         padded = self._tokenizer(
             texts, padding="max_length" if fixed else True, max_length=most if fixed else None,
             return_tensors="pt",

@@ -8,9 +8,7 @@ OPEN_CLIP, OPEN_CLIP_CONFIG = "open_clip_model.safetensors", "open_clip_config.j
 
 def no_weights(folder: Path) -> str:
     """The error for a folder without safetensors, with the command that makes them of a pickle."""
-    others = sorted(
-        path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth")
-    )
+    others = sorted(path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth"))
     if not others:
         return (
             f"{folder}: has no {WEIGHTS} and no {OPEN_CLIP}: download the model's weights into it. "

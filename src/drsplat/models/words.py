@@ -66,9 +66,7 @@ class WordEncoder:
     identity = EncoderIdentity(
         "drsplat-words",
         DIM,
-        hashlib.blake2b(
-            repr((VERSION, SYNONYM_COSINE, sorted(SYNONYMS.items()))).encode(), digest_size=8
-        ).hexdigest(),
+        hashlib.blake2b(repr((VERSION, SYNONYM_COSINE, sorted(SYNONYMS.items()))).encode(), digest_size=8).hexdigest(),
     )
     threshold = 0.6
 
@@ -112,9 +110,7 @@ def _word_vector(word: str) -> Float64[np.ndarray, " d"]:
 
 
 def _random_direction(word: str) -> Float64[np.ndarray, " d"]:
-    key = int.from_bytes(
-        hashlib.blake2b(f"{VERSION} {word}".encode(), digest_size=16).digest(), "little"
-    )
+    key = int.from_bytes(hashlib.blake2b(f"{VERSION} {word}".encode(), digest_size=16).digest(), "little")
     vector = np.random.Generator(np.random.Philox(key=key)).standard_normal(DIM)
     unit: np.ndarray = vector / np.linalg.norm(vector)
     return unit

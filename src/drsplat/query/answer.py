@@ -15,7 +15,8 @@ from .search import LOWEST
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """vector: unit, of the query, None where values came without one. values: per row of the field what is compared with the threshold. scores: cosines.
+    """vector: unit, of the query, None where values came without one. values: per row of the field what is compared
+    with the threshold. scores: cosines.
 
     measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
     encoder or default.
@@ -30,17 +31,13 @@ class Answer:
     scores: Float32[np.ndarray, " r"]
 
     @classmethod
-    def of(
-        cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float
-    ) -> "Answer":
+    def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
         """Of values that were made elsewhere, one per row of the field.
 
         Raises: InputError: not one per row.
         """
         if values.shape != (len(field),):
-            raise InputError(
-                f"expected {len(field)} values, one per row of the field; got shape {values.shape}"
-            )
+            raise InputError(f"expected {len(field)} values, one per row of the field; got shape {values.shape}")
         return cls(field, None, values, COSINE, threshold, GIVEN, values)
 
     def __repr__(self) -> str:

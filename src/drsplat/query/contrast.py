@@ -81,9 +81,7 @@ class Contrast:
         return np.take_along_axis(self.scores, others.argmax(1)[:, None], axis=1)[:, 0]
 
 
-def contrast(
-    field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0
-) -> Contrast:
+def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
     """Score a list of words once; 6 (n / CROWD + SPARE) bytes per row. The last one of a field is kept.
 
     Raises: MismatchError: vectors of another dimension.
@@ -118,17 +116,12 @@ def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads
 
 
 def _keep_best(
-    scores: Float32[np.ndarray, "r t"],
-    words: UInt16[np.ndarray, "r t"],
-    found: Float32[np.ndarray, "c r"],
-    begin: int,
+    scores: Float32[np.ndarray, "r t"], words: UInt16[np.ndarray, "r t"], found: Float32[np.ndarray, "c r"], begin: int
 ) -> None:
     """Let some words' scores take the place of lower ones."""
     rows = np.flatnonzero(found.max(0) > scores[:, -1])
     both = np.concatenate([scores[rows], found[:, rows].T], axis=1)
-    new = np.broadcast_to(
-        np.arange(begin, begin + len(found), dtype=np.uint16), (len(rows), len(found))
-    )
+    new = np.broadcast_to(np.arange(begin, begin + len(found), dtype=np.uint16), (len(rows), len(found)))
     names = np.concatenate([words[rows], new], axis=1)
     order = np.argsort(-both, axis=1, kind="stable")[:, : scores.shape[1]]
     scores[rows] = np.take_along_axis(both, order, axis=1)

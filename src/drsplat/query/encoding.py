@@ -32,9 +32,7 @@ def encoder_for(
     """
     if encoder is not None:
         if vocabulary is not None:
-            raise InputError(
-                "an encoder and a vocabulary were given, and both embed the words: drop one"
-            )
+            raise InputError("an encoder and a vocabulary were given, and both embed the words: drop one")
         return _loaded_encoder(field, encoder, device, load)
     if vocabulary is not None:
         # JSON does not say who made it, and neither does a field registered without a name of it

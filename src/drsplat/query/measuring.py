@@ -13,17 +13,7 @@ from ..field import LanguageField, Negatives
 from ..masks.crops import crop
 from .answer import Answer
 from .contrast import Contrast, contrast, relevancy_threshold
-from .defaults import (
-    AUTO,
-    COSINE,
-    DEFAULT,
-    ENCODER,
-    GIVEN,
-    LIST,
-    RELEVANCY,
-    RELEVANCY_THRESHOLD,
-    SHARE,
-)
+from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .query import Cut
 from .search import (
     CHUNK,
@@ -156,25 +146,17 @@ class Measuring:
         return self.background.field
 
     def _without(
-        self,
-        answer: Answer,
-        scores: Float32[np.ndarray, " r"],
-        wanted: str,
-        unwanted: tuple[str, ...],
+        self, answer: Answer, scores: Float32[np.ndarray, " r"], wanted: str, unwanted: tuple[str, ...]
     ) -> Answer:
         if not unwanted:
             return answer
         background = self.background
-        rivals = rival_scores(
-            self._field, background.encoder, wanted, unwanted, threads=background.threads
-        )
+        rivals = rival_scores(self._field, background.encoder, wanted, unwanted, threads=background.threads)
         left = without(scores, rivals)
         values = np.where(left == LOWEST, np.float32(0), answer.values)
         return replace(answer, values=left if answer.measure == COSINE else values, scores=left)
 
-    def _of_words(
-        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
-    ) -> Answer:
+    def _of_words(self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]) -> Answer:
         kept = self.background.kept_contrast
         own = self.background.own_threshold if kept is None else None
         if own is not None:
@@ -185,9 +167,7 @@ class Measuring:
         default = self._list_threshold(scores, values), LIST
         return self._cut(query, scores, self._whole(scores, values), default)
 
-    def _list_threshold(
-        self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
-    ) -> float:
+    def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
         """As relevancies have it, or the highest where cosines are too low for this scene."""
         low = len(scores) > 0 and peak_score(scores) <= self.background.least_peak
         return float(values.max()) if low else relevancy_threshold(values)
@@ -198,9 +178,7 @@ class Measuring:
         known = self.background.kept_contrast or self.background.contrast
         return None if known is None else known.relevancy(query, scores)
 
-    def _whole(
-        self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
-    ) -> Float32[np.ndarray, " r"]:
+    def _whole(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
         """Relevancies, those of rows that fit half of the query lowered where others fit all of it.
 
         "Red vase" is not asking for a red shelf. Of encoders only whose texts are sums of words, see `least_peak`.
@@ -211,10 +189,7 @@ class Measuring:
         return np.where(half, np.minimum(values, np.float32(RELEVANCY_THRESHOLD)), values)
 
     def _measured(
-        self,
-        query: Float32[np.ndarray, " D"],
-        scores: Float32[np.ndarray, " r"],
-        default: _Default,
+        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
     ) -> Answer:
         if not self.cut.measures_relevancy:
             return self._cut(query, scores, None, default)
@@ -254,9 +229,7 @@ class Measuring:
         return field.score_negatives(given, threads=background.threads)
 
 
-def embedded_image(
-    encoder: Encoder, picture: UInt8[np.ndarray, "h w 3"]
-) -> Float32[np.ndarray, " D"]:
+def embedded_image(encoder: Encoder, picture: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " D"]:
     """A picture of a thing as the masks were: padded with black to a square.
 
     Raises: InputError: an encoder of words only.

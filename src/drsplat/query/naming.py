@@ -36,9 +36,7 @@ def best_names(
     """
     texts = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
     if not texts:
-        raise InputError(
-            f"the encoder '{encoder.identity.name}' takes any words: name those to choose from"
-        )
+        raise InputError(f"the encoder '{encoder.identity.name}' takes any words: name those to choose from")
     field.check_encoder(encoder.identity)
     vectors = np.asarray(encoder.encode_texts(texts), np.float32)
     scores = vectors @ feature

@@ -54,20 +54,17 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
     if not scenes:
-        raise InputError(
-            f"{folder}: expected a scene ({', '.join(SCENE_SUFFIXES)}) beside the field"
-        )
+        raise InputError(f"{folder}: expected a scene ({', '.join(SCENE_SUFFIXES)}) beside the field")
     has_capture = any((folder / name).exists() for name in CAMERAS)
     name = folder.resolve().name
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
 
 
 def scene_files(
-    path: str | PathLike[str],
-    scene: str | PathLike[str] | None = None,
-    views: str | PathLike[str] | None = None,
+    path: str | PathLike[str], scene: str | PathLike[str] | None = None, views: str | PathLike[str] | None = None
 ) -> SceneFiles:
-    """The files of a field, or of a folder that has one; scene and views, where they are given, instead of what lies there.
+    """The files of a field, or of a folder that has one; scene and views, where they are given, instead of what lies
+    there.
 
     Raises: as `find_scene`.
     """
@@ -95,7 +92,8 @@ def open_scene(
 ) -> Scene:
     """Open a folder with a field, its scene and photos, or a field (NAME.field) alone.
 
-    scene, views: the Gaussians that were registered and the capture, where they lie elsewhere. A field without Gaussians
+    scene, views: the Gaussians that were registered and the capture, where they lie elsewhere. A field without
+    Gaussians
     selects, but cannot tell places. encoder, vocabulary, device: who embeds words; fields of the built-in
     encoders need none. images, dataparser_transforms, max_side: as for `read_views`. load: see `encoder_for`.
     The encoder and the photos are looked at when they are first needed.
@@ -115,9 +113,7 @@ def open_scene(
             return read_views(
                 files.capture,
                 images=None if images is None else Path(images),
-                dataparser_transforms=None
-                if dataparser_transforms is None
-                else Path(dataparser_transforms),
+                dataparser_transforms=None if dataparser_transforms is None else Path(dataparser_transforms),
                 max_side=max_side,
             )
 
@@ -131,9 +127,7 @@ def open_scene(
     )
 
 
-def registered_scene(
-    files: SceneFiles, field: LanguageField | None = None
-) -> tuple[Path, Gaussians]:
+def registered_scene(files: SceneFiles, field: LanguageField | None = None) -> tuple[Path, Gaussians]:
     """The scene that the field was made of; others may lie beside it, such as saved answers.
 
     field: that of the files, where it is loaded already. Raises: MismatchError: it is of none of them.

@@ -14,9 +14,7 @@ NEAREST = 64  # candidates by the distance of centres
 
 
 @np.errstate(over="ignore", invalid="ignore")  # points beyond all that can be squared
-def nearest_gaussian(
-    gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: Point
-) -> int:
+def nearest_gaussian(gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: Point) -> int:
     """Row of the candidate that covers a point of the world best.
 
     Of the 64 candidates with the nearest centres, the one of highest density at the point (opacity times
@@ -47,9 +45,7 @@ def nearest_gaussian(
     return int(ids[density.argmax()] if deviations.min() <= FAR else ids[0])
 
 
-def _deviations(
-    gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.ndarray
-) -> np.ndarray:
+def _deviations(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.ndarray) -> np.ndarray:
     """Distance of each Gaussian's centre in its own standard deviations."""
     few = gaussians.subset(ids)
     xx, xy, xz, yy, yz, zz = few.covariances().T

@@ -31,9 +31,7 @@ class Cut:
         if self.threshold is not None and self.top_share is not None:
             raise InputError("threshold=NUMBER and top_share=SHARE both set the cut: drop one")
         if self.threshold == AUTO and self.measures_relevancy:
-            raise InputError(
-                "threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number"
-            )
+            raise InputError("threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number")
 
     @property
     def measures_relevancy(self) -> bool:

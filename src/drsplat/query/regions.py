@@ -26,10 +26,7 @@ class InRegion(NamedTuple):
 
 
 def region(
-    scene: Scene,
-    center: tuple[float, float, float],
-    radius: float,
-    vocabulary: Sequence[str] | None = None,
+    scene: Scene, center: tuple[float, float, float], radius: float, vocabulary: Sequence[str] | None = None
 ) -> list[InRegion]:
     """What the Gaussians within `radius` (scene units) of a point are called, most frequent first.
 
@@ -49,17 +46,13 @@ def region(
     with np.errstate(over="ignore"):  # further away than can be squared is outside
         inside = np.flatnonzero(np.linalg.norm(means - at, axis=1) <= radius)
     if not len(inside):
-        raise InputError(
-            f"no Gaussian with a feature is within {radius:g} of {at[0]:g}, {at[1]:g}, {at[2]:g}"
-        )
+        raise InputError(f"no Gaussian with a feature is within {radius:g} of {at[0]:g}, {at[1]:g}, {at[2]:g}")
     field.check_encoder(encoder.identity)
     features = field.feature(inside)
     scores = features @ np.asarray(encoder.encode_texts(names), np.float32).T
     best, own = scores.argmax(1), scores.max(1)
     clear = own > getattr(encoder, "threshold", -1.0)
-    found = [
-        _named(names[k], (best == k) & clear, own, means[inside]) for k in np.unique(best[clear])
-    ]
+    found = [_named(names[k], (best == k) & clear, own, means[inside]) for k in np.unique(best[clear])]
     kept = [one for one in found if one.num_gaussians >= MIN_GAUSSIANS]
     return sorted(kept, key=lambda one: -one.num_gaussians)
 

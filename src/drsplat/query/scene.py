@@ -8,14 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
 
-from ..drawing.pictures import (
-    OtherPixels,
-    as_pixels,
-    best_views,
-    highlighted,
-    photo_or_rendering,
-    visible_share,
-)
+from ..drawing.pictures import OtherPixels, as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..drawing.rendering import render
 from ..encoders import Encoder
 from ..errors import InputError
@@ -182,9 +175,7 @@ class Scene:
         """
         names = tuple(classes)
         if not names or len(set(names)) < len(names):
-            raise InputError(
-                f"expected one or more different classes, got {', '.join(names) or 'none'}"
-            )
+            raise InputError(f"expected one or more different classes, got {', '.join(names) or 'none'}")
         answers = list(Measuring(self.background, cut or Cut()).of_texts(names))
         thresholds = [answer.threshold for answer in answers]
         labels = segment(self.field, (answer.values for answer in answers), thresholds)
@@ -277,9 +268,7 @@ class Scene:
     def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
         row = self.field.rows_of(np.array([gaussian_id]))
         if row[0] < 0:
-            raise InputError(
-                f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it"
-            )
+            raise InputError(f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it")
         feature: np.ndarray = self.field.feature(row)[0]
         return feature
 
@@ -289,9 +278,7 @@ class Scene:
         return tuple(supporting_masks(self.field, match.gaussian_ids, answer.vector, top=SUPPORT))
 
 
-def _source(
-    field: LanguageField, encoder: Encoder | Callable[[], Encoder] | None
-) -> Callable[[], Encoder]:
+def _source(field: LanguageField, encoder: Encoder | Callable[[], Encoder] | None) -> Callable[[], Encoder]:
     if encoder is None:
         return lambda: encoder_for(field)
     if isinstance(encoder, Encoder) and not isinstance(encoder, type):  # a class makes one

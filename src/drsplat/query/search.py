@@ -33,9 +33,7 @@ NEGATIVES = ("object", "things", "stuff", "texture")
 LOWEST = -1.0  # a cosine that no threshold selects
 AT_ONCE = 16  # queries that compete exactly in one scan
 CHUNK = 8  # queries whose scores are held at once
-_BUT_NOT = re.compile(
-    r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE
-)
+_BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
 
 
 def embed_query(encoder: Encoder, field: LanguageField, text: str) -> Float32[np.ndarray, " D"]:
@@ -70,19 +68,12 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
     """
     wanted, *unwanted = (part.strip() for part in _BUT_NOT.split(text))
     if unwanted and not all([wanted, *unwanted]):
-        raise InputError(
-            f"{text.strip()!r}: expected words and their exclusions, as in 'mug, not red'"
-        )
+        raise InputError(f"{text.strip()!r}: expected words and their exclusions, as in 'mug, not red'")
     return wanted, tuple(unwanted)
 
 
 def rival_scores(
-    field: LanguageField,
-    encoder: Encoder,
-    text: str,
-    unwanted: Sequence[str],
-    *,
-    threads: int = 0,
+    field: LanguageField, encoder: Encoder, text: str, unwanted: Sequence[str], *, threads: int = 0
 ) -> Float32[np.ndarray, " r"]:
     """Each row's best score for the text with an unwanted word before it: "red mug" for "mug, not red".
 
@@ -92,19 +83,13 @@ def rival_scores(
     return text_negatives(field, encoder, texts, threads=threads).maxima
 
 
-def without(
-    scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]
-) -> Float32[np.ndarray, " r"]:
+def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
     """The scores, LOWEST where a rival fits as well or better."""
     return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
 
 
 def fits_but_not(
-    field: LanguageField,
-    query: Float32[np.ndarray, " D"],
-    rivals: Float32[np.ndarray, "c D"],
-    *,
-    threads: int = 0,
+    field: LanguageField, query: Float32[np.ndarray, " D"], rivals: Float32[np.ndarray, "c D"], *, threads: int = 0
 ) -> Float32[np.ndarray, " r"]:
     """Cosines of a query, LOWEST where a rival fits as well or better; one scan for up to 15 rivals.
 
@@ -135,12 +120,7 @@ def fits_all(
 
 
 def feature_at(
-    field: LanguageField,
-    gaussians: Gaussians,
-    view: View,
-    xy: tuple[float, float],
-    *,
-    threads: int = 0,
+    field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
 ) -> Float32[np.ndarray, " D"]:
     """The feature of what a pixel of a view shows, as a query: self-referencing, of any encoder.
 
@@ -157,12 +137,7 @@ def feature_at(
 
 
 def gaussian_at(
-    field: LanguageField,
-    gaussians: Gaussians,
-    view: View,
-    xy: tuple[float, float],
-    *,
-    threads: int = 0,
+    field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
 ) -> int:
     """Row of the Gaussian with the largest blending weight at a pixel among those that have a feature.
 

@@ -37,9 +37,7 @@ def standing_on(scene: Scene, matches: Sequence[Match], text: str) -> list[Match
     return [one for one in matches if stands_on(scene.gaussians, one, support, scene.up)]
 
 
-def stands_on(
-    gaussians: Gaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]
-) -> bool:
+def stands_on(gaussians: Gaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
     """Whether a thing's middle is over the support, and its lower side at the upper half of the support or
     not far above.
 

@@ -9,10 +9,7 @@ from ..field import LanguageField
 
 
 def supporting_masks(
-    field: LanguageField,
-    gaussian_ids: Integer[np.ndarray, " m"],
-    query: Float32[np.ndarray, " D"],
-    top: int = 5,
+    field: LanguageField, gaussian_ids: Integer[np.ndarray, " m"], query: Float32[np.ndarray, " D"], top: int = 5
 ) -> list[Explanation]:
     """The masks that speak most for `query` in the Gaussians together: largest sum of W_ij <q, e_j>.
 
@@ -27,18 +24,12 @@ def supporting_masks(
     rows = np.flatnonzero(np.isin(field.gaussian_ids, gaussian_ids))
     weights = np.asarray(evidence.weights[rows].sum(axis=0, dtype=np.float64)).ravel()
     used = np.flatnonzero(weights)
-    support = weights[used] * (
-        evidence.embeddings[used].astype(np.float64) @ (query / np.linalg.norm(query))
-    )
+    support = weights[used] * (evidence.embeddings[used].astype(np.float64) @ (query / np.linalg.norm(query)))
     total = support[support > 0].sum()
     order = np.argsort(-support, kind="stable")[:top]
     masks = evidence.masks
     return [
-        Explanation(
-            masks.view_names[masks.views[used[k]]],
-            int(masks.ids[used[k]]),
-            float(support[k] / total),
-        )
+        Explanation(masks.view_names[masks.views[used[k]]], int(masks.ids[used[k]]), float(support[k] / total))
         for k in order
         if support[k] > 0
     ]

@@ -49,9 +49,7 @@ def locate(
     members = np.split(ids[order], np.flatnonzero(np.diff(groups[order])) + 1)
     solid = gaussians.opacities >= HAZE
     found = [
-        _match(gaussians, by_id, group, up)
-        for group in members
-        if np.count_nonzero(solid[group]) >= min_gaussians
+        _match(gaussians, by_id, group, up) for group in members if np.count_nonzero(solid[group]) >= min_gaussians
     ]
     return sorted(found, key=lambda match: (-match.score, int(match.gaussian_ids[0])))
 
@@ -101,9 +99,7 @@ def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None
         )
 
 
-def _components(
-    points: Float64[np.ndarray, "n 3"], link_distance: float | None
-) -> Int64[np.ndarray, " n"]:
+def _components(points: Float64[np.ndarray, "n 3"], link_distance: float | None) -> Int64[np.ndarray, " n"]:
     """Label of each point: those joined by steps of at most the link distance share one."""
     k = min(NEIGHBOURS, len(points) - 1)
     distances, neighbours = cKDTree(points).query(points, k=k + 1)

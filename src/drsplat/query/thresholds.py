@@ -138,17 +138,13 @@ def mixture_threshold(scores: Scores) -> float:
 Component = tuple[float, float, float]  # weight, mean, variance
 
 
-def _moments(
-    at: Float64[np.ndarray, " b"], weight: Float64[np.ndarray, " b"], floor: float
-) -> Component:
+def _moments(at: Float64[np.ndarray, " b"], weight: Float64[np.ndarray, " b"], floor: float) -> Component:
     total = float(weight.sum())
     mean = float(weight @ at) / total if total > 0 else 0.0
     return total, mean, float(weight @ (at - mean) ** 2) / max(total, 1e-300) + floor
 
 
-def _posterior(
-    at: Float64[np.ndarray, " b"], lower: Component, upper: Component
-) -> Float64[np.ndarray, " b"]:
+def _posterior(at: Float64[np.ndarray, " b"], lower: Component, upper: Component) -> Float64[np.ndarray, " b"]:
     logs = [
         np.log(weight / np.sqrt(variance)) - (at - mean) ** 2 / (2 * variance)
         for weight, mean, variance in (lower, upper)

@@ -30,16 +30,12 @@ def pq_distances(
     return np.asarray(((parts - centroids.astype(np.float64)) ** 2).sum(axis=3))
 
 
-def pq_encode(
-    features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]
-) -> UInt8[np.ndarray, "n L"]:
+def pq_encode(features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]) -> UInt8[np.ndarray, "n L"]:
     """The nearest centroid of each sub-vector, ties to the lowest index."""
     return np.asarray(pq_distances(features, centroids).argmin(axis=2), np.uint8)
 
 
-def pq_decode(
-    codes: UInt8[np.ndarray, "n L"], centroids: Float[np.ndarray, "L c d"]
-) -> Float64[np.ndarray, "n D"]:
+def pq_decode(codes: UInt8[np.ndarray, "n L"], centroids: Float[np.ndarray, "L c d"]) -> Float64[np.ndarray, "n D"]:
     """The centroids that the codes name, side by side."""
     rows = centroids.astype(np.float64)[np.arange(codes.shape[1]), codes]
     return np.asarray(rows.reshape(len(codes), -1))

@@ -43,9 +43,7 @@ def contributors(splats: Splats, view: View, first_hits: int | None = None) -> C
     unsure = np.zeros((view.height, view.width), bool)
     parts = []
     for rows, columns in _tiles(view):
-        members, weights, transmittance[rows, columns], unsure[rows, columns] = _composite(
-            projection, rows, columns
-        )
+        members, weights, transmittance[rows, columns], unsure[rows, columns] = _composite(projection, rows, columns)
         row, column, place = np.nonzero(np.moveaxis(weights, 0, -1))
         pixels = (rows.start + row) * view.width + columns.start + column
         parts.append((pixels, members[place], weights[place, row, column]))
@@ -101,17 +99,11 @@ def _alphas(
 
     x_error, y_error = (column(entry) for entry in projection.center_error.T)
     error = column(projection.covariance_error) * (gx * gx + gy * gy)
-    error += (
-        np.abs(gx) * x_error
-        + np.abs(gy) * y_error
-        + ROUNDING * column(projection.cancellation) * exponent
-    )
+    error += np.abs(gx) * x_error + np.abs(gy) * y_error + ROUNDING * column(projection.cancellation) * exponent
     return alphas, np.maximum(ALPHA_BAND, error)
 
 
-def _covers(
-    rectangles: Int[np.ndarray, "n 4"], rows: slice, columns: slice
-) -> Bool[np.ndarray, " n"]:
+def _covers(rectangles: Int[np.ndarray, "n 4"], rows: slice, columns: slice) -> Bool[np.ndarray, " n"]:
     tile = np.array([columns.start, rows.start]) // TILE
     inside = (rectangles[:, :2] <= tile) & (tile < rectangles[:, 2:])
     return np.asarray(inside.all(axis=1))

@@ -9,17 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from ..scene.views import View
-from .training import (
-    Branches,
-    Entries,
-    Footprints,
-    Parameters,
-    alphas_of,
-    composite,
-    decide,
-    float64_of,
-    footprints,
-)
+from .training import Branches, Entries, Footprints, Parameters, alphas_of, composite, decide, float64_of, footprints
 
 # Half widths of the differences. An image is linear in sh, and 1e-4 pixel is little.
 STEPS = {"means": 1e-5, "log_scales": 1e-5, "quats": 1e-5, "logits": 1e-4, "sh": 1e-3}
@@ -61,8 +51,7 @@ def gradients(
         branches = Branches(*(column[[i]] for column in decisions.branches))
         for name, step in STEPS.items():
             up, down = (
-                loss(footprints(_variants(scene, i, name, h), view, sh_degree, branches))
-                for h in (step, -step)
+                loss(footprints(_variants(scene, i, name, h), view, sh_degree, branches)) for h in (step, -step)
             )
             column = getattr(out, name)
             column[i] = ((up - down) / (2 * step)).reshape(column[i].shape)

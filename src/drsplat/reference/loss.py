@@ -24,9 +24,7 @@ class Loss(NamedTuple):
     gradient: Float64[np.ndarray, "h w 3"]
 
 
-def ssim_map(
-    image: Float64[np.ndarray, "h w 3"], target: Float64[np.ndarray, "h w 3"]
-) -> Float64[np.ndarray, "h w 3"]:
+def ssim_map(image: Float64[np.ndarray, "h w 3"], target: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3"]:
     """Structural similarity at each pixel and channel; what is outside the image counts as zero."""
     mean_x, mean_y = _blurred(image), _blurred(target)
     var_x = _blurred(image * image) - mean_x * mean_x
@@ -37,9 +35,7 @@ def ssim_map(
 
 
 def photometric_loss(
-    image: Float[np.ndarray, "h w 3"],
-    target: Float[np.ndarray, "h w 3"],
-    ssim_weight: float = 0.2,
+    image: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"], ssim_weight: float = 0.2
 ) -> Loss:
     """L1 and SSIM, means over pixels and channels; the gradient of SSIM by central differences."""
     x, y = image.astype(np.float64), target.astype(np.float64)
@@ -68,9 +64,7 @@ def adam_step(
     parameter -= rate * first_moment / (1 - beta1**step) / spread
 
 
-def _ssim_slopes(
-    x: Float64[np.ndarray, "h w 3"], y: Float64[np.ndarray, "h w 3"]
-) -> Float64[np.ndarray, "h w 3"]:
+def _ssim_slopes(x: Float64[np.ndarray, "h w 3"], y: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3"]:
     """A pixel moves the similarity of its own channel within reach of the window only."""
     slopes, reach = np.empty_like(x), WINDOW - 1  # half a window to blur, half to see it
     for row, column in np.ndindex(x.shape[:2]):

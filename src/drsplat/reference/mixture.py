@@ -15,10 +15,7 @@ def atoms(dictionary: Dictionary) -> Float64[np.ndarray, "a D"]:
 
 
 def mixture_encode(
-    features: Float[np.ndarray, "n D"],
-    dictionary: Dictionary,
-    candidates: Candidates,
-    atoms_per_row: int,
+    features: Float[np.ndarray, "n D"], dictionary: Dictionary, candidates: Candidates, atoms_per_row: int
 ) -> Encoded:
     """Of every row, what `encode_row` chooses."""
     table, rows = atoms(dictionary), len(features)
@@ -77,9 +74,7 @@ def _leave_positive(candidates: np.ndarray, feature: np.ndarray, chosen: list[in
         del chosen[int(weights.argmin())]
 
 
-def _best(
-    candidates: np.ndarray, feature: np.ndarray, chosen: list[int], barred: set[int]
-) -> int | None:
+def _best(candidates: np.ndarray, feature: np.ndarray, chosen: list[int], barred: set[int]) -> int | None:
     """The candidate that leaves least over together with the chosen ones."""
     basis = np.linalg.qr(candidates[chosen].T)[0]
     left = candidates @ (feature - basis @ (basis.T @ feature))
@@ -90,9 +85,7 @@ def _best(
     return int(gains.argmax()) if gains.max(initial=0) > LEAST_GAIN else None
 
 
-def _solve(
-    candidates: np.ndarray, feature: np.ndarray, chosen: list[int]
-) -> Float64[np.ndarray, " k"]:
+def _solve(candidates: np.ndarray, feature: np.ndarray, chosen: list[int]) -> Float64[np.ndarray, " k"]:
     return np.asarray(np.linalg.lstsq(candidates[chosen].T, feature, rcond=None)[0])
 
 
@@ -100,9 +93,7 @@ def _explained(candidates: np.ndarray, feature: np.ndarray, chosen: list[int]) -
     return float(((np.linalg.qr(candidates[chosen].T)[0].T @ feature) ** 2).sum())
 
 
-def nearest_centres(
-    points: Float[np.ndarray, "n D"], centres: Float[np.ndarray, "c D"]
-) -> Int64[np.ndarray, " n"]:
+def nearest_centres(points: Float[np.ndarray, "n D"], centres: Float[np.ndarray, "c D"]) -> Int64[np.ndarray, " n"]:
     """The centre of largest inner product with each point, ties to the lowest."""
     return np.asarray((points.astype(np.float64) @ centres.astype(np.float64).T).argmax(axis=1))
 

@@ -108,13 +108,9 @@ def project(splats: Splats, view: View) -> Projection:
         cancellation=cancellation,
         tiles=_tile_rectangles(centers, np.ceil(radius), depths > near),
         certain_tiles=_tile_rectangles(
-            centers,
-            np.ceil(radius - radius_error) - margin,
-            solvable & (depths > near + depth_error),
+            centers, np.ceil(radius - radius_error) - margin, solvable & (depths > near + depth_error)
         ),
-        possible_tiles=_tile_rectangles(
-            centers, np.ceil(radius + radius_error) + margin, depths > near - depth_error
-        ),
+        possible_tiles=_tile_rectangles(centers, np.ceil(radius + radius_error) + margin, depths > near - depth_error),
     )
 
 

@@ -57,18 +57,13 @@ def view_weights(
     return mask_sums(largest(contributors(splats, view, first_hits), topk), mask_ids)
 
 
-def topk_contributions(
-    splats: Splats, view: View, k: int, *, first_hits: int | None = None
-) -> Contributions:
+def topk_contributions(splats: Splats, view: View, k: int, *, first_hits: int | None = None) -> Contributions:
     """Return the k largest blending weights of each pixel and the Gaussians that own them."""
     return pixel_table(largest(contributors(splats, view, first_hits), k), k)
 
 
 def render_channels(
-    splats: Splats,
-    view: View,
-    values: Float[np.ndarray, "n c"],
-    background: Float[np.ndarray, " c"] | None = None,
+    splats: Splats, view: View, values: Float[np.ndarray, "n c"], background: Float[np.ndarray, " c"] | None = None
 ) -> Rendering:
     """Composite per-Gaussian values: sum of w_i v_i, plus the background seen through the rest."""
     return weighted_sums(contributors(splats, view), values, background)
@@ -124,9 +119,7 @@ def pixel_table(seen: Contributors, k: int) -> Contributions:
 
 
 def weighted_sums(
-    seen: Contributors,
-    values: Float[np.ndarray, "n c"],
-    background: Float[np.ndarray, " c"] | None = None,
+    seen: Contributors, values: Float[np.ndarray, "n c"], background: Float[np.ndarray, " c"] | None = None
 ) -> Rendering:
     """Sum weight times value over the contributors of each pixel."""
     shape = seen.transmittance.shape

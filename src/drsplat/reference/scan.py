@@ -25,9 +25,7 @@ def scan_scores(rows: GroupedRows, tables: QueryTables) -> Float64[np.ndarray, "
 
 
 def above(
-    scores: Float[np.ndarray, " n"],
-    threshold: float,
-    floor: Float[np.ndarray, " n"] | float = 0.0,
+    scores: Float[np.ndarray, " n"], threshold: float, floor: Float[np.ndarray, " n"] | float = 0.0
 ) -> Int64[np.ndarray, " h"]:
     """Rows whose score minus `floor` exceeds the threshold, ascending."""
     return np.flatnonzero(scores - floor > threshold).astype(np.int64)

@@ -80,9 +80,7 @@ class _Splats(NamedTuple):
     origin: Float64[np.ndarray, " 3"]
 
 
-def decide(
-    parameters: Parameters, view: View, sh_degree: int, near: float = PUBLISHED_NEAR
-) -> Decisions:
+def decide(parameters: Parameters, view: View, sh_degree: int, near: float = PUBLISHED_NEAR) -> Decisions:
     """Take the decisions of the view's forward pass."""
     scene = float64_of(parameters)
     rows, columns = np.triu_indices(3)
@@ -100,11 +98,7 @@ def decide(
 
 
 def image(
-    parameters: Parameters,
-    view: View,
-    sh_degree: int,
-    background: Float[np.ndarray, " 3"],
-    decisions: Decisions,
+    parameters: Parameters, view: View, sh_degree: int, background: Float[np.ndarray, " 3"], decisions: Decisions
 ) -> Float64[np.ndarray, "h w 3"]:
     """The view's image, under decisions that may have been taken for other parameters."""
     marks = footprints(float64_of(parameters), view, sh_degree, decisions.branches)

@@ -62,11 +62,7 @@ def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
         return None
 
 
-def box_of(
-    gaussians: Gaussians,
-    ids: Integer[np.ndarray, " m"],
-    up: Float64[np.ndarray, " 3"] | None = None,
-) -> Box:
+def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
     """The box that holds the Gaussians `ids`, but for the outliers of their mass.
 
     up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
@@ -93,10 +89,7 @@ def _ends(
     """Where along each axis the outliers begin."""
     along, spread = part.means.astype(np.float64) @ axes.T, np.sqrt(_variances(part, axes))
     shares = mass / mass.sum()
-    return (
-        mixture_quantile(along, spread, shares, OUTLIERS),
-        mixture_quantile(along, spread, shares, 1 - OUTLIERS),
-    )
+    return (mixture_quantile(along, spread, shares, OUTLIERS), mixture_quantile(along, spread, shares, 1 - OUTLIERS))
 
 
 def mixture_quantile(
@@ -124,9 +117,7 @@ def _variances(part: Gaussians, axes: Float64[np.ndarray, "3 3"]) -> Float64[np.
 
 
 def _axes(
-    points: Float64[np.ndarray, "m 3"],
-    mass: Float64[np.ndarray, " m"],
-    up: Float64[np.ndarray, " 3"] | None,
+    points: Float64[np.ndarray, "m 3"], mass: Float64[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None
 ) -> Float64[np.ndarray, "3 3"]:
     """The principal axes, or those in the plane, and up."""
     if up is None:
@@ -137,18 +128,13 @@ def _axes(
     return np.concatenate([_principal(points @ plane.T, mass) @ plane, up[None]])
 
 
-def _principal(
-    points: Float64[np.ndarray, "m k"], mass: Float64[np.ndarray, " m"]
-) -> Float64[np.ndarray, "k k"]:
+def _principal(points: Float64[np.ndarray, "m k"], mass: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, "k k"]:
     offsets = points - mass @ points / mass.sum()
     return np.asarray(np.linalg.eigh((offsets * mass[:, None]).T @ offsets)[1].T[::-1])
 
 
 def _ordered(
-    axes: Float64[np.ndarray, "3 3"],
-    low: Float64[np.ndarray, " 3"],
-    high: Float64[np.ndarray, " 3"],
-    free: int,
+    axes: Float64[np.ndarray, "3 3"], low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], free: int
 ) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """The first `free` axes by length, each towards where its largest part is positive; right-handed."""
     order = [*np.argsort(-(high - low)[:free], kind="stable").tolist(), *range(free, 3)]

@@ -13,9 +13,7 @@ from .placing import FEWEST, local_origin, near_plane
 from .rotations import rotation_matrices
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
-SH_C0 = (
-    0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
-)
+SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +46,10 @@ class Gaussians:
         for name, shape in expected.items():
             given = getattr(self, name)
             if given.shape != shape or given.dtype != np.float32:
-                raise InputError(
-                    f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}"
-                )
+                raise InputError(f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}")
         k = self.sh.shape[1] if self.sh.ndim == 3 else -1
         if self.sh.shape != (n, k, 3) or k not in SH_COEFFICIENTS or self.sh.dtype != np.float32:
-            raise InputError(
-                f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}"
-            )
+            raise InputError(f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}")
         for name, column in self.extra.items():
             if len(column) != n:
                 raise InputError(f"extra column '{name}': expected {n} values, got {len(column)}")
@@ -103,10 +97,7 @@ class Gaussians:
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
-        axes = (
-            rotation_matrices(self.quats.astype(np.float64))
-            * self.scales.astype(np.float64)[:, None, :]
-        )
+        axes = rotation_matrices(self.quats.astype(np.float64)) * self.scales.astype(np.float64)[:, None, :]
         rows, columns = np.triu_indices(3)
         return np.asarray(np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns]))
 

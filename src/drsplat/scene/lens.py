@@ -68,11 +68,7 @@ def _distort(points: Points, coefficients: Coefficients) -> Points:
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + k2 * r2)
     return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        -1,
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
     )
 
 
@@ -88,9 +84,7 @@ def _newton_step(points: Points, target: Points, coefficients: Coefficients) -> 
     error = _distort(points, coefficients) - target
     determinant = a * d - b * b
     determinant = np.where(np.abs(determinant) < 1e-9, 1e-9, determinant)
-    step = np.stack(
-        [d * error[..., 0] - b * error[..., 1], a * error[..., 1] - b * error[..., 0]], -1
-    )
+    step = np.stack([d * error[..., 0] - b * error[..., 1], a * error[..., 1] - b * error[..., 0]], -1)
     return np.clip(step / determinant[..., None], -1, 1)
 
 

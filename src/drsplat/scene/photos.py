@@ -31,9 +31,7 @@ def photo_size(path: Path) -> tuple[int, int]:
         return photo.size
 
 
-def decoded_picture(
-    source: Path | BytesIO, most_pixels: int | None = None
-) -> UInt8[np.ndarray, "h w 3"]:
+def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
     """RGB of any picture, upright, on black where it is transparent; for queries, which have no camera.
 
     Raises: InputError: of more pixels, or too costly (`check_cost`), before it is decoded. FormatError: damaged,
@@ -52,9 +50,7 @@ def decoded_picture(
     except InputError:
         raise
     except Exception as error:  # decoders of damaged files raise anything
-        raise FormatError(
-            f"cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {type(error).__name__}"
-        ) from error
+        raise FormatError(f"cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {type(error).__name__}") from error
     black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
     return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
 
@@ -107,9 +103,7 @@ def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.nd
     return undistorted
 
 
-def _undistort_bilinear(
-    view: View, photo: UInt8[np.ndarray, "h w 3"]
-) -> UInt8[np.ndarray, "h w 3"]:
+def _undistort_bilinear(view: View, photo: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     undistorted = np.zeros_like(photo)
     for rows, source in _source_blocks(view):
         inside = _inside(source, view.width, view.height)
@@ -117,9 +111,7 @@ def _undistort_bilinear(
     return undistorted
 
 
-def _bilinear(
-    photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"]
-) -> UInt8[np.ndarray, "n 3"]:
+def _bilinear(photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"]) -> UInt8[np.ndarray, "n 3"]:
     height, width = photo.shape[:2]
     corner = np.clip(at - 0.5, 0, (width - 1, height - 1))  # pixel centres are at half integers
     low = corner.astype(np.intp)
@@ -143,9 +135,7 @@ def _source_blocks(view: View) -> Iterator[tuple[slice, Float64[np.ndarray, "r w
         yield slice(start, stop), distort_points(view, np.stack([x, y], -1))
 
 
-def _inside(
-    points: Float64[np.ndarray, "r w 2"], width: int, height: int
-) -> Bool[np.ndarray, "r w"]:
+def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bool[np.ndarray, "r w"]:
     """False for NaN, which stands for no place on the photo."""
     x, y = points[..., 0], points[..., 1]
     inside: np.ndarray = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -164,12 +154,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise InputError(f"{path}: there is no such photo") from None
     except UnidentifiedImageError:  # its message names an open file, not ours
         raise FormatError(f"{path}: is no photo ({'/'.join(PHOTO_FORMATS)})") from None
-    except (
-        Exception
-    ) as error:  # decoders of damaged files raise anything, from struct.error to KeyError
-        raise FormatError(
-            f"{path}: cannot be read as a photo ({'/'.join(PHOTO_FORMATS)}): {error}"
-        ) from error
+    except Exception as error:  # decoders of damaged files raise anything, from struct.error to KeyError
+        raise FormatError(f"{path}: cannot be read as a photo ({'/'.join(PHOTO_FORMATS)}): {error}") from error
 
 
 def _check_cost(photo: Image.Image, path: Path) -> None:
@@ -185,12 +171,9 @@ def _rgb(photo: Image.Image, path: Path) -> Image.Image:
         return Image.fromarray((np.asarray(photo) >> 8).astype(np.uint8)).convert("RGB")
     if photo.mode in ("I", "F"):
         raise FormatError(
-            f"{path}: expected 8 or 16 bits per channel, got mode {photo.mode}: convert it to "
-            "PNG or JPEG"
+            f"{path}: expected 8 or 16 bits per channel, got mode {photo.mode}: convert it to PNG or JPEG"
         )
     if "A" in photo.getbands() or "transparency" in photo.info:
         rgba = photo.convert("RGBA")
-        return Image.composite(
-            rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A")
-        )
+        return Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
     return photo.convert("RGB")

@@ -34,15 +34,11 @@ def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | No
     """
     pixels, size = picture.width * picture.height, f"{picture.width}x{picture.height}"
     if most_pixels is not None and pixels > most_pixels:
-        raise InputError(
-            f"a picture of {size} pixels: at most {most_pixels:,} are taken, make it smaller"
-        )
+        raise InputError(f"a picture of {size} pixels: at most {most_pixels:,} are taken, make it smaller")
     if isinstance(picture, JpegImageFile):
         scans, most = jpeg_scans(_content(file)), most_scans(pixels)
         if scans > most:
-            raise InputError(
-                f"a JPEG of {size} pixels in {scans} scans: at most {most} are taken, save it anew"
-            )
+            raise InputError(f"a JPEG of {size} pixels in {scans} scans: at most {most} are taken, save it anew")
     if isinstance(picture, TiffImageFile) and _tile(picture) > 4 * max(pixels, SMALL_PIXELS):
         raise InputError(f"a TIFF of {size} pixels in far larger tiles: save it as PNG")
     if isinstance(picture, BmpImageFile) and picture.info.get("compression") in (1, 2):

@@ -10,9 +10,7 @@ from jaxtyping import Float, Float32, Float64
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing that is nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: scenes smaller than four units
-FAR = (
-    256.0  # sizes from zero: beyond, float32 rounds positions to more than 1e-5 of the scene's size
-)
+FAR = 256.0  # sizes from zero: beyond, float32 rounds positions to more than 1e-5 of the scene's size
 FEWEST = 16  # fewer Gaussians than this say nothing of a scene's size
 SOLID = 0.1  # opacity; fainter Gaussians may float anywhere
 MIDDLE = (0.05, 0.95)
@@ -31,9 +29,7 @@ def middle_of(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
     return np.asarray(np.median(positions.astype(np.float64), axis=0))
 
 
-def near_plane(
-    means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None
-) -> float:
+def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None) -> float:
     """Camera z, in scene units, up to which Gaussians are not drawn.
 
     The published 0.2 where the scene is four units large or more (the diagonal of the box about the middle nine

@@ -33,13 +33,10 @@ def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
     found = lost_precision(gaussians)
     if not SMALLEST <= size <= LARGEST:
         found.append(
-            f"the scene is {size:.3g} units large: is its unit meant? Expected was "
-            f"between {SMALLEST:g} and {LARGEST:g}"
+            f"the scene is {size:.3g} units large: is its unit meant? Expected was between {SMALLEST:g} and {LARGEST:g}"
         )
     middle = gaussians.origin + middle_of(gaussians.means)
-    away = (
-        float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0
-    )
+    away = float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0
     if away > AWAY * size:
         found.append(
             f"half of the {len(views)} cameras are {away:.3g} units or more from the middle of the Gaussians, which "

@@ -33,21 +33,14 @@ class View:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise InputError(f"view '{self.name}': empty raster {self.width}x{self.height}")
-        for label, matrix, shape in (
-            ("K", self.K, (3, 3)),
-            ("cam_from_world", self.cam_from_world, (4, 4)),
-        ):
+        for label, matrix, shape in (("K", self.K, (3, 3)), ("cam_from_world", self.cam_from_world, (4, 4))):
             if matrix.shape != shape or not np.isfinite(matrix).all():
                 raise InputError(f"view '{self.name}': {label} must be a finite {shape} matrix")
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
-            raise InputError(
-                f"view '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}"
-            )
+            raise InputError(f"view '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}")
         rotation = self.cam_from_world[:3, :3]
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-            raise InputError(
-                f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)"
-            )
+            raise InputError(f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)")
 
     def __repr__(self) -> str:
         place = ", ".join(f"{x:.4g}" for x in self.center)

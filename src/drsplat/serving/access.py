@@ -41,10 +41,7 @@ def is_own_page(origin: str | None, header: str) -> bool:
 
     origin, header: what `Origin` and `Host` say. Another port is another server.
     """
-    return origin is None or origin.lower() in (
-        f"http://{header.lower()}",
-        f"https://{header.lower()}",
-    )
+    return origin is None or origin.lower() in (f"http://{header.lower()}", f"https://{header.lower()}")
 
 
 def is_secret(given: str | bytes, secret: str) -> bool:

@@ -79,10 +79,7 @@ def selected(scene: Scene, asked: Select, limits: Limits) -> Selected:
     values = answer.values
     return Selected(
         measured=measured(answer),
-        score_range=[
-            significant(float(values.min(initial=1))),
-            significant(float(values.max(initial=-1))),
-        ],
+        score_range=[significant(float(values.min(initial=1))), significant(float(values.max(initial=-1)))],
         gaussian_ids=answer.gaussian_ids.tolist() if asked.ids else None,
         field=scene.field.fingerprint,
     )

@@ -21,16 +21,7 @@ from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
 from .metrics import Metrics
-from .models import (
-    Health,
-    Located,
-    Problem,
-    SceneDetails,
-    SceneList,
-    Segmented,
-    Selected,
-    Words,
-)
+from .models import Health, Located, Problem, SceneDetails, SceneList, Segmented, Selected, Words
 from .refusals import faults_of
 from .replies import Reply, problem, refusal
 from .requests import Locate, Picture, Segment, Select, WhatIs
@@ -76,11 +67,7 @@ def create_app(settings: Settings) -> FastAPI:
 
     Raises: InputError: no such folder.
     """
-    catalog, limits, metrics = (
-        Catalog(Path(settings.folder), settings.sources),
-        settings.limits,
-        Metrics(),
-    )
+    catalog, limits, metrics = (Catalog(Path(settings.folder), settings.sources), settings.limits, Metrics())
     bench = Workbench(Workplace(settings.folder, settings.sources, limits), metrics)
 
     @asynccontextmanager
@@ -104,9 +91,7 @@ def create_app(settings: Settings) -> FastAPI:
     _add_scenes(app, bench)
     _add_queries(app, bench)
     _add_pages(app)
-    app.add_middleware(
-        Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts
-    )  # type: ignore[arg-type]
+    app.add_middleware(Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts)  # type: ignore[arg-type]
     if settings.origins:
         _allow(app, settings.origins)
     return app
@@ -141,9 +126,7 @@ def _sent(reply: Reply, headers: Any = None) -> Response:
     more = {"retry-after": "1"} if reply.status == 503 else {}
     if reply.field:
         more[FIELD_HEADER] = reply.field
-    return Response(
-        reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type
-    )
+    return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)
 
 
 def _add_watching(app: FastAPI, catalog: Catalog, metrics: Metrics) -> None:

@@ -221,9 +221,7 @@ def _is_file(given: str) -> bool:
 def _has_field(folder: Path) -> bool:
     try:
         return folder.is_dir() and any(
-            path.is_dir()
-            for path in folder.glob(f"*{FIELD_SUFFIX}")
-            if not path.name.startswith(".")
+            path.is_dir() for path in folder.glob(f"*{FIELD_SUFFIX}") if not path.name.startswith(".")
         )
     except OSError:  # a folder that may not be read, or that has just gone
         return False

@@ -139,5 +139,8 @@ def connection_class(most: int, seconds: Mapping[Stage, float] = SECONDS) -> typ
 def _too_slow(seconds: float) -> bytes:
     reason = {"error": f"no request within {seconds:g} s: send it at once", "kind": "timeout"}
     body = json.dumps(reason).encode()
-    head = f"HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: {len(body)}\r\n\r\n"
+    head = (
+        "HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-type: application/json\r\n"
+        f"content-length: {len(body)}\r\n\r\n"
+    )
     return head.encode() + body

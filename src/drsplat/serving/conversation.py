@@ -135,9 +135,7 @@ class Conversation:
             num_photos=len(names),
             some_photos=names[:: max(1, len(names) // FEW)][:FEW],
             field=opened.field.fingerprint,
-            advice=""
-            if up
-            else "the photos do not tell which way is up: count and locate know no 'on'",
+            advice="" if up else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
     def locate(self, text: str, on: str | None, scene: str, top: int) -> Located:
@@ -173,12 +171,7 @@ class Conversation:
         found = opened.locate(_text(text))
         if not found:
             return Place(
-                query=text,
-                best=None,
-                others=0,
-                best_view=None,
-                field=opened.field.fingerprint,
-                advice=_absent(text),
+                query=text, best=None, others=0, best_view=None, field=opened.field.fingerprint, advice=_absent(text)
             )
         return Place(
             query=text,
@@ -220,9 +213,7 @@ class Conversation:
             field=opened.field.fingerprint,
         )
 
-    def describe_region(
-        self, center: list[float], radius: float, scene: str, names: list[str] | None
-    ) -> Region:
+    def describe_region(self, center: list[float], radius: float, scene: str, names: list[str] | None) -> Region:
         opened = self._scene(scene)
         if len(center) != 3:
             raise InputError(f"center: expected [x, y, z], got {len(center)} numbers")
@@ -237,17 +228,9 @@ class Conversation:
             )
             for one in parts[:MOST_MATCHES]
         ]
-        advice = (
-            ""
-            if listed
-            else "none of these words fits what is there: give other names, or a larger radius"
-        )
+        advice = "" if listed else "none of these words fits what is there: give other names, or a larger radius"
         return Region(
-            center=rounded(center, digits),
-            radius=radius,
-            parts=listed,
-            field=opened.field.fingerprint,
-            advice=advice,
+            center=rounded(center, digits), radius=radius, parts=listed, field=opened.field.fingerprint, advice=advice
         )
 
     def show(self, text: str | None, view: str | None, scene: str) -> tuple[Shown, bytes]:
@@ -310,9 +293,7 @@ def _text(text: str) -> str:
 
 
 def _names(names: list[str] | None) -> list[str] | None:
-    if names is not None and (
-        not 1 <= len(names) <= 100 or any(len(one) > MOST_TEXT for one in names)
-    ):
+    if names is not None and (not 1 <= len(names) <= 100 or any(len(one) > MOST_TEXT for one in names)):
         raise InputError(f"names: expected 1 to 100 texts of at most {MOST_TEXT} characters")
     return names
 
@@ -324,9 +305,7 @@ def _absent(text: str) -> str:
     )
 
 
-def _point(
-    scene: engine.Scene, place: tuple[float, float, float] | tuple[str, float, float]
-) -> np.ndarray:
+def _point(scene: engine.Scene, place: tuple[float, float, float] | tuple[str, float, float]) -> np.ndarray:
     if isinstance(place[0], str):
         return scene.point_at((place[0], place[1], place[2]))
     return np.asarray(scene.gaussians.positions[scene.nearest((place[0], place[1], place[2]))])

@@ -17,8 +17,8 @@ pre {{ padding: .8rem; overflow-x: auto }}
 <table>{routes}</table>
 <h2>For example</h2>
 {examples}
-<p><a href="openapi.json">openapi.json</a> describes every route with types, bounds and examples; <a href="scenes">scenes</a>
-lists what can be asked.</p>
+<p><a href="openapi.json">openapi.json</a> describes every route with types, bounds and examples; <a href="scenes">
+scenes</a> lists what can be asked.</p>
 </body></html>
 """
 

@@ -35,9 +35,7 @@ class DoorKeeper:
     request may address, None for any: a page in a browser can give this machine another name.
     """
 
-    def __init__(
-        self, app: App, key: str | None = None, hosts: Sequence[str] | None = None
-    ) -> None:
+    def __init__(self, app: App, key: str | None = None, hosts: Sequence[str] | None = None) -> None:
         self.app, self.key, self.hosts = app, key, hosts
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
@@ -57,9 +55,7 @@ class DoorKeeper:
     def _is_let_in(self, path: str, headers: dict[bytes, bytes]) -> bool:
         if self.key is None or path in OPEN:
             return True
-        given = headers.get(b"x-api-key") or headers.get(b"authorization", b"").removeprefix(
-            b"Bearer "
-        )
+        given = headers.get(b"x-api-key") or headers.get(b"authorization", b"").removeprefix(b"Bearer ")
         return is_secret(given, self.key)
 
     def _is_meant(self, host: bytes) -> bool:
@@ -70,12 +66,7 @@ class Guard(DoorKeeper):
     """Around the whole HTTP service: bounds of bodies and time, counts, and HEAD answered as GET."""
 
     def __init__(
-        self,
-        app: App,
-        limits: Limits,
-        metrics: Metrics,
-        key: str | None = None,
-        hosts: Sequence[str] | None = None,
+        self, app: App, limits: Limits, metrics: Metrics, key: str | None = None, hosts: Sequence[str] | None = None
     ) -> None:
         super().__init__(app, key, hosts)
         self.limits, self.metrics = limits, metrics
@@ -98,9 +89,7 @@ class Guard(DoorKeeper):
     async def _bounded(self, scope: Message, receive: Receive, answer: "_Answer") -> None:
         length, most = dict(scope["headers"]).get(b"content-length", b"0"), self.limits.body_bytes
         if not length.isdigit() or len(length) > 18:
-            return await answer.refuse(
-                400, "malformed", "Content-Length: expected a number of bytes"
-            )
+            return await answer.refuse(400, "malformed", "Content-Length: expected a number of bytes")
         if int(length) > most:
             return await answer.refuse(413, "too large", TooLargeError(most).detail)
         body = _Body(receive, self)
@@ -129,10 +118,7 @@ class _Answer:
         if self.status:  # too late: the connection is cut
             return
         body = json.dumps({"error": reason, "kind": kind}).encode()
-        headers = [
-            (b"content-type", b"application/json"),
-            (b"content-length", str(len(body)).encode()),
-        ]
+        headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
         if status == 503:
             headers.append((b"retry-after", b"1"))
         if status == 401:

@@ -9,6 +9,4 @@ def require(extra: str, *modules: str) -> None:
     """Raises: MissingExtraError: a module of an extra is not installed."""
     absent = [name for name in modules if find_spec(name) is None]
     if absent:
-        raise MissingExtraError(
-            f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"'
-        )
+        raise MissingExtraError(f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"')

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 class Limits:
     """Bounds of the service; all are checked before the work that they bound.
 
-    body_bytes: of a request. large_bodies: requests of more than 64 KiB that are received and answered at once. text: characters of one text. classes: of one request. pixels: of a picture
-    that is sent, by its header. side: of a picture that is rendered, in pixels. workers: processes, which compute one request at a time. waiting: more
+    body_bytes: of a request. large_bodies: requests of more than 64 KiB that are received and answered at once. text:
+    characters of one text. classes: of one request. pixels: of a picture
+    that is sent, by its header. side: of a picture that is rendered, in pixels. workers: processes, which compute one
+    request at a time. waiting: more
     that may wait for them; others are told to come again. seconds: from the first byte to the answer.
     """
 

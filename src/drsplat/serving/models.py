@@ -23,9 +23,7 @@ class Body(BaseModel):
     model_config = ConfigDict(ser_json_inf_nan="null")
 
 
-Fingerprint = Annotated[
-    str, Field(description="fingerprint of the field that answered: another one, another version")
-]
+Fingerprint = Annotated[str, Field(description="fingerprint of the field that answered: another one, another version")]
 
 
 class SceneSummary(Body):
@@ -82,9 +80,7 @@ class Selected(Body):
 
     measured: Measured
     score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
-    gaussian_ids: list[int] | None = Field(
-        None, description="rows of the scene, ascending; only with 'ids': true"
-    )
+    gaussian_ids: list[int] | None = Field(None, description="rows of the scene, ascending; only with 'ids': true")
     field: Fingerprint = ""
 
 
@@ -100,9 +96,7 @@ class Segmented(Body):
     num_registered: int
     num_labelled: int
     classes: list[ClassCount]
-    labels: list[int] | None = Field(
-        None, description="per Gaussian of the scene the number of its class, -1 for none"
-    )
+    labels: list[int] | None = Field(None, description="per Gaussian of the scene the number of its class, -1 for none")
     field: Fingerprint = ""
 
 
@@ -164,10 +158,7 @@ def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
             axes=[rounded(axis, 4) for axis in one.axes],
             score=round(one.score, 4),
             num_gaussians=len(one),
-            support=[
-                Support(view=s.view_name, mask=s.mask_id, share=round(s.share, 4))
-                for s in one.support
-            ],
+            support=[Support(view=s.view_name, mask=s.mask_id, share=round(s.share, 4)) for s in one.support],
         )
         for one in found
     ]

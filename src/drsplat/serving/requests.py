@@ -47,29 +47,22 @@ class Cut(Request):
 class Query(Cut):
     """Exactly one of text, vector, image, point and click."""
 
-    text: Text | None = Field(
-        None, description="words; 'mug, not red' excludes what 'red mug' fits as well"
-    )
+    text: Text | None = Field(None, description="words; 'mug, not red' excludes what 'red mug' fits as well")
     vector: Annotated[list[Finite], Field(min_length=1, max_length=8192)] | None = None
     image: Annotated[str, Field(max_length=MOST.body_bytes)] | None = Field(
-        None,
-        description="a picture of what to search for, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM",
+        None, description="a picture of what to search for, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"
     )
     point: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
     click: Click | None = None
     exclude: Annotated[list[Text], Field(max_length=16)] = []
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]},
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]})
 
 
 class Locate(Query):
     """A query, and which of its matches are returned."""
 
-    top: Annotated[
-        int, Field(ge=1, le=MOST.matches, description="matches to return, best first")
-    ] = 10
+    top: Annotated[int, Field(ge=1, le=MOST.matches, description="matches to return, best first")] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
     box: BoxKind = Field(
         "upright",
@@ -101,9 +94,7 @@ class Segment(Cut):
     classes: Annotated[list[Text], Field(min_length=1, max_length=MOST.classes)]
     labels: bool = Field(False, description="whether to return the class of every Gaussian")
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"classes": ["table", "red vase", "orange sofa"]}]},
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{"classes": ["table", "red vase", "orange sofa"]}]})
 
 
 class Picture(Query):
@@ -115,9 +106,7 @@ class Picture(Query):
     photo: bool = Field(False, description="the photo instead of a rendering")
     max_side: Annotated[int, Field(ge=16, le=MOST.side)] = 800
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]}
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]})
 
 
 class WhatIs(Request):

@@ -26,9 +26,7 @@ def over_stdio(server: MCPServer) -> None:
     anyio.run(server.run_stdio_async)
 
 
-def over_http(
-    server: MCPServer, host: str, port: int, key: str | None, hosts: Sequence[str] | None
-) -> None:
+def over_http(server: MCPServer, host: str, port: int, key: str | None, hosts: Sequence[str] | None) -> None:
     """Streamable HTTP at /mcp until SIGINT or SIGTERM. key, hosts: as of `DoorKeeper`."""
     app = DoorKeeper(server.streamable_http_app(host=host), key, hosts)
     uvicorn.run(

@@ -13,17 +13,7 @@ from pydantic import Field, ValidationError
 from .. import __version__
 from ..errors import DrSplatError
 from .catalog import Catalog, without_paths
-from .conversation import (
-    MOST_MATCHES,
-    About,
-    Conversation,
-    Count,
-    Distance,
-    Here,
-    Place,
-    Region,
-    Shown,
-)
+from .conversation import MOST_MATCHES, About, Conversation, Count, Distance, Here, Place, Region, Shown
 from .models import Located, SceneList
 from .refusals import faults_of
 
@@ -34,16 +24,12 @@ nothing like it, or another word for it. Check counts with show, which returns a
 
 T = TypeVar("T")
 Text = Annotated[str, Field(description="query in a few words, e.g. 'red mug'", max_length=200)]
-Scene = Annotated[
-    str, Field(description="name from list_scenes; may be left out where there is only one")
-]
+Scene = Annotated[str, Field(description="name from list_scenes; may be left out where there is only one")]
 Names = Annotated[
-    list[str] | None,
-    Field(description="words to choose from; may be left out for encoders that know a list"),
+    list[str] | None, Field(description="words to choose from; may be left out for encoders that know a list")
 ]
 On = Annotated[
-    str | None,
-    Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=200),
+    str | None, Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=200)
 ]
 READS = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
 
@@ -116,11 +102,7 @@ def make_server(catalog: Catalog) -> MCPServer:
         return told(lambda: talk.locate(text, on, scene, top))
 
     @server.tool(title="Count matches", annotations=READS)
-    def count(
-        text: Text,
-        on: On = None,
-        scene: Scene = "",
-    ) -> Count:
+    def count(text: Text, on: On = None, scene: Scene = "") -> Count:
         """How many matches a text has, in the scene or standing on something."""
         return told(lambda: talk.count(text, on, scene))
 
@@ -136,9 +118,7 @@ def make_server(catalog: Catalog) -> MCPServer:
 
     @server.tool(title="What is at a point", annotations=READS)
     def what_is_at(
-        point: Annotated[
-            list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)
-        ],
+        point: Annotated[list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)],
         scene: Scene = "",
         names: Names = None,
     ) -> Here:
@@ -159,9 +139,7 @@ def make_server(catalog: Catalog) -> MCPServer:
 
     @server.tool(title="Describe a region", annotations=READS)
     def describe_region(
-        center: Annotated[
-            list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)
-        ],
+        center: Annotated[list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)],
         radius: Annotated[float, Field(gt=0, description="scene units")],
         scene: Scene = "",
         names: Names = None,
@@ -171,12 +149,8 @@ def make_server(catalog: Catalog) -> MCPServer:
 
     @server.tool(title="Show a picture", annotations=READS)
     def show(
-        text: Annotated[
-            str | None, Field(description="kept in colour, the rest grey; left out: all as it is")
-        ] = None,
-        view: Annotated[
-            str | None, Field(description="a photo's name; left out: the best one")
-        ] = None,
+        text: Annotated[str | None, Field(description="kept in colour, the rest grey; left out: all as it is")] = None,
+        view: Annotated[str | None, Field(description="a photo's name; left out: the best one")] = None,
         scene: Scene = "",
     ) -> Annotated[CallToolResult, Shown]:
         """A rendered picture (PNG) of the scene, optionally with the matches of a text kept in colour."""

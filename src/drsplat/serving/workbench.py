@@ -1,4 +1,5 @@
-"""Where questions are computed: in a few processes, one question in each, some more waiting, the rest told to come again."""
+"""Where questions are computed: in a few processes, one question in each, some more waiting, the rest told to come
+again."""
 
 import asyncio
 import json
@@ -165,9 +166,7 @@ class _Worker:
         for last in (False, True):
             first = job.scene not in self._opened
             try:
-                reply = self._said(
-                    job, "open", {"for": job.act}, seconds=OPENING if first else None
-                )
+                reply = self._said(job, "open", {"for": job.act}, seconds=OPENING if first else None)
             except LostError:
                 if last or job.ended:
                     raise
@@ -177,9 +176,7 @@ class _Worker:
             return reply
         raise AssertionError("not reached")
 
-    def _said(
-        self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None
-    ) -> Reply:
+    def _said(self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None) -> Reply:
         """The answer of the process. seconds: how long it may take whoever waits; None: until the job ends."""
         process, line = self.started()
         if seconds is None and not job.begin(process):

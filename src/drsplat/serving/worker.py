@@ -1,6 +1,7 @@
 """A process that answers one question at a time, and that can be ended at any moment.
 
-It opens scenes and decodes pictures of strangers; what goes wrong in it, be it a loop or a damaged file, costs one answer.
+It opens scenes and decodes pictures of strangers; what goes wrong in it, be it a loop or a damaged file, costs one
+answer.
 Questions and answers are JSON and bytes over a socket: nothing that arrives is unpickled.
 """
 
@@ -54,9 +55,7 @@ def main(descriptor: int) -> None:
             link.send_bytes(packed(reply_to(catalog, place, **asked)))
 
 
-def reply_to(
-    catalog: Catalog, place: Workplace, act: str, scene: str, asked: dict[str, Any]
-) -> Reply:
+def reply_to(catalog: Catalog, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
     """act: "list", "open" (which also loads who embeds words), or one of `ANSWERS`."""
     try:
         if act == "list":

@@ -85,9 +85,7 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
     except FormatError as error:
         raise FormatError(f"{error}: remove it to start anew") from error
     if texts.get("version") != VERSION or not all(name in texts for name in TEXTS):
-        raise FormatError(
-            f"{path}: expected a checkpoint of version {VERSION}: remove it to start anew"
-        )
+        raise FormatError(f"{path}: expected a checkpoint of version {VERSION}: remove it to start anew")
     changed = _changed(texts, run, capture)
     if changed:
         raise MismatchError(

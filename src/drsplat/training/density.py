@@ -51,18 +51,14 @@ class AdaptiveDensity:
         if resets_opacity(self.settings, iteration - 1):
             reset_opacity(optimizer, self.settings.reset_opacity)
 
-    def after_step(
-        self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float
-    ) -> None:
+    def after_step(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float) -> None:
         """Refine, where the schedule says so."""
         if refines(self.settings, iteration):
             self._refine(optimizer, iteration, rng)
 
     def _refine(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator) -> None:
         small, large = self._chosen(optimizer)
-        radii = np.concatenate(
-            [self.radii, self.radii[small], np.repeat(self.radii[large], CHILDREN)]
-        )
+        radii = np.concatenate([self.radii, self.radii[small], np.repeat(self.radii[large], CHILDREN)])
         clones = optimizer.rows(small)
         children = split(optimizer.rows(large), rng, self.settings.split_shrink)
         optimizer.append(clones)
@@ -73,9 +69,7 @@ class AdaptiveDensity:
         optimizer.keep(~gone)
         self._forget(len(optimizer))
 
-    def _chosen(
-        self, optimizer: Optimizer
-    ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    def _chosen(self, optimizer: Optimizer) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """Whom to clone and whom to split."""
         mean_pull = self.pull / np.maximum(self.times_seen, 1)
         chosen = mean_pull >= self.settings.gradient_threshold
@@ -100,20 +94,14 @@ class AdaptiveDensity:
         return useless
 
     def state(self) -> dict[str, np.ndarray]:
-        return {
-            "density.pull": self.pull,
-            "density.times_seen": self.times_seen,
-            "density.radii": self.radii,
-        }
+        return {"density.pull": self.pull, "density.times_seen": self.times_seen, "density.radii": self.radii}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         for name in ("pull", "times_seen", "radii"):
             setattr(self, name, np.array(state[f"density.{name}"], np.float32))
 
 
-def split(
-    parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.6
-) -> SceneParameters:
+def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.6) -> SceneParameters:
     """Two smaller Gaussians for each: places drawn from the parent's own distribution.
 
     Row order: the first child of every parent, then the second of every parent.

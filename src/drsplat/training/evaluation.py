@@ -72,11 +72,7 @@ def evaluate(
 
 
 def rendered(
-    parameters: SceneParameters,
-    view: View,
-    settings: TrainingSettings,
-    near: float = PUBLISHED_NEAR,
-    threads: int = 0,
+    parameters: SceneParameters, view: View, settings: TrainingSettings, near: float = PUBLISHED_NEAR, threads: int = 0
 ) -> Float32[np.ndarray, "h w 3"]:
     """The picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
     backdrop = np.array(settings.backdrop, np.float32)

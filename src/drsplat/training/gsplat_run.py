@@ -115,9 +115,7 @@ class DeviceRun(Run):
         """One camera's."""
         return torch.tensor(array[None], dtype=torch.float32, device=self.engine.device)
 
-    def _compared(
-        self, image: Tensor, target: Tensor, outside: Tensor, seen: dict[str, Any]
-    ) -> Outcome:
+    def _compared(self, image: Tensor, target: Tensor, outside: Tensor, seen: dict[str, Any]) -> Outcome:
         """Loss and gradients. Where the photo says nothing, the rendering is its own target."""
         fixed = image.detach()
         target = torch.where(outside, fixed, target)

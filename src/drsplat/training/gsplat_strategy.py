@@ -65,17 +65,14 @@ def require_what_gsplat_can(settings: TrainingSettings) -> None:
         given = getattr(settings, name)
         if given != value:
             raise InputError(
-                f"{name}: gsplat has {value} built in, got {given}: leave it, or train on the CPU "
-                "(device 'cpu')"
+                f"{name}: gsplat has {value} built in, got {given}: leave it, or train on the CPU (device 'cpu')"
             )
 
 
 class DefaultControl:
     """Adaptive density control within a budget."""
 
-    def __init__(
-        self, settings: TrainingSettings, extent: float, scene: DeviceParameters, kinds: Strategies
-    ) -> None:
+    def __init__(self, settings: TrainingSettings, extent: float, scene: DeviceParameters, kinds: Strategies) -> None:
         self.settings, self.scene = settings, scene
         self.strategy = kinds.DefaultStrategy(**default_arguments(settings))
         self.strategy.check_sanity(scene.tensors, scene.adams)
@@ -135,9 +132,7 @@ class DefaultControl:
 class MonteCarloControl:
     """Relocation, growth to the budget, and noise."""
 
-    def __init__(
-        self, settings: TrainingSettings, extent: float, scene: DeviceParameters, kinds: Strategies
-    ) -> None:
+    def __init__(self, settings: TrainingSettings, extent: float, scene: DeviceParameters, kinds: Strategies) -> None:
         self.settings, self.scene = settings, scene
         self.strategy = kinds.MCMCStrategy(**mcmc_arguments(settings))
         self.strategy.check_sanity(scene.tensors, scene.adams)

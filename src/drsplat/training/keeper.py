@@ -106,8 +106,7 @@ class Keeper:
         if self.folder is None:
             return at
         return (
-            f"{at}, which {self.folder.checkpoint} holds: the same command, without overwrite=True, goes on from "
-            "there"
+            f"{at}, which {self.folder.checkpoint} holds: the same command, without overwrite=True, goes on from there"
         )
 
     def _note(self) -> None:
@@ -136,14 +135,7 @@ class Keeper:
         some = [views[index] for index in chosen]
         photos = TrainingPhotos(some, 0)
         run = self.run
-        scores = evaluate(
-            run.optimizer.parameters,
-            some,
-            photos,
-            run.settings,
-            near=run.near,
-            threads=self.job.threads,
-        )
+        scores = evaluate(run.optimizer.parameters, some, photos, run.settings, near=run.near, threads=self.job.threads)
         return scores.psnr if scores else float("nan")
 
     def finish(self) -> Training:

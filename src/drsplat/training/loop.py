@@ -27,9 +27,7 @@ def train(job: Job) -> Training:
     return trained(job, Run, optimise)
 
 
-def trained(
-    job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, Keeper, Job], None]
-) -> Training:
+def trained(job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, Keeper, Job], None]) -> Training:
     """A job from its photos to its results, whatever the steps are taken on."""
     settings = job.settings
     split, points, origin = local_capture(split_views(job.views, settings.test_every), job.points)

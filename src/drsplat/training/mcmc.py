@@ -44,9 +44,7 @@ class MonteCarlo:
     def before_step(self, optimizer: Optimizer, iteration: int) -> None:
         """No opacity is reset."""
 
-    def after_step(
-        self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float
-    ) -> None:
+    def after_step(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float) -> None:
         """rate: of the positions in this iteration, in scene units."""
         if refines(self.settings, iteration):
             relocate(optimizer, rng, self.settings.min_opacity)
@@ -74,9 +72,7 @@ class MonteCarlo:
 def relocate(optimizer: Optimizer, rng: np.random.Generator, min_opacity: float) -> None:
     """Move each dead Gaussian onto a living one, drawn by opacity; all on a place share it."""
     opacities = sigmoid(optimizer.parameters.logits)
-    dead, alive = (
-        np.flatnonzero(mask) for mask in (opacities <= min_opacity, opacities > min_opacity)
-    )
+    dead, alive = (np.flatnonzero(mask) for mask in (opacities <= min_opacity, opacities > min_opacity))
     if len(dead) == 0 or len(alive) == 0:
         return
     chosen = alive[drawn(opacities[alive], len(dead), rng)]
@@ -84,9 +80,7 @@ def relocate(optimizer: Optimizer, rng: np.random.Generator, min_opacity: float)
     optimizer.overwrite(dead, optimizer.rows(chosen))
 
 
-def grow(
-    optimizer: Optimizer, rng: np.random.Generator, growth: float, limit: int, min_opacity: float
-) -> None:
+def grow(optimizer: Optimizer, rng: np.random.Generator, growth: float, limit: int, min_opacity: float) -> None:
     """Add a share of new Gaussians, up to the limit, on places drawn by opacity."""
     count = min(limit, int((1 + growth) * len(optimizer))) - len(optimizer)
     if count <= 0:
@@ -132,16 +126,12 @@ def _line_integral(opacity: Float64[np.ndarray, " n"], sharing: int) -> Float64[
     Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is
     C(N, k+1).
     """
-    terms = [
-        comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)
-    ]
+    terms = [comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)]
     total: np.ndarray = np.sum(terms, axis=0)
     return total
 
 
-def drawn(
-    weights: Float32[np.ndarray, " n"], count: int, rng: np.random.Generator
-) -> Integer[np.ndarray, " count"]:
+def drawn(weights: Float32[np.ndarray, " n"], count: int, rng: np.random.Generator) -> Integer[np.ndarray, " count"]:
     """Indices drawn with replacement, in proportion to the weights."""
     steps = np.cumsum(weights, dtype=np.float64)
     at = np.searchsorted(steps, rng.random(count) * steps[-1], side="right")

@@ -87,9 +87,7 @@ class ModelFolder:
     def _is_fresh(self) -> bool:
         """Nothing in it but what a run writes before its first checkpoint."""
         early = {"cameras.json", "cfg_args", "settings.json", "input.ply", LOCK}
-        return all(
-            file.name in early or _LEFT_BEHIND.fullmatch(file.name) for file in self.path.iterdir()
-        )
+        return all(file.name in early or _LEFT_BEHIND.fullmatch(file.name) for file in self.path.iterdir())
 
     def _clear(self) -> None:
         """Remove what another run may have left and this one might not replace."""

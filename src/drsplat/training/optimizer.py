@@ -46,8 +46,7 @@ class Optimizer:
         """One step of Adam, in place."""
         for name in FLOATING:
             parameter, gradient, first, second = (
-                getattr(each, name)
-                for each in (self.parameters, gradients, self.first, self.second)
+                getattr(each, name) for each in (self.parameters, gradients, self.first, self.second)
             )
             rate, constant = getattr(rates, name), None
             if name == "sh":
@@ -101,20 +100,14 @@ class Optimizer:
         p = self.parameters
         limited = np.clip(p.log_scales, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
         try:
-            return checked(
-                p.means.copy(), p.quats.copy(), np.exp(limited), sigmoid(p.logits), p.sh.copy()
-            )
+            return checked(p.means.copy(), p.quats.copy(), np.exp(limited), sigmoid(p.logits), p.sh.copy())
         except FormatError as error:
             raise FormatError(f"the optimisation left the finite numbers: {error}") from None
 
     def state(self) -> dict[str, np.ndarray]:
         """All arrays by name, for a checkpoint."""
         groups = {"parameters": self.parameters, "first": self.first, "second": self.second}
-        return {
-            f"{group}.{name}": getattr(arrays, name)
-            for group, arrays in groups.items()
-            for name in FLOATING
-        }
+        return {f"{group}.{name}": getattr(arrays, name) for group, arrays in groups.items() for name in FLOATING}
 
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray]) -> "Optimizer":
@@ -137,6 +130,4 @@ def _rows(parameters: SceneParameters, rows: Rows) -> SceneParameters:
 
 
 def _joined(parameters: SceneParameters, new: SceneParameters) -> SceneParameters:
-    return SceneParameters(
-        *(np.concatenate([old, more]) for old, more in zip(parameters, new, strict=True))
-    )
+    return SceneParameters(*(np.concatenate([old, more]) for old, more in zip(parameters, new, strict=True)))

@@ -11,9 +11,7 @@ def unit(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     return unit
 
 
-def rotated(
-    quats: Float32[np.ndarray, "n 4"], vectors: Float32[np.ndarray, "n 3"]
-) -> Float32[np.ndarray, "n 3"]:
+def rotated(quats: Float32[np.ndarray, "n 4"], vectors: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
     """From the local axes of each row to the world."""
     # einsum, not matmul: BLAS may round differently with another number of threads
     turned: np.ndarray = np.einsum("nij,nj->ni", rotation_matrices(unit(quats)), vectors)
@@ -21,9 +19,7 @@ def rotated(
 
 
 def spread(
-    quats: Float32[np.ndarray, "n 4"],
-    scales: Float32[np.ndarray, "n 3"],
-    vectors: Float32[np.ndarray, "n 3"],
+    quats: Float32[np.ndarray, "n 4"], scales: Float32[np.ndarray, "n 3"], vectors: Float32[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
     """Covariance times vector: R S S^T R^T v."""
     axes = rotation_matrices(unit(quats))

@@ -81,14 +81,7 @@ class Run:
 
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)
-        drawn = forward(
-            self.optimizer.parameters,
-            view,
-            degree,
-            self._background(),
-            near=self.near,
-            threads=threads,
-        )
+        drawn = forward(self.optimizer.parameters, view, degree, self._background(), near=self.near, threads=threads)
         self._lap("forward")
         return drawn
 
@@ -97,9 +90,7 @@ class Run:
             return self.rng.random(3, np.float32)
         return np.array(self.settings.backdrop, np.float32)
 
-    def _loss(
-        self, drawn: TrainingView, target: Float32[np.ndarray, "h w 3"], photo: Photo, threads: int
-    ) -> Loss:
+    def _loss(self, drawn: TrainingView, target: Float32[np.ndarray, "h w 3"], photo: Photo, threads: int) -> Loss:
         """Where the photo says nothing, the rendering is its own target and learns nothing."""
         if len(photo.outside):
             target.reshape(-1, 3)[photo.outside] = drawn.image.reshape(-1, 3)[photo.outside]

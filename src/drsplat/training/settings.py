@@ -15,11 +15,7 @@ from ..errors import InputError
 
 STRATEGIES = ("default", "mcmc")
 BACKGROUNDS = ("black", "white", "random")
-NOT_OF_AN_ITERATION = (
-    "evaluate_every",
-    "photo_memory_bytes",
-    "iterations",
-)  # `iterations` alone may grow
+NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # `iterations` alone may grow
 
 
 @dataclass(frozen=True)
@@ -107,9 +103,7 @@ class TrainingSettings:
             if value not in allowed:
                 raise InputError(f"{name}: expected one of {allowed}, got {value!r}")
         if self.strategy == "mcmc" and self.max_gaussians is None:
-            raise InputError(
-                "strategy 'mcmc' fills a budget: set it with max_gaussians, e.g. 500,000"
-            )
+            raise InputError("strategy 'mcmc' fills a budget: set it with max_gaussians, e.g. 500,000")
 
     def _check_counts(self) -> None:
         least = {"seed": 0, "sh_degree": 0, "test_every": 0, "evaluate_every": 0, "refine_from": 0}

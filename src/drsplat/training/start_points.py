@@ -17,10 +17,7 @@ from .start import NEIGHBOURS, scene_extent
 
 FEW = 300  # triangulated points; with more, random ones between them cost PSNR (bench_starts.py)
 GREY = 128
-LEAST_AGREEING, ENOUGH_ALIKE = (
-    0.15,
-    50,
-)  # of right poses 0.4 and more agree, of wrong ones a few hundredths
+LEAST_AGREEING, ENOUGH_ALIKE = (0.15, 50)  # of right poses 0.4 and more agree, of wrong ones a few hundredths
 
 
 class Start(NamedTuple):
@@ -37,10 +34,7 @@ class Start(NamedTuple):
 
 
 def start_points(
-    points: SparsePoints | None,
-    views: Sequence[View],
-    settings: TrainingSettings,
-    rng: np.random.Generator,
+    points: SparsePoints | None, views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator
 ) -> Start:
     """The given points, thinned to the budget, or else those of `triangulate`; where they are few, with
     random ones in the space that several cameras look into.
@@ -75,10 +69,7 @@ def _found(views: Sequence[View], settings: TrainingSettings, rng: np.random.Gen
 
 
 def _random_places(
-    views: Sequence[View],
-    known: Float64[np.ndarray, "n 3"],
-    settings: TrainingSettings,
-    rng: np.random.Generator,
+    views: Sequence[View], known: Float64[np.ndarray, "n 3"], settings: TrainingSettings, rng: np.random.Generator
 ) -> Float64[np.ndarray, "m 3"]:
     """In the space that several cameras see; where there is none, in the cube about the cameras."""
     count = settings.random_points
@@ -121,8 +112,7 @@ def _check_points(points: SparsePoints) -> None:
     count = len(points.positions)
     if points.positions.shape != (count, 3) or points.colors.shape != (count, 3):
         raise InputError(
-            f"points: expected positions and colors (n, 3), got {points.positions.shape} and "
-            f"{points.colors.shape}"
+            f"points: expected positions and colors (n, 3), got {points.positions.shape} and {points.colors.shape}"
         )
     finite: Bool[np.ndarray, " n"] = np.isfinite(points.positions).all(axis=1)
     if not finite.all():

@@ -35,9 +35,7 @@ class DeviceParameters:
             parameter = Parameter(_tensor(array, device))
             adam = Adam([parameter], lr=0.0, eps=EPSILON)
             moments = (_tensor(moment[name], device) for moment in (first, second))
-            adam.state[parameter] = {"step": torch.tensor(float(step))} | dict(
-                zip(MOMENTS, moments, strict=True)
-            )
+            adam.state[parameter] = {"step": torch.tensor(float(step))} | dict(zip(MOMENTS, moments, strict=True))
             self.tensors[name], self.adams[name] = parameter, adam
 
     def __len__(self) -> int:

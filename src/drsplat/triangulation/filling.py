@@ -18,11 +18,7 @@ Ranges = Float64[np.ndarray, "v 2"]
 
 
 def fill(
-    views: Sequence[View],
-    known: Float64[np.ndarray, "n 3"],
-    count: int,
-    rng: np.random.Generator,
-    size: float,
+    views: Sequence[View], known: Float64[np.ndarray, "n 3"], count: int, rng: np.random.Generator, size: float
 ) -> Float64[np.ndarray, "m 3"]:
     """At most `count` places, drawn along random rays; fewer where cameras share little or no space.
 
@@ -76,9 +72,7 @@ def _depths_seen(view: View, points: Float64[np.ndarray, "n 3"]) -> Float64[np.n
     return seen
 
 
-def _along_rays(
-    views: Sequence[View], ranges: Ranges, rng: np.random.Generator
-) -> Float64[np.ndarray, "b 3"]:
+def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Float64[np.ndarray, "b 3"]:
     """Of random views, random pixels and, in the range of the view, random depths."""
     chosen = rng.integers(len(views), size=BATCH)
     shares = rng.random((BATCH, 3))

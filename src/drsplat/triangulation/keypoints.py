@@ -16,9 +16,7 @@ from ..scene.views import View
 LONGER_SIDE = 640  # pixels; more cost more and triangulate no better what 3DGS starts from
 MOST = 1000  # of a photo, those of the largest scale first
 LEAST_SIDE = 24  # pixels; SIFT has no octave on less
-CONTRAST = (
-    0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
-)
+CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
 
 
 class Keypoints(NamedTuple):

@@ -52,10 +52,7 @@ def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
 
 
 def _fits(
-    first: View,
-    x: Float64[np.ndarray, "m 2"],
-    second: View,
-    y: Float64[np.ndarray, "m 2"],
+    first: View, x: Float64[np.ndarray, "m 2"], second: View, y: Float64[np.ndarray, "m 2"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether each lies on the other's epipolar line, to `EPIPOLAR` of the photo."""
     fundamental = fundamental_matrix(first, second)

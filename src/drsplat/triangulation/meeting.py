@@ -31,9 +31,7 @@ class _Rays(NamedTuple):
     pixel: Float64[np.ndarray, " o"]  # tolerance as a slope: tolerated pixels over the focal length
 
 
-def meet(
-    views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2"], least: int
-) -> Points:
+def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2"], least: int) -> Points:
     """Points that `least` observations agree on.
 
     pixels: of each observation. In each round, of falling tolerance, observations that are off by more than is
@@ -70,11 +68,7 @@ def _rays(
     directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
     centers = np.array([view.center - middle for view in views])
     slopes = np.array([REPROJECTION * max(v.width, v.height) / v.K[0, 0] for v in views])
-    return _Rays(
-        centers[photos],
-        directions / np.linalg.norm(directions, axis=1, keepdims=True),
-        slopes[photos],
-    )
+    return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
 
 
 def _nearest_to_rays(

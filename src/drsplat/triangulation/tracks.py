@@ -18,9 +18,7 @@ class Tracks(NamedTuple):
 
 
 def join(
-    counts: Sequence[int],
-    pairs: Integer[np.ndarray, "p 2"],
-    found: Sequence[Integer[np.ndarray, "_ 2"]],
+    counts: Sequence[int], pairs: Integer[np.ndarray, "p 2"], found: Sequence[Integer[np.ndarray, "_ 2"]]
 ) -> Tracks:
     """Tracks of two photos or more.
 

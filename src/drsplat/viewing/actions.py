@@ -8,7 +8,8 @@ GRACE = 5.0  # seconds
 
 
 class Actions:
-    """One thread that acts. Of the acts of one key only the latest waits: no press makes the queue longer than the keys.
+    """One thread that acts. Of the acts of one key only the latest waits: no press makes the queue longer than the
+    keys.
 
     Acts must not raise.
     """

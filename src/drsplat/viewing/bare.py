@@ -14,9 +14,7 @@ from ..kernels.scan import GROUP
 from ..query import Scene
 from ..scene.gaussians import Gaussians
 
-NO_FIELD = (
-    "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
-)
+NO_FIELD = "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
 CAMERAS = "cameras.json"  # of a trained model
 
 
@@ -38,14 +36,7 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene
     cameras = capture if capture is not None else own
     views = () if cameras is None else tuple(read_views(cameras))
     gaussians = read_gaussians(path)
-    return Scene(
-        _empty_field(gaussians),
-        gaussians,
-        views,
-        _no_encoder,
-        name=path.resolve().stem,
-        threads=threads,
-    )
+    return Scene(_empty_field(gaussians), gaussians, views, _no_encoder, name=path.resolve().stem, threads=threads)
 
 
 def _empty_field(gaussians: Gaussians) -> LanguageField:

@@ -14,9 +14,7 @@ from .shown import RADIUS, Frame
 Vector = Float64[np.ndarray, " 3"]
 SNAP_COSINE = np.cos(np.radians(20))
 ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
-LEAST_SIZE = (
-    0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
-)
+LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
 FOV_DEGREES = 55.0
 UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
 
@@ -90,9 +88,7 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
     size = size_of(match, gaussians)
     if views:
         eyes = np.stack([view.center for view in views])
-        nearest = eyes[
-            np.argsort(np.linalg.norm(eyes - match.center, axis=1))[: len(eyes) // 3 + 1]
-        ]
+        nearest = eyes[np.argsort(np.linalg.norm(eyes - match.center, axis=1))[: len(eyes) // 3 + 1]]
         side = (nearest - match.center).mean(0)
     else:
         side = np.array([0.8, 0.5, 0.3])
@@ -110,9 +106,7 @@ def size_of(match: Match, gaussians: Gaussians) -> float:
     return max(float(match.extent.max()), LEAST_SIZE * radius, 1e-6)
 
 
-def flight(
-    eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0
-) -> list[Vector]:
+def flight(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0) -> list[Vector]:
     """Places of a swing around `target` that begins and ends at `eye`: a loop, slow at its turns.
 
     Raises: InputError: fewer than two frames.
@@ -126,6 +120,4 @@ def flight(
 def _turned(vector: Vector, axis: Vector, angle: float) -> Vector:
     """Rodrigues' formula; axis: of unit length."""
     along = (axis @ vector) * axis
-    return np.asarray(
-        along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
-    )
+    return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))

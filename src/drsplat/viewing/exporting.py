@@ -60,9 +60,7 @@ def _owners(result: Result, scene: Scene) -> UInt8[np.ndarray, " n"]:
     return owners
 
 
-def _words(
-    scene: Scene, given: Sequence[str] | None
-) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
+def _words(scene: Scene, given: Sequence[str] | None) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
     """The words of a click, and each Gaussian's best; none for an encoder that does not know them."""
     try:
         words = tuple(dict.fromkeys(given or words_of(scene)))[:MOST_WORDS]

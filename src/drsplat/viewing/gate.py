@@ -68,7 +68,7 @@ class Gate:
         if self.token is None:
             return True
         pairs = "; ".join(request.headers.get_all("Cookie")).split(";")
-        kept = [value for name, _, value in (pair.strip().partition("=") for pair in pairs) if name == self.cookie]  # fmt: skip
+        kept = [value for name, _, value in (pair.strip().partition("=") for pair in pairs) if name == self.cookie]
         return any(is_secret(one, self.token) for one in (*asked.get("token", ()), *kept))
 
     def _enter(self, visitor: "Visitor") -> Response | None:
@@ -84,9 +84,7 @@ class Gate:
         response = visitor.respond(HTTPStatus.SEE_OTHER, "")
         response.headers["Location"] = "/"
         if self.token is not None:
-            response.headers["Set-Cookie"] = (
-                f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
-            )
+            response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
         return response
 
     def came(self, visitor: "Visitor") -> None:
@@ -111,9 +109,7 @@ class Gate:
             sock=listening,
             **options
             | {
-                "process_request": lambda visitor, request: (
-                    self.check(visitor, request) or behind(visitor, request)
-                ),
+                "process_request": lambda visitor, request: self.check(visitor, request) or behind(visitor, request),
                 "process_response": _marked,
                 "create_connection": partial(Visitor, gate=self),
                 "max_size": messages.MOST_MESSAGE,

@@ -73,9 +73,7 @@ def _is_channel(value: Any) -> bool:
 
 
 def _list_of(count: int, check: Check) -> Check:
-    return lambda value: (
-        isinstance(value, list) and len(value) == count and all(check(one) for one in value)
-    )
+    return lambda value: isinstance(value, list) and len(value) == count and all(check(one) for one in value)
 
 
 def _or_none(check: Check) -> Check:

@@ -12,9 +12,15 @@ Colors = Float32[np.ndarray, "n 3"]
 Values = Float32[np.ndarray, " n"]
 
 ACCENTS = (
-    (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220),
-    (255, 95, 60), (200, 215, 60),
-)  # fmt: skip
+    (255, 170, 30),
+    (60, 150, 255),
+    (255, 70, 150),
+    (70, 210, 110),
+    (180, 110, 255),
+    (60, 215, 220),
+    (255, 95, 60),
+    (200, 215, 60),
+)
 """Of several queries at once, in the order they were given."""
 
 LUMA = palette.LUMA.astype(np.float32)
@@ -23,9 +29,16 @@ TINT = 0.8  # share of the query's colour in what was found, where several are t
 GLOW = 0.3  # power of more light than it had: dark things gain most, and no channel overflows
 WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
 HEAT = np.array(
-    [(0.05, 0.06, 0.20), (0.17, 0.24, 0.62), (0.16, 0.62, 0.72), (0.62, 0.80, 0.30), (0.98, 0.72, 0.16), (0.86, 0.14, 0.10)],
+    [
+        (0.05, 0.06, 0.20),
+        (0.17, 0.24, 0.62),
+        (0.16, 0.62, 0.72),
+        (0.62, 0.80, 0.30),
+        (0.98, 0.72, 0.16),
+        (0.86, 0.14, 0.10),
+    ],
     np.float32,
-)  # fmt: skip
+)
 """Dark blue to red, of rising warmth; evenly spaced."""
 FEATURE_SAMPLE = 20_000
 
@@ -66,9 +79,7 @@ def heat_colors(heat: Values) -> Colors:
     return np.asarray(HEAT[low] * (1 - share) + HEAT[low + 1] * share)
 
 
-def highlighted(
-    rgb: Colors, heat: Values, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]
-) -> Colors:
+def highlighted(rgb: Colors, heat: Values, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]) -> Colors:
     """What was found in its own colours, brighter, the rest dimmed and faintly warm where it nearly fits.
 
     Of several queries, what was found is in the colour of its query.
@@ -81,15 +92,11 @@ def highlighted(
     found = owners >= 0
     bright = brighter(rgb[found])
     tint = 0.0 if len(palette) == 1 else TINT
-    painted[found] = (1 - tint) * bright + tint * palette[owners[found]] * (
-        0.45 + 0.55 * (bright @ LUMA)[:, None]
-    )
+    painted[found] = (1 - tint) * bright + tint * palette[owners[found]] * (0.45 + 0.55 * (bright @ LUMA)[:, None])
     return np.clip(painted, 0, 1).astype(np.float32)
 
 
-def class_painted(
-    rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[np.ndarray, "c 3"]
-) -> Colors:
+def class_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[np.ndarray, "c 3"]) -> Colors:
     """Classes in their colours, shaded by the scene's own light; dimmed where there is none."""
     painted = dimmed(rgb)
     found = labels >= 0
@@ -98,9 +105,7 @@ def class_painted(
     return painted
 
 
-def feature_colors(
-    field: LanguageField, rgb: Colors, registered: Bool[np.ndarray, " n"], seed: int = 0
-) -> Colors:
+def feature_colors(field: LanguageField, rgb: Colors, registered: Bool[np.ndarray, " n"], seed: int = 0) -> Colors:
     """The three main directions of the field's features as red, green and blue; dimmed without a feature.
 
     rgb, registered: of every Gaussian of the scene. The directions are those of a sample of

@@ -80,7 +80,7 @@ class Panel:
             self.upload = self.gui.add_upload_button("Query by picture", mime_type="image/*")
             self.upload.on_upload(lambda event: self._do("picture", event, self._ask_picture))
         self.fault = self.gui.add_html("", visible=False)
-        self.told = self.gui.add_html(paragraphs("Enter a query.") if askable else paragraphs(NO_FIELD))  # fmt: skip
+        self.told = self.gui.add_html(paragraphs("Enter a query.") if askable else paragraphs(NO_FIELD))
         self.tried = self.gui.add_button_group("Try", ("-",), visible=False)
         self.tried.on_click(lambda event: self._do("try", event, self._try))
         self._build_answer()
@@ -105,9 +105,7 @@ class Panel:
         """
         prompt = self.gui.add_text(label, "", hint=hint, multiline=True)
 
-        prompt.on_update(
-            lambda event: self._do(label, event, act) if "\n" in prompt.value else None
-        )
+        prompt.on_update(lambda event: self._do(label, event, act) if "\n" in prompt.value else None)
         return prompt
 
     def _by_hand(self, control: Any, what: str, act: Callable[[Any], None]) -> None:
@@ -139,9 +137,7 @@ class Panel:
             if self.session.scene.views:
                 cameras = self.gui.add_checkbox("Cameras of the photos", False)
                 show = self.window.show_cameras
-                cameras.on_update(
-                    lambda event: self._do("cameras", event, lambda _: show(cameras.value))
-                )
+                cameras.on_update(lambda event: self._do("cameras", event, lambda _: show(cameras.value)))
             self.classes = self._prompt("Classes", "mug, bowl, table", self._classify)
             self.classes.visible = askable
             self.legend = self.gui.add_html("")
@@ -156,7 +152,7 @@ class Panel:
 
     def _build_edit(self) -> None:
         session = self.session
-        with self.gui.add_folder("Edit the matches", expand_by_default=False, visible=session.is_askable):  # fmt: skip
+        with self.gui.add_folder("Edit the matches", expand_by_default=False, visible=session.is_askable):
             self._button("Keep only this", self._changing(session.keep))
             self._button("Hide", self._changing(session.hide))
             color = self.gui.add_rgb("Colour", painting.accent(1))
@@ -236,8 +232,7 @@ class Panel:
         """Of the queries; numbers tell apart what looks the same."""
         labels = [texts.printable(result.label, 60) for result in self.session.results]
         return tuple(
-            f"{label} ({number})" if labels.count(label) > 1 else label
-            for number, label in enumerate(labels, start=1)
+            f"{label} ({number})" if labels.count(label) > 1 else label for number, label in enumerate(labels, start=1)
         )
 
     @property
@@ -249,9 +244,7 @@ class Panel:
         """Of the query chosen, with its own threshold marked."""
         if self.slider is None:
             with self.answer:
-                self.slider = self.gui.add_slider(
-                    "Threshold", 0.0, 1.0, STEP, 0.5, marks=((0.5, "auto"),), order=1.0
-                )
+                self.slider = self.gui.add_slider("Threshold", 0.0, 1.0, STEP, 0.5, marks=((0.5, "auto"),), order=1.0)
             self._by_hand(self.slider, "cut", self._cut)
         self.slider.visible = bool(self.session.results)
         if not self.session.results:
@@ -348,8 +341,12 @@ def said_of_this(this: This) -> str:
     """Its best words, and the photos and masks behind it, as HTML."""
     place = ", ".join(f"{x:.2f}" for x in this.point)
     words = [f"{escaped(one.text)} {one.score:.2f}" for one in this.words]
-    best = f"<strong>{escaped(this.words[0].text)}</strong> {this.words[0].score:.2f}" if words else "No encoder here has words for it."  # fmt: skip
-    masks = [f"{escaped(one.view_name)}, mask {one.mask_id} ({one.share:.0%})" for one in this.evidence]  # fmt: skip
+    best = (
+        f"<strong>{escaped(this.words[0].text)}</strong> {this.words[0].score:.2f}"
+        if words
+        else "No encoder here has words for it."
+    )
+    masks = [f"{escaped(one.view_name)}, mask {one.mask_id} ({one.share:.0%})" for one in this.evidence]
     others = "or " + ", ".join(words[1:]) if words[1:] else ""
     return paragraphs(best, others, f"at {place}", "Seen in " + "; ".join(masks) if masks else "")
 

@@ -68,9 +68,7 @@ def gif_of(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> bytes:
     palette = Image.fromarray(pictures[0]).quantize(COLORS)
     frames = [Image.fromarray(one).quantize(palette=palette) for one in pictures]
     out = io.BytesIO()
-    frames[0].save(
-        out, "GIF", save_all=True, append_images=frames[1:], duration=GIF_MILLISECONDS, loop=0
-    )
+    frames[0].save(out, "GIF", save_all=True, append_images=frames[1:], duration=GIF_MILLISECONDS, loop=0)
     return out.getvalue()
 
 
@@ -80,9 +78,7 @@ class Saves:
     folder: made when something is first saved; None for none.
     """
 
-    def __init__(
-        self, folder: Path | None, most_files: int = MOST_FILES, most_bytes: int = MOST_BYTES
-    ) -> None:
+    def __init__(self, folder: Path | None, most_files: int = MOST_FILES, most_bytes: int = MOST_BYTES) -> None:
         self.folder, self.files_left, self.bytes_left = folder, most_files, most_bytes
 
     def save(self, stem: str, suffix: str, write: Callable[[Path], object]) -> tuple[Path, bytes]:
@@ -107,9 +103,7 @@ class Saves:
         if size <= MOST_SENT:
             return path, path.read_bytes()
         if self.folder is None:
-            raise InputError(
-                f"{size / 1e6:,.0f} MB are too much to send: start drsplat view with --save-dir FOLDER"
-            )
+            raise InputError(f"{size / 1e6:,.0f} MB are too much to send: start drsplat view with --save-dir FOLDER")
         return path, b""
 
 

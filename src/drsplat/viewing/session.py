@@ -77,9 +77,7 @@ class Session:
         texts = results.split_queries(text)
         if not 1 <= len(texts) <= MOST_QUERIES:
             raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
-        return self._answered(
-            [results.result_of(self.scene, one, self.scene.ask(one)) for one in texts]
-        )
+        return self._answered([results.result_of(self.scene, one, self.scene.ask(one)) for one in texts])
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
         """To what a picture shows.
@@ -131,9 +129,7 @@ class Session:
 
     # --- pointing ---
 
-    def click(
-        self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
-    ) -> This | None:
+    def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
         """What a ray in the browser's frame meets first; None where that is nothing with a feature.
 
         Raises: InputError: a ray that goes nowhere.

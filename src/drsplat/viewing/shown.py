@@ -8,7 +8,9 @@ from jaxtyping import Float32, Float64, Int64
 from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
 
-RADIUS = 10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
+RADIUS = (
+    10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
+)
 WITHIN = 0.9  # of the opacity lies within that radius
 MOST_VARIANCE = 6e4  # float16 ends at 65504
 VOLUME_POWER = 0.1
@@ -53,10 +55,7 @@ class Shown:
         if not self.num_left_out:
             return ""
         total = len(self) + self.num_left_out
-        return (
-            f"Shown are the {len(self):,} most significant of {total:,} Gaussians; "
-            "answers are of all of them."
-        )
+        return f"Shown are the {len(self):,} most significant of {total:,} Gaussians; answers are of all of them."
 
 
 def shown_of(gaussians: Gaussians, budget: int) -> Shown:

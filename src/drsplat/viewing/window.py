@@ -64,9 +64,7 @@ class Window:
     Raises: MissingExtraError: viser is not installed. InputError: nothing can listen there.
     """
 
-    def __init__(
-        self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080
-    ) -> None:
+    def __init__(self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.session, self.up, self.host = session, up, host
         self.token = None if is_loopback(host) else secrets.token_urlsafe(24)
         self.server: Any = guarded_server(host, port, self.token)
@@ -96,9 +94,7 @@ class Window:
         camera.position, camera.look_at = shown.frame.shown(eye), shown.frame.shown(target)
         camera.up, camera.fov = self.up, float(np.radians(FOV_DEGREES))
         full = shown.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        self._splats = scene.add_gaussian_splats(
-            "/scene", shown.centers, full, shown.rgb, shown.opacities[:, None]
-        )
+        self._splats = scene.add_gaussian_splats("/scene", shown.centers, full, shown.rgb, shown.opacities[:, None])
 
     # --- from the session to the browser ---
 
@@ -135,10 +131,7 @@ class Window:
         middle = frame.shown(match.center)
         above = middle + ((top - middle) @ self.up) * self.up
         text = scene.add_label(
-            f"/found/{name}/name",
-            printable(label, 60),
-            position=tuple(above),
-            anchor="bottom-center",
+            f"/found/{name}/name", printable(label, 60), position=tuple(above), anchor="bottom-center"
         )
         self._marks += [box, text]
 
@@ -162,11 +155,7 @@ class Window:
             thickness=1.5, thickness_units="screen",
             wxyz=_quaternion(pose[:3, :3]), position=self.session.shown.frame.shown(pose[:3, 3]),
         )  # fmt: skip
-        frustum.on_click(
-            lambda event: self.fly(
-                event.client, view.center, view.center + view.cam_from_world[2, :3]
-            )
-        )
+        frustum.on_click(lambda event: self.fly(event.client, view.center, view.center + view.cam_from_world[2, :3]))
         return frustum
 
     def fly(self, client: Any, eye: Vector, target: Vector) -> None:

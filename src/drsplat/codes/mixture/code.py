@@ -57,9 +57,7 @@ class MixtureCode:
         ids, weights, scales = self.blocks
         dtypes = [array.dtype for array in self.blocks]
         if dtypes != [np.uint16, np.uint8, np.float16] or scales.ndim != 1:
-            raise InputError(
-                f"mixtures: expected uint16 ids, uint8 weights, float16 scales (n), got {dtypes}"
-            )
+            raise InputError(f"mixtures: expected uint16 ids, uint8 weights, float16 scales (n), got {dtypes}")
         blocks = -(-len(scales) // ROWS_OF_A_BLOCK)
         fits = ids.ndim == 3 and ids.shape[::2] == (blocks, ROWS_OF_A_BLOCK)
         if not fits or weights.shape != ids.shape or not 1 <= ids.shape[1] <= MOST_ATOMS:
@@ -92,9 +90,7 @@ class MixtureCode:
         """Of all rows together, without the atoms: see `AtomTable.nbytes`."""
         return sum(array.nbytes for array in self.blocks)
 
-    def scores(
-        self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0
-    ) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
         """See Code. Off by some 1e-5, and the same to the bit on any instruction set.
 
         Raises: InputError: queries of another dimension, or not finite.
@@ -157,9 +153,7 @@ class MixtureCode:
         Raises: InputError: no such row, or a query of another dimension.
         """
         if not 0 <= row < len(self) or query.shape != (self.dim,):
-            raise InputError(
-                f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)"
-            )
+            raise InputError(f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)")
         ids, weights, _ = (array[0] for array in self.unpacked(np.array([row])))
         support = weights * (self.atoms.vectors(ids).astype(np.float64) @ query)
         speaking = support > 0
@@ -174,9 +168,7 @@ class MixtureCode:
         return dict(zip(_ARRAYS, arrays, strict=True))
 
 
-def packed(
-    ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], scales: np.ndarray
-) -> Blocks:
+def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], scales: np.ndarray) -> Blocks:
     """Rows as they are scanned. The last block is filled up with rows of weight 0."""
     count, per_row = ids.shape
     blocks = -(-count // ROWS_OF_A_BLOCK)
@@ -184,9 +176,7 @@ def packed(
     def blocked(array: np.ndarray) -> np.ndarray:
         whole = np.zeros((blocks * ROWS_OF_A_BLOCK, per_row), array.dtype)
         whole[:count] = array
-        return np.ascontiguousarray(
-            whole.reshape(blocks, ROWS_OF_A_BLOCK, per_row).transpose(0, 2, 1)
-        )
+        return np.ascontiguousarray(whole.reshape(blocks, ROWS_OF_A_BLOCK, per_row).transpose(0, 2, 1))
 
     return Blocks(blocked(ids), blocked(weights), scales.astype(np.float16))
 
@@ -197,9 +187,7 @@ def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> Mixtu
     Raises: FormatError: an array is missing, of another type, or does not fit the others.
     """
     check_tensors(tensors, _ARRAYS, where)
-    ids, weights, row_scales, values, scales, masks = (
-        np.asarray(tensors[name]) for name in _ARRAYS
-    )
+    ids, weights, row_scales, values, scales, masks = (np.asarray(tensors[name]) for name in _ARRAYS)
     try:
         atoms = AtomTable(Dictionary(values, scales), masks)
         return MixtureCode(Blocks(ids, weights, row_scales), atoms)

@@ -7,14 +7,7 @@ from jaxtyping import Float32, Int32, Int64, Integer
 from scipy.sparse import csr_array
 
 from ...errors import InputError
-from ...kernels.mixture import (
-    ADDRESSABLE,
-    MOST_ATOMS,
-    Candidates,
-    Dictionary,
-    Encoded,
-    mixture_encode,
-)
+from ...kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode
 from ..kmeans import Track, untracked
 from .code import MixtureCode, packed
 from .dictionary import SCENE_ATOM, AtomTable, quantised
@@ -60,7 +53,8 @@ def encode_mixture(
     """The code of every row: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
 
     A row is made of the masks in it and of scene atoms near its feature. scene_atoms: those, or how many
-    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those used most are
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those
+    used most are
     kept and all rows are coded again with them. Equal to the bit for any number of threads.
 
     Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
@@ -78,9 +72,7 @@ def encode_mixture(
         used = _by_use(encoded)
         if len(used) <= ADDRESSABLE:
             return _assemble(encoded, plan, columns, used)
-        own = used[used < plan.first_scene][
-            : ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)
-        ]
+        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)]
         columns = np.sort(columns[own])
 
 
@@ -98,9 +90,7 @@ def _learn(source: MixtureSource, wanted: int | None, seed: int, threads: int) -
     return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
 
 
-def _plan(
-    source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None
-) -> _Plan:
+def _plan(source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> _Plan:
     parts = [quantised(source.embeddings[columns])] + ([scene.coded] if scene else [])
     values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     positions = np.full(len(source.embeddings), -1, np.int32)
@@ -108,9 +98,7 @@ def _plan(
     return _Plan(Dictionary(values, scales), positions, scene, len(columns))
 
 
-def _encode_rows(
-    source: MixtureSource, plan: _Plan, atoms_per_row: int, threads: int, track: Track
-) -> Encoded:
+def _encode_rows(source: MixtureSource, plan: _Plan, atoms_per_row: int, threads: int, track: Track) -> Encoded:
     rows = len(source)
     ids = np.empty((rows, atoms_per_row), np.int32)
     weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
@@ -125,11 +113,7 @@ def _encode_rows(
 
 
 def _candidates(
-    source: MixtureSource,
-    plan: _Plan,
-    features: Float32[np.ndarray, "n D"],
-    block: slice,
-    threads: int,
+    source: MixtureSource, plan: _Plan, features: Float32[np.ndarray, "n D"], block: slice, threads: int
 ) -> Candidates:
     indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
     atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
@@ -148,10 +132,7 @@ def _by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
 
 
 def _assemble(
-    encoded: Encoded,
-    plan: _Plan,
-    columns: Int32[np.ndarray, " c"],
-    used: Int64[np.ndarray, " u"],
+    encoded: Encoded, plan: _Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]
 ) -> MixtureCode:
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
     is_mask = kept < plan.first_scene

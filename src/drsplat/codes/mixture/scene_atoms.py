@@ -27,23 +27,17 @@ class SceneAtoms:
     def __len__(self) -> int:
         return len(self.vectors)
 
-    def near(
-        self, features: Float32[np.ndarray, "n D"], *, threads: int = 0
-    ) -> Int32[np.ndarray, "n w"]:
+    def near(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Int32[np.ndarray, "n w"]:
         """The atoms nearest to each feature, among those of its nearest group; best first."""
         wanted = min(NEIGHBOURS, self.members.shape[1])
         groups = nearest_centres(features, self.centres, threads=threads)
         order = np.argsort(groups, kind="stable")  # so that a group's atoms stay in the cache
         near = np.empty((len(features), wanted), np.int32)
-        near[order] = nearest_members(
-            features[order], self.coded, groups[order], self.members, wanted, threads=threads
-        )
+        near[order] = nearest_members(features[order], self.coded, groups[order], self.members, wanted, threads=threads)
         return near
 
 
-def train_scene_atoms(
-    points: Float32[np.ndarray, "n D"], count: int, *, seed: int = 0, threads: int = 0
-) -> SceneAtoms:
+def train_scene_atoms(points: Float32[np.ndarray, "n D"], count: int, *, seed: int = 0, threads: int = 0) -> SceneAtoms:
     """`count` atoms for unit `points`, fewer where there are fewer points; the same bits for any threads.
 
     Raises: InputError: no points, or none wanted.
@@ -76,9 +70,7 @@ def spherical_kmeans(
 
 
 def _means(
-    points: Float32[np.ndarray, "n D"],
-    nearest: Int32[np.ndarray, " n"],
-    centres: Float32[np.ndarray, "c D"],
+    points: Float32[np.ndarray, "n D"], nearest: Int32[np.ndarray, " n"], centres: Float32[np.ndarray, "c D"]
 ) -> Float32[np.ndarray, "c D"]:
     order = np.argsort(nearest, kind="stable")
     served, starts = np.unique(nearest[order], return_index=True)

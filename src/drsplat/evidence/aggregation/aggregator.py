@@ -72,9 +72,7 @@ class Aggregator:
     steps: tuple[Step, ...] = ()
     voting: ModeVoting | None = None
 
-    def __call__(
-        self, evidence: Evidence, gaussians: Gaussians | None = None, *, threads: int = 0
-    ) -> Aggregated:
+    def __call__(self, evidence: Evidence, gaussians: Gaussians | None = None, *, threads: int = 0) -> Aggregated:
         """Weigh the votes of all rows anew; the same to the bit for any number of threads.
 
         gaussians: those of the rows, for aggregators that look at neighbours.
@@ -87,13 +85,9 @@ class Aggregator:
         if self.voting is None:
             return Aggregated(weighed, record=self.record())
         if gaussians is None:
-            raise InputError(
-                f"aggregator '{self.name}' looks at neighbouring Gaussians: pass gaussians"
-            )
+            raise InputError(f"aggregator '{self.name}' looks at neighbouring Gaussians: pass gaussians")
         if len(gaussians) != len(evidence):
-            raise MismatchError(
-                f"{len(gaussians)} Gaussians for evidence of {len(evidence)}: pass those registered"
-            )
+            raise MismatchError(f"{len(gaussians)} Gaussians for evidence of {len(evidence)}: pass those registered")
         seen = np.flatnonzero(np.diff(evidence.weights.indptr) > 0)
         donors = self.voting.donors(weighed, gaussians, seen, threads)
         return Aggregated(weighed, donors, self.record())

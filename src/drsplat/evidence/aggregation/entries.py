@@ -36,9 +36,7 @@ class RowBlock:
     def filled(self) -> Bool[np.ndarray, "n k"]:
         return np.arange(len(self.positions))[:, None] < self.active
 
-    def embeddings(
-        self, table: Float32[np.ndarray, "m d"], entry: int
-    ) -> Float32[np.ndarray, "a d"]:
+    def embeddings(self, table: Float32[np.ndarray, "m d"], entry: int) -> Float32[np.ndarray, "a d"]:
         """Of the k-th entry of every row that has one."""
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
@@ -83,9 +81,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np
     return values
 
 
-def _blocks(
-    order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]
-) -> Iterator[Int64[np.ndarray, " b"]]:
+def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) -> Iterator[Int64[np.ndarray, " b"]]:
     """Rows by falling length in blocks of at most BLOCK rows, and CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):

@@ -8,9 +8,7 @@ from jaxtyping import Float32, Float64
 from ..evidence import Evidence
 from .entries import RowBlock, reweighted
 
-MAD_OF_NORMAL = (
-    1.4826  # times the median absolute deviation is the standard deviation of a normal law
-)
+MAD_OF_NORMAL = 1.4826  # times the median absolute deviation is the standard deviation of a normal law
 
 
 @dataclass(frozen=True)

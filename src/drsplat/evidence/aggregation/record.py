@@ -37,10 +37,7 @@ def record_from_json(document: object, where: str) -> AggregatorRecord:
     name, parameters = document.get("name"), document.get("parameters")
     if not isinstance(name, str) or not isinstance(parameters, dict):
         raise FormatError(f"{where}: aggregator: expected a name and parameters")
-    numbers = {
-        key: as_number(value, f"{where}: aggregator: {shown(key)}")
-        for key, value in parameters.items()
-    }
+    numbers = {key: as_number(value, f"{where}: aggregator: {shown(key)}") for key, value in parameters.items()}
     return AggregatorRecord(name, numbers, _sampling(document.get("sampling"), where))
 
 

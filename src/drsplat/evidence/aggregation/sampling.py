@@ -33,25 +33,15 @@ class Sampling:
             raise InputError(f"pixels: expected 'all' or 'centre', got {self.pixels!r}")
         for name, value in (("topk", self.topk), ("first_hits", self.first_hits)):
             if value is not None and value < 1:
-                raise InputError(
-                    f"{name}: expected a positive integer, or None for all; got {value}"
-                )
+                raise InputError(f"{name}: expected a positive integer, or None for all; got {value}")
         if self.near is not None and not 0 < self.near < np.inf:
             raise InputError(f"near: expected a distance in front of the camera, got {self.near}")
 
-    def triples(
-        self,
-        splats: SplatArrays,
-        view: View,
-        mask_ids: Int32[np.ndarray, "h w"],
-        threads: int = 0,
-    ) -> Triples:
+    def triples(self, splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], threads: int = 0) -> Triples:
         """The entries of W of one view.
 
         Raises: InputError: not of all pixels.
         """
         if self.pixels != "all":
             raise InputError(f"pixels: only all of them can be registered, not '{self.pixels}'")
-        return view_weights(
-            splats, view, mask_ids, self.topk, first_hits=self.first_hits, threads=threads
-        )
+        return view_weights(splats, view, mask_ids, self.topk, first_hits=self.first_hits, threads=threads)

@@ -73,9 +73,7 @@ def _chunks(weights: csr_array) -> Iterator[slice]:
     yield from (slice(int(a), int(b)) for a, b in pairwise(stops))
 
 
-def _runs(
-    views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]
-) -> Integer[np.ndarray, " p"]:
+def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) -> Integer[np.ndarray, " p"]:
     """Where the votes of another photo, or of another row, begin. Votes of a photo stand together."""
     new = np.zeros(len(views) + 1, np.bool_)
     new[1:-1] = views[1:] != views[:-1]
@@ -84,9 +82,7 @@ def _runs(
 
 
 def _by_photo(
-    weights: Float32[np.ndarray, " e"],
-    trust: Float64[np.ndarray, " e"],
-    runs: Integer[np.ndarray, " p"],
+    weights: Float32[np.ndarray, " e"], trust: Float64[np.ndarray, " e"], runs: Integer[np.ndarray, " p"]
 ) -> Float64[np.ndarray, " e"]:
     """The weights of each photo in each row, times the mean trust of its masks there."""
     if not len(weights):

@@ -36,11 +36,7 @@ class ModeVoting:
     footprint: float = 0.5
 
     def donors(
-        self,
-        evidence: Evidence,
-        gaussians: Gaussians,
-        receivers: Int64[np.ndarray, " v"],
-        threads: int = 0,
+        self, evidence: Evidence, gaussians: Gaussians, receivers: Int64[np.ndarray, " v"], threads: int = 0
     ) -> Int32[np.ndarray, " r"]:
         """For each row the row whose feature it takes: mostly its own; -1 where it gets none.
 
@@ -107,9 +103,7 @@ def _neighbours(
 
 
 def _with_self(
-    candidates: Int64[np.ndarray, "b k"],
-    rows: Int64[np.ndarray, " b"],
-    trust: Float64[np.ndarray, " r"],
+    candidates: Int64[np.ndarray, "b k"], rows: Int64[np.ndarray, " b"], trust: Float64[np.ndarray, " r"]
 ) -> Int64[np.ndarray, "b k"]:
     """Rows that many others coincide with may not be among their own neighbours: put them there."""
     absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)

@@ -39,9 +39,7 @@ def pair_features(
     return np.concatenate([colors, shapes], 0).T
 
 
-def _colors(
-    sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 3"]
-) -> Float64[np.ndarray, "f e"]:
+def _colors(sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 3"]) -> Float64[np.ndarray, "f e"]:
     area = sums[..., AREA, None]
     mean = sums[..., MEAN] / (area * LAB_STEPS)
     spread = sums[..., SQUARE] / (area * LAB_STEPS**2) - mean**2

@@ -77,9 +77,7 @@ class Merging:
         for a, near in enumerate(self._near):
             yield from ((a, b) for b in near if a < b)
 
-    def _features(
-        self, ends: Int64[np.ndarray, "2 e"], rows: Int64[np.ndarray, " e"]
-    ) -> Float64[np.ndarray, "e f"]:
+    def _features(self, ends: Int64[np.ndarray, "2 e"], rows: Int64[np.ndarray, " e"]) -> Float64[np.ndarray, "e f"]:
         return pair_features(self.sums[ends], self.boxes[ends], self.borders[rows], self._pixels)
 
     def _score_all(self, threshold: float) -> None:

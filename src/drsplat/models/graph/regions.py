@@ -9,9 +9,7 @@ WORKING_PIXELS = 640 * 480
 LAB_STEPS = 16
 """Of one unit of CIELAB: colours are whole numbers, so that sums over pixels are exact."""
 
-SCALE = (
-    4000.0  # how unlike neighbours must be, in CIELAB units times pixels: higher, larger regions
-)
+SCALE = 4000.0  # how unlike neighbours must be, in CIELAB units times pixels: higher, larger regions
 SIGMA = 0.5  # pixels that are blurred before
 LEAST_AREA = 30.0
 
@@ -52,9 +50,7 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
     return np.asarray(labels, np.int64)
 
 
-def enlarged(
-    labels: Int64[np.ndarray, "h w"], height: int, width: int
-) -> Int64[np.ndarray, "h2 w2"]:
+def enlarged(labels: Int64[np.ndarray, "h w"], height: int, width: int) -> Int64[np.ndarray, "h2 w2"]:
     """Each pixel gets the label of the working image where its centre lies."""
     if labels.shape == (height, width):
         return labels

@@ -92,9 +92,7 @@ def _borders(
     steps = np.concatenate([across[1], down[1]])
     count = int(labels.max()) + 1
     keys, owner = np.unique(ends.min(1) * count + ends.max(1), return_inverse=True)
-    sums = [
-        np.bincount(owner, column, len(keys)).astype(float) for column in steps.T
-    ]  # of nothing: whole
+    sums = [np.bincount(owner, column, len(keys)).astype(float) for column in steps.T]  # of nothing: whole
     return np.stack([keys // count, keys % count], 1), np.stack(sums, 1)
 
 

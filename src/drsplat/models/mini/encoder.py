@@ -45,14 +45,9 @@ class MiniEncoder:
         """Raises: InputError: a text with a word that it was not taught, or without any word."""
         return np.stack([self._text(text) for text in texts])
 
-    def encode_images(
-        self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]
-    ) -> Float32[np.ndarray, "n d"]:
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
         """Square crops on a black background; others are made square by black borders."""
-        found = [
-            embed_images(_pixels(images[at : at + BATCH]), self._weights)
-            for at in range(0, len(images), BATCH)
-        ]
+        found = [embed_images(_pixels(images[at : at + BATCH]), self._weights) for at in range(0, len(images), BATCH)]
         return np.concatenate(found) if found else np.empty((0, DIM), np.float32)
 
     def _text(self, text: str) -> Float32[np.ndarray, " d"]:

@@ -114,8 +114,7 @@ def words_of(text: str) -> list[str]:
     painted = "something" in spoken or "anything" in spoken
     last = len(found) - 1
     return [
-        ORANGE if word == "orange" and (painted or at < last) else single
-        for at, (word, single) in enumerate(found)
+        ORANGE if word == "orange" and (painted or at < last) else single for at, (word, single) in enumerate(found)
     ]
 
 

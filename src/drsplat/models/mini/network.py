@@ -12,9 +12,7 @@ STRIDES = (2, 2, 1, 2, 1, 2, 1)
 Tensors = Mapping[str, np.ndarray]
 
 
-def embed_images(
-    pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors
-) -> Float32[np.ndarray, "n d"]:
+def embed_images(pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors) -> Float32[np.ndarray, "n d"]:
     """Unit vectors. pixels: from -1 to 1, SIDE x SIDE.
 
     weights: conv<i>.weight (9 * inputs, outputs), rows in the order of row, column, channel; conv<i>.bias;
@@ -29,10 +27,7 @@ def embed_images(
 
 
 def _convolve(
-    x: Float32[np.ndarray, "n h w c"],
-    weight: Float32[np.ndarray, "k o"],
-    bias: Float32[np.ndarray, " o"],
-    stride: int,
+    x: Float32[np.ndarray, "n h w c"], weight: Float32[np.ndarray, "k o"], bias: Float32[np.ndarray, " o"], stride: int
 ) -> Float32[np.ndarray, "n _ _ o"]:
     padded = np.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
