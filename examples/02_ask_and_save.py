@@ -22,10 +22,10 @@ def main(folder: str = "drsplat-demo", words: str = "red vase") -> None:
         photos = ", ".join(mask.view_name for mask in match.support)
         print(f"at {match.center.round(2)}, size {match.extent.round(2)}, seen in {photos}")
 
-    object_ids = np.full(len(scene.gaussians), -1, np.int32)
+    match_ids = np.full(len(scene.gaussians), -1, np.int32)
     for number, match in enumerate(matches):
-        object_ids[match.gaussian_ids] = number
-    columns = {"relevancy": answer.dense, "object_id": object_ids}
+        match_ids[match.gaussian_ids] = number
+    columns = {"relevancy": answer.dense, "match_id": match_ids}
     ds.write_gaussians("found.ply", scene.gaussians, columns, overwrite=True)
     Image.fromarray(scene.picture(shown=answer, photo=True)).save("found.png")
     np.save("found.npy", answer.gaussian_ids)

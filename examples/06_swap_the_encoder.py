@@ -30,8 +30,8 @@ def main(folder: str = "drsplat-demo", color: str = "red") -> None:
     scene, encoder, crops = ds.open_scene(folder), ColorEncoder(), []
     masks = ds.read_features(f"{folder}/language_features")
     old = ds.Registration.from_field(scene.field)
-    for name in old.segments.view_names:  # the masks in the order of the registration's columns
-        photo, ids = ds.load_image(scene.view(name)), masks[name].segment_ids
+    for name in old.masks.view_names:  # the masks in the order of the registration's columns
+        photo, ids = ds.load_image(scene.view(name)), masks[name].mask_ids
         for number, box in enumerate(find_objects(ids + 1)):
             crops.append(photo[box] * (ids[box] == number)[..., None])  # on black
     new = old.with_embeddings(encoder.encode_images(crops), encoder.identity)

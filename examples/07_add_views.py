@@ -12,7 +12,7 @@ import drsplat as ds
 def main(folder: str = "drsplat-demo", words: str = "red vase") -> None:
     scene = ds.open_scene(folder)
     before = ds.Registration.from_field(scene.field)
-    known = set(before.segments.view_names)
+    known = set(before.masks.view_names)
     new = [view for view in scene.views if view.name not in known]
     if not new:
         raise SystemExit("all photos are registered already")

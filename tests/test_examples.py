@@ -80,14 +80,14 @@ def test_registering_features_of_langsplat(demo: Story, household_folder: Path, 
     field = ds.load_field("mine.field")
     assert (field.encoder.name, field.scene) == ("CLIP", demo.field.scene)
     assert field.evidence is not None
-    assert [Path(name).stem for name in field.evidence.segments.view_names] == list(features)[:3]
+    assert [Path(name).stem for name in field.evidence.masks.view_names] == list(features)[:3]
 
 
 def test_asking_saves_what_was_found(demo: Story, capsys: Capture) -> None:
     assert "seen in frame_" in run("02", capsys)
     saved, vase = ds.read_gaussians("found.ply"), found(demo, "red vase")
     assert saved.fingerprint == demo.gaussians.fingerprint
-    np.testing.assert_array_equal(np.flatnonzero(saved.extra["object_id"] == 0), vase)
+    np.testing.assert_array_equal(np.flatnonzero(saved.extra["match_id"] == 0), vase)
     ids = np.load("found.npy")
     assert np.isin(vase, ids).all()
     np.testing.assert_array_equal(np.flatnonzero(saved.extra["relevancy"] > 0.5), ids)
@@ -153,7 +153,7 @@ def test_new_photos_are_added(demo: Story, capsys: Capture) -> None:
     evidence = ds.load_field("more.field").evidence
     assert evidence is not None
     names = {view.name for view in (*demo.views, *demo.held_out)}
-    assert set(evidence.segments.view_names) == names
+    assert set(evidence.masks.view_names) == names
     place = [float(x) for x in re.findall(r"at \(([^)]+)\)", printed)[0].split(", ")]
     assert np.linalg.norm(np.subtract(place, center(demo, "red vase"))) < 0.05
 
