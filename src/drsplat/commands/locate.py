@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import MIN_GAUSSIANS
 from .options import count
-from .query_options import (
-    add_output_options,
-    add_query_options,
-    answer_json,
-    check_outputs,
-    draw,
-    measured_said,
-    open_scene,
-    query_of,
-)
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_said
 
 if TYPE_CHECKING:
     from ..query import Answer, Match, Scene
@@ -54,9 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    check_outputs(arguments)
-    scene = open_scene(arguments)
-    answer = scene.ask(query_of(arguments))
+    scene, answer = ask(arguments)
     report = answer_json(arguments, answer)
     if not scene.has_gaussians:
         return {**report, "num_matches": None, "matches": None}

@@ -122,6 +122,16 @@ def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".
             raise InputError(f"{option}: there is no folder {folder}: make it first")
 
 
+def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> tuple[Scene, Answer]:
+    """The scene that the options mean, and its answer; what is wrong with outputs is said before any work.
+
+    Raises: as `check_outputs` and `open_scene`.
+    """
+    check_outputs(arguments, suffixes)
+    scene = open_scene(arguments)
+    return scene, scene.ask(query_of(arguments))
+
+
 def open_scene(arguments: argparse.Namespace) -> Scene:
     """The scene that the field, --scene, --views and the options of encoders and captures mean.
 

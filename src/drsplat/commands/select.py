@@ -6,16 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .query_options import (
-    add_output_options,
-    add_query_options,
-    answer_json,
-    check_outputs,
-    draw,
-    measured_said,
-    open_scene,
-    query_of,
-)
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_said
 
 if TYPE_CHECKING:
     from ..query import Answer, Scene
@@ -41,9 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..terminal import counted
 
-    check_outputs(arguments, (".ply", ".npy"))
-    scene = open_scene(arguments)
-    answer = scene.ask(query_of(arguments))
+    scene, answer = ask(arguments, (".ply", ".npy"))
     report = answer_json(arguments, answer) | {
         "num_gaussians": answer.field.num_gaussians,
         "share": len(answer.gaussian_ids) / max(len(answer.field), 1),
