@@ -1,6 +1,7 @@
 """The public names, what importing them costs, and the one direction of imports."""
 
 import ast
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -148,6 +149,24 @@ def test_imports_go_one_way(path: Path) -> None:
     assert own in ORDER, f"give the new module '{own}' its place in ORDER"
     upwards = {name for name in imports_of(path) if ORDER.index(name) > ORDER.index(own)}
     assert not upwards, f"{own} comes before {upwards}"
+
+
+ROOMS = sorted(path.parent for path in SOURCE.glob("*/__init__.py"))
+EVERYWHERE = {"errors", "terminal", "kinds", "contents", "progress"}
+
+
+def test_few_modules_stand_outside_of_rooms() -> None:
+    assert len(list(SOURCE.glob("*.py"))) <= 10
+
+
+@pytest.mark.parametrize("room", [room for room in ROOMS if room.name != "commands"], ids=lambda room: room.name)
+def test_a_room_says_what_it_is_for_and_what_it_imports(room: Path) -> None:
+    doc = ast.get_docstring(ast.parse((room / "__init__.py").read_text()))
+    assert doc is not None
+    purpose, _, imports = doc.rpartition("\n\nImports ")
+    assert len(purpose.split()) > 5
+    used = set().union(*(imports_of(path) for path in room.rglob("*.py"))) - {room.name} - EVERYWHERE
+    assert set(re.findall(r"`(\w+)`", imports)) == used
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@
 A plain codebook is the paper's. A residual one is what its authors publish: a code is then the
 index of a coarse centroid plus the bytes of what that centroid leaves over.
 Source: Dr. Splat Sec. B; Jegou et al. 2011.
+
+Imports `encoders`, `formats` and `kernels`.
 """
 
 from ..formats.embedding_record import encoder_from_json

@@ -1,1 +1,5 @@
-"""A small scene that ships, asked in words and held against its truth."""
+"""A small scene that ships, asked in words and held against its truth.
+
+Imports `scene`, `formats`, `kernels`, `codes`, `field`, `registration`, `models`, `drawing`, `query`, `embedding`
+and `evaluation`.
+"""

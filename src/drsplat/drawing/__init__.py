@@ -1,4 +1,4 @@
 """Pictures for people: a scene rendered, an answer kept in colour, palettes, sheets.
 
-Imports `scene` and `kernels`.
+Imports `scene`, `formats` and `kernels`.
 """

@@ -1,4 +1,4 @@
 """Photos to features on disk: the masks of each photo embedded, resumable.
 
-Imports `scene`, `masks`, `models`, `formats` and the list of words of `query`.
+Imports `encoders`, `scene`, `masks`, `formats`, `codes` and `query`.
 """

@@ -2,4 +2,6 @@
 
 lerf_ovs, scannet_points, scannet_volume, voxel: one protocol each, with `predict` and `score`.
 scorers: what they ask. metrics, thresholds, pseudo_labels: their algebra. report: JSON and HTML.
+
+Imports `encoders`, `scene`, `formats`, `kernels`, `codes`, `field`, `drawing` and `query`.
 """

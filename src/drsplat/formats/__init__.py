@@ -1,1 +1,4 @@
-"""Reading and writing other people's files: one small module per format, by header, never by position."""
+"""Reading and writing other people's files: one small module per format, by header, never by position.
+
+Imports `encoders`, `scene` and `masks`.
+"""

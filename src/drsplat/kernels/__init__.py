@@ -1,4 +1,7 @@
-"""The native core: arrays in, arrays out. `kernels.reference` is its slow float64 twin."""
+"""The native core: arrays in, arrays out. The slow float64 twins are in `reference`.
+
+Imports `scene`.
+"""
 
 from .algebra import pq_encode, pq_scores, weighted_rows
 from .scan import (

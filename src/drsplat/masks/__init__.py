@@ -1,4 +1,4 @@
 """What a photo is cut into: masks by level, which of them are kept, their crops, and a photo's features.
 
-Imports `scene` only.
+Imports nothing but errors and words for people.
 """

@@ -1,1 +1,4 @@
-"""Scenes for programs and language models: an HTTP service and an MCP server over `drsplat.query`."""
+"""Scenes for programs and language models: an HTTP service and an MCP server over `drsplat.query`.
+
+Imports `encoders`, `scene`, `formats`, `models` and `query`.
+"""

@@ -1,4 +1,7 @@
-"""Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU."""
+"""Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU.
+
+Imports `scene`, `formats`, `kernels`, `reference`, `drawing` and `triangulation`.
+"""
 
 from .devices import train
 from .job import Status

@@ -2,6 +2,8 @@
 
 A capture of a phone has poses and no points. SIFT finds places that look alike, the poses say which of them can
 be one place, and rays through the same place meet in a point.
+
+Imports `scene`.
 """
 
 from .structure import Triangulation, triangulate
