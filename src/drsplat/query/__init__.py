@@ -1,7 +1,7 @@
 """The engine: an opened `Scene` is asked a `Query` and gives an `Answer`, and `Match`es where it has Gaussians.
 
 Every rule of measuring, cutting and grouping is here, and every default: the command line, Python, the viewer, HTTP,
-MCP, the demo and the evaluation turn their input into a query and show an answer.  Names are loaded when they are
+MCP, the demo and the evaluation turn their input into a query and show an answer. Names are loaded when they are
 first used: the command line reads the defaults here without NumPy.
 
 Imports `encoders`, `scene`, `masks`, `formats`, `kernels`, `evidence`, `field`, `models` and `drawing`.
