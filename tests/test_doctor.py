@@ -45,7 +45,7 @@ def test_this_machine_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert answer["drsplat"] == version("drsplat")
     assert answer["packages"]["numpy"] == version("numpy")
     assert answer["native"] == {"instruction_sets": list(available_isas()), "chosen": default_isa()}
-    assert answer["can"]["register, query, render, train on the CPU"]["ready"]
+    assert answer["can"]["register, locate, render, train on the CPU"]["ready"]
     models = answer["can"][MODELS]
     assert models["ready"] == (has_torch and find_spec("transformers") is not None)
     assert models["ready"] or "drsplat[models]" in models["cure"]
