@@ -259,7 +259,7 @@ def test_what_does_not_fit_is_refused() -> None:
     one = QueryTables(tables.luts[:1], coarse[:1])
     with pytest.raises(InputError, match="one query"):
         scan_above(rows, tables, 0.0)
-    with pytest.raises(InputError, match="1 row or more"):
+    with pytest.raises(InputError, match="count of 1 or more"):
         scan_top(rows, one, 0)
     with pytest.raises(InputError, match="a floor per row"):
         scan_above(rows, one, 0.0, np.zeros(3, np.float32))
