@@ -1,5 +1,6 @@
 """How much better a query fits than a list of words."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.sparse import csr_array, eye_array
 
 from drsplat import EncoderIdentity, LanguageField, Scene, load_field
 from drsplat.codes import Mixture
+from drsplat.errors import InputError
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
@@ -17,7 +19,7 @@ from drsplat.query.contrast import CROWD, NEAR, TILT, contrast, relevancy_thresh
 from drsplat.query.nouns import NOUNS
 from drsplat.query.thresholds import PEAK
 from drsplat.query.word_list import MOST, list_vectors
-from fields import SCENE, unit_rows
+from fields import SCENE, ToyEncoder, unit_rows
 
 DIM, GAP = 64, 0.25
 CLIP = EncoderIdentity("made-up", DIM)
@@ -167,6 +169,18 @@ def test_large_vocabularies_are_thinned() -> None:
     vectors = list_vectors(large)
     assert len(vectors) == MOST
     assert_array_equal(vectors[:20], large.encode_texts(NOUNS[:20]))
+
+
+def test_an_encoder_of_some_words_is_contrasted_with_those_of_its_own_list() -> None:
+    class Own(ToyEncoder):
+        nouns = ("a mug of mine", "unheard of", "my plate")
+
+        def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
+            if "unheard of" in texts:
+                raise InputError("unknown")
+            return super().encode_texts(texts)
+
+    assert_array_equal(list_vectors(Own()), ToyEncoder().encode_texts(["a mug of mine", "my plate"]))
 
 
 def test_a_list_of_plain_different_nouns_ships() -> None:

@@ -13,18 +13,8 @@ from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
 from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.query import Answer, Query, Scene
-from drsplat.query.search import (
-    LOWEST,
-    NEGATIVES,
-    embed_query,
-    feature_at,
-    fits_all,
-    fits_but_not,
-    split_negation,
-    text_negatives,
-    without,
-)
-from fields import ToyEncoder, toy_field, unit_rows
+from drsplat.query.search import LOWEST, NEGATIVES, embed_query, feature_at, split_negation, text_negatives, without
+from fields import ToyEncoder, toy_field
 from furnished.story import Story
 
 
@@ -152,19 +142,6 @@ def test_a_click_is_the_feature_of_the_heaviest_gaussian_there(clicked: tuple[La
         assert_array_equal(feature, field.feature(np.array([at]))[0])
         seen += 1
     assert seen > 5
-
-
-def test_combined_queries_are_what_their_parts_say() -> None:
-    field, rng = toy_field(), np.random.default_rng(20)
-    query, others = unit_rows(rng, 1, 32)[0], unit_rows(rng, 20, 32)
-    scores, rivals = field.scores(query), field.scores(others)
-    for count in (1, 3, 15, 16, 20):
-        left = fits_but_not(field, query, others[:count])
-        assert_array_equal(left, without(scores, rivals[:count].max(axis=0)))
-        assert_array_equal(fits_all(field, others[:count]), rivals[:count].min(axis=0))
-    assert (fits_but_not(field, query, query[None]) == LOWEST).all()  # as well, but not better
-    with pytest.raises(InputError, match="one or more queries"):
-        fits_all(field, others[:0])
 
 
 def test_a_click_passes_over_gaussians_without_feature(clicked: tuple[LanguageField, Gaussians, View]) -> None:

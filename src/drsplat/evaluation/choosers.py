@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float32
 
-from ..query.thresholds import CUT, automatic_threshold, mixture_threshold, otsu_threshold, threshold_above
+from ..query.thresholds import CUT, default_threshold, mixture_threshold, otsu_threshold
 from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer
 
@@ -14,20 +14,13 @@ Scores = Float32[np.ndarray, " N"]
 
 def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
     """By column, a function from scores to a threshold and what it does in words."""
+    least = scorer.least
+    how = "from" if least is None else f"the encoder's {least:g} or {CUT:g} of the peak of"
     return {
-        AUTOMATIC: _automatic(scorer),
+        AUTOMATIC: (_of_known(lambda known: default_threshold(known, least)), f"per query, {how} its scores"),
         "otsu": (_of_known(otsu_threshold), "per query, Otsu's split of its scores"),
         "mixture": (_of_known(mixture_threshold), "per query, two Gaussians fitted to its scores"),
     }
-
-
-def _automatic(scorer: Scorer) -> tuple[Chooser, str]:
-    """Of the cosines alone: by the encoder's own threshold where it has one."""
-    least = scorer.least
-    if least is not None:
-        how = f"per query, the encoder's {least:g} or {CUT:g} of the peak of its scores"
-        return _of_known(lambda known: threshold_above(known, least)), how
-    return _of_known(automatic_threshold), "per query, from its scores"
 
 
 def _of_known(choose: Callable[[Scores], float]) -> Chooser:

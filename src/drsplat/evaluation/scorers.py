@@ -11,10 +11,10 @@ from jaxtyping import Float, Float32
 
 from ..encoders import Encoder
 from ..errors import InputError, MismatchError
-from ..field import LanguageField
+from ..field import LanguageField, relevancy_from_scores
 from ..formats.npy import map_npy
 from ..query import Scene
-from ..query.search import CHUNK, NEGATIVES, embed_query, relevancy_from_scores
+from ..query.search import CHUNK, NEGATIVES, embed_query
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5

@@ -9,29 +9,19 @@ from jaxtyping import Float32, UInt8
 
 from ..encoders import Encoder, ImageEncoder
 from ..errors import InputError
-from ..field import LanguageField, Negatives
+from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..masks.crops import crop
 from .answer import Answer
 from .contrast import Contrast, contrast, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .query import Cut
-from .search import (
-    CHUNK,
-    LOWEST,
-    NEGATIVES,
-    embed_query,
-    relevancy_from_scores,
-    rival_scores,
-    split_negation,
-    text_negatives,
-    without,
-)
-from .thresholds import automatic_threshold, peak_score, share_threshold, threshold_above
+from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
+from .thresholds import default_threshold, peak_score, share_threshold
 from .word_list import list_vectors
 
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
 
-_Default = tuple[float | str, str]
+_Default = tuple[float | None, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +129,7 @@ class Measuring:
         known = self.background.kept_contrast
         if known is not None and known.speaks(vector):
             return self._of_words(vector, scores)
-        return self._measured(vector, scores, (AUTO, AUTO))
+        return self._measured(vector, scores, (None, AUTO))
 
     @property
     def _field(self) -> LanguageField:
@@ -163,7 +153,7 @@ class Measuring:
             return self._measured(query, scores, (own, ENCODER))
         values = None if self.cut.measures_relevancy else self._contrasted(query, scores)
         if values is None:
-            return self._measured(query, scores, (AUTO, AUTO))
+            return self._measured(query, scores, (None, AUTO))
         default = self._list_threshold(scores, values), LIST
         return self._cut(query, scores, self._whole(scores, values), default)
 
@@ -214,9 +204,7 @@ class Measuring:
         if given.threshold is not None and given.threshold != AUTO:
             return float(given.threshold), GIVEN
         cut, rule = default
-        if rule == AUTO:
-            return automatic_threshold(values), AUTO
-        return threshold_above(values, float(cut)) if rule == ENCODER else float(cut), rule
+        return default_threshold(values, cut) if cut is None or rule == ENCODER else cut, rule
 
     @cached_property
     def _negatives(self) -> Negatives:

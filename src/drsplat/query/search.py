@@ -8,30 +8,14 @@ from jaxtyping import Float32
 
 from ..encoders import Encoder
 from ..errors import InputError
-from ..field import LanguageField, Negatives, relevancy_from_scores
+from ..field import LanguageField, Negatives
 from ..kernels import splat_arrays, view_weights
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
-__all__ = [
-    "LOWEST",
-    "NEGATIVES",
-    "embed_query",
-    "feature_at",
-    "fits_all",
-    "fits_but_not",
-    "gaussian_at",
-    "relevancy_from_scores",
-    "rival_scores",
-    "split_negation",
-    "text_negatives",
-    "without",
-]
-
 NEGATIVES = ("object", "things", "stuff", "texture")
 
 LOWEST = -1.0  # a cosine that no threshold selects
-AT_ONCE = 16  # queries that compete exactly in one scan
 CHUNK = 8  # queries whose scores are held at once
 _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
 
@@ -86,37 +70,6 @@ def rival_scores(
 def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
     """The scores, LOWEST where a rival fits as well or better."""
     return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
-
-
-def fits_but_not(
-    field: LanguageField, query: Float32[np.ndarray, " D"], rivals: Float32[np.ndarray, "c D"], *, threads: int = 0
-) -> Float32[np.ndarray, " r"]:
-    """Cosines of a query, LOWEST where a rival fits as well or better; one scan for up to 15 rivals.
-
-    Raises: MismatchError: vectors of another dimension. InputError: one without direction.
-    """
-    if len(rivals) >= AT_ONCE:
-        maxima = field.score_negatives(rivals, threads=threads).maxima
-        return without(field.scores(query, threads=threads), maxima)
-    best = field.best(np.concatenate([query[None], rivals]), threads=threads)
-    wins = (best.index == 0) & (best.scores > best.runner_up)
-    return np.asarray(np.where(wins, best.scores, np.float32(LOWEST)))
-
-
-def fits_all(
-    field: LanguageField, queries: Float32[np.ndarray, "c D"], *, threads: int = 0
-) -> Float32[np.ndarray, " r"]:
-    """The lowest cosine of several queries, "mug and red": high where all of them fit.
-
-    Raises: MismatchError: vectors of another dimension. InputError: one without direction, or none.
-    """
-    if not len(queries):
-        raise InputError("expected one or more queries that are all to fit")
-    lowest = np.full(len(field), np.inf, np.float32)
-    for begin in range(0, len(queries), CHUNK):
-        scores = field.scores(queries[begin : begin + CHUNK], threads=threads)
-        lowest = np.minimum(lowest, scores.min(axis=0))
-    return lowest
 
 
 def feature_at(

@@ -58,20 +58,17 @@ def segment(
     field: LanguageField,
     class_scores: Iterable[Float32[np.ndarray, " r"]],
     thresholds: float | Sequence[float] = -np.inf,
-    *,
-    rivals: Float32[np.ndarray, " r"] | None = None,
 ) -> Int32[np.ndarray, " N"]:
     """The class of the highest score for each Gaussian of the scene, NO_CLASS where there is none.
 
     class_scores: per class one score per row of the field, taken one class at a time. thresholds: of
     all classes or one of each; only classes above theirs compete, and the first of equals wins.
-    rivals: what else a row might be, e.g. the maxima of `score_negatives`: a class has to exceed it.
     By default every Gaussian with a feature gets a class, as in the paper.
 
     Raises: InputError: not one score per row, or not one threshold per class.
     Source: Dr. Splat Sec. B "Open-vocabulary 3D semantic segmentation".
     """
-    best = np.full(len(field), -np.inf, np.float32) if rivals is None else rivals.copy()
+    best = np.full(len(field), -np.inf, np.float32)
     labels, count = np.full(len(field), NO_CLASS, np.int32), 0
     for scores in class_scores:
         _check_rows(field, scores)

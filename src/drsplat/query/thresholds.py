@@ -11,7 +11,6 @@ from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
 CUT = 0.6  # of the way to the peak: from the median, or from 0
-SURPRISE = 2.0  # standard deviations above the mean rise of words that are not meant
 BINS, STEPS, SETTLED = 512, 200, 1e-4
 
 Scores = Float[np.ndarray, " r"]
@@ -26,35 +25,18 @@ def peak_score(scores: Scores, peak: int = PEAK) -> float:
     return _largest(scores, min(peak, len(scores)))
 
 
-def rise(scores: Scores, peak: int = PEAK) -> float:
-    """How far the `peak`-th highest score stands above the median.
+def automatic_threshold(scores: Scores, *, peak: int = PEAK) -> float:
+    """`CUT` of the way from the median to the peak, the highest score where the peak is no higher than the median.
 
     Raises: InputError: no scores, or some that are not finite.
     """
-    return float(peak_score(scores, peak) - _median(scores))
+    middle, height = _median(scores), peak_score(scores, peak)
+    return float(middle + CUT * (height - middle)) if height > middle else float(scores.max())
 
 
-def automatic_threshold(
-    scores: Scores, null_rises: Float64[np.ndarray, " k"] | None = None, *, peak: int = PEAK
-) -> float:
-    """`CUT` of the way from the median to the peak, where the scores rise higher than those of other words.
-
-    null_rises: `rise` of queries that nothing in the scene answers. What rises no higher than their mean
-    and `SURPRISE` standard deviations is taken to be absent. None or none: something is always found.
-
-    Raises: InputError: as `rise`.
-    """
-    middle, height = _median(scores), rise(scores, peak)
-    if not height > _usual(null_rises):
-        return float(scores.max())
-    return float(middle + CUT * height)
-
-
-def _usual(rises: Float64[np.ndarray, " k"] | None) -> float:
-    """What a rise has to exceed."""
-    if rises is None or not len(rises):
-        return 0.0
-    return float(rises.mean() + SURPRISE * rises.std())
+def default_threshold(cosines: Scores, least: float | None) -> float:
+    """Where nothing but cosines is known: by `least`, the encoder's own threshold, or without one automatic."""
+    return automatic_threshold(cosines) if least is None else threshold_above(cosines, least)
 
 
 def threshold_above(scores: Scores, least: float, *, peak: int = PEAK) -> float:
@@ -79,7 +61,7 @@ def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = P
 def share_threshold(scores: Scores, share: float) -> float:
     """The threshold above which this share of the rows lies, rounded; fewer where scores are equal.
 
-    Raises: InputError: a share outside of [0, 1], or as `rise`.
+    Raises: InputError: a share outside of [0, 1], or as `peak_score`.
     """
     if not 0 <= share <= 1:
         raise InputError(f"a share of the Gaussians lies between 0 and 1, got {share}")
@@ -93,7 +75,7 @@ def share_threshold(scores: Scores, share: float) -> float:
 def otsu_threshold(scores: Scores) -> float:
     """The middle of the gap that splits the scores into the two groups of least variance within.
 
-    Raises: InputError: as `rise`.
+    Raises: InputError: as `peak_score`.
     Source: Otsu 1979, without a histogram.
     """
     _check(scores)
@@ -114,7 +96,7 @@ def mixture_threshold(scores: Scores) -> float:
 
     Fitted by expectation maximisation to a histogram, from Otsu's split.
 
-    Raises: InputError: as `rise`.
+    Raises: InputError: as `peak_score`.
     """
     start = otsu_threshold(scores)
     low, high = float(scores.min()), float(scores.max())

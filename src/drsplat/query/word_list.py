@@ -32,17 +32,15 @@ def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     try:
         return np.asarray(encoder.encode_texts(nouns), np.float32)
     except InputError:  # an encoder of some words
-        return _one_by_one(encoder)
+        known = [vector for noun in nouns for vector in _if_known(encoder, noun)]
+    return np.asarray(known, np.float32).reshape(len(known), encoder.identity.dim)
 
 
-def _one_by_one(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
-    found = []
-    for noun in NOUNS:
-        try:
-            found.append(encoder.encode_texts([noun])[0])
-        except InputError:
-            continue
-    return np.asarray(found, np.float32).reshape(len(found), encoder.identity.dim)
+def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]]:
+    try:
+        return list(encoder.encode_texts([noun]))
+    except InputError:
+        return ()
 
 
 def _of_vocabulary(texts: Sequence[str]) -> Sequence[str]:
