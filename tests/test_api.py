@@ -151,6 +151,11 @@ def test_imports_go_one_way(path: Path) -> None:
     assert not upwards, f"{own} comes before {upwards}"
 
 
+def test_nothing_that_runs_imports_a_twin() -> None:
+    product = [path for path in SOURCE.rglob("*.py") if "reference" not in path.parts]
+    assert [path.name for path in product if "reference" in imports_of(path)] == []
+
+
 ROOMS = sorted(path.parent for path in SOURCE.glob("*/__init__.py"))
 EVERYWHERE = {"errors", "terminal", "kinds", "contents", "progress"}
 

@@ -2,10 +2,10 @@
 
 import argparse
 import shutil
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .code_facts import code_facts
 from .leaving_out import add_without, left_out
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from ..encoders import EncoderIdentity
     from ..evidence.aggregation import Aggregator, Sampling
     from ..field import LanguageField
+    from ..masks.features import ViewFeatures
+    from ..registration import Registration
+    from ..scene.gaussians import Gaussians
+    from ..scene.views import View
 
 DEFAULT_TOPK = 40
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
@@ -37,6 +41,14 @@ EXAMPLES = """\
       --codebook pq_index.faiss --encoder-name ViT-B-16/laion2b_s34b_b88k --output scene.field --json
 
 A stopped run resumes when the same command is given again."""
+
+
+class _Inputs(NamedTuple):
+    gaussians: "Gaussians"
+    views: "Sequence[View]"
+    left_out: set[str]
+    features: "Mapping[str, ViewFeatures]"
+    code: "CodeSpecification"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -119,58 +131,64 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
-    from .. import read_features, read_gaussians, register
+    from .. import register
     from ..evidence.aggregation import aggregator
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)
     sampling = _sampling(arguments, how)
-    gaussians = read_gaussians(arguments.scene)
-    views = views_of(arguments, arguments.capture)
-    without = left_out([view.name for view in views], arguments.without)
-    views = [view for view in views if view.name not in without]
-    codebook = _codebook(arguments)
-    code = _code(arguments, codebook)
-    encoder = _encoder(arguments, codebook)
-    features = read_features(arguments.features, level=arguments.level, encoder=encoder)
+    gaussians, views, without, features, code = _read(arguments)
     watch.lap("read")
     parts = Path(arguments.parts or f"{output}.parts")
-    names = [view.name for view in views]
-    before = _finished(parts, names)
-    registration = register(
-        gaussians, views, features, sampling=sampling, parts=parts, threads=arguments.threads, track=tracker(arguments),
-    )  # fmt: skip
+    before = _written(parts)
+    shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
+    registration = register(gaussians, views, features, sampling, parts=parts, **shared)
     watch.lap("register")
-    field = registration.to_field(
-        code, aggregator=how, gaussians=gaussians, threads=arguments.threads, track=tracker(arguments),
-    )  # fmt: skip
+    field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
     field = _with_words(field, arguments.features)
     watch.lap("code")
     field.save(output, overwrite=arguments.overwrite)
     watch.lap("save")
-    reused = len(before.items() & _finished(parts, names).items())
+    computed = len(_written(parts).items() - before.items())
     if arguments.parts is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
         "field": str(output),
-        "num_gaussians": len(gaussians),
+        **_facts(registration, field),
+        "num_views_reused": len(registration.masks.view_names) - computed,
+        "left_out": sorted(without),
+        "topk": sampling.topk,
+        "seconds": sum(watch.seconds.values()),
+        "stage_seconds": watch.seconds,
+        "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def _read(arguments: argparse.Namespace) -> "_Inputs":
+    from .. import read_features, read_gaussians
+
+    gaussians, views = read_gaussians(arguments.scene), views_of(arguments, arguments.capture)
+    without = left_out([view.name for view in views], arguments.without)
+    codebook = _codebook(arguments)
+    code = _code(arguments, codebook)
+    features = read_features(arguments.features, level=arguments.level, encoder=_encoder(arguments, codebook))
+    return _Inputs(gaussians, [view for view in views if view.name not in without], without, features, code)
+
+
+def _facts(registration: "Registration", field: "LanguageField") -> dict[str, Any]:
+    return {
+        "num_gaussians": field.num_gaussians,
         "num_registered": len(field),
         "num_views": len(registration.masks.view_names),
-        "num_views_reused": reused,
-        "left_out": sorted(without),
         "num_masks": len(registration.masks),
         "num_weights": int(registration.weights.nnz),
         "dim": field.encoder.dim,
         "encoder": field.encoder.name,
         **code_facts(field.code),
-        "aggregator": how.name,
-        "topk": sampling.topk,
+        "aggregator": field.aggregator.name,
         "near": registration.sampling.near if registration.sampling else None,
-        "seconds": sum(watch.seconds.values()),
-        "stage_seconds": watch.seconds,
-        "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
-        "peak_memory_bytes": peak_memory_bytes(),
     }
 
 
@@ -222,12 +240,9 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _finished(parts: Path, names: Iterable[str]) -> dict[str, int]:
+def _written(parts: Path) -> dict[str, int]:
     """Time of writing of each finished view's file."""
-    from ..evidence.columns import part_name
-
-    files = (parts / part_name(name) for name in names)
-    return {file.name: file.stat().st_mtime_ns for file in files if file.is_file()}
+    return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.columns.safetensors")}
 
 
 def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":

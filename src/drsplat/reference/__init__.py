@@ -1,5 +1,5 @@
-"""The slow float64 twins that the native kernels are held to, apart from what runs; only the training takes its
-constants and its SSIM from here.
+"""The slow float64 twins that the native kernels are held to. Nothing that runs imports them, and what they share
+with it, constants among it, is written twice.
 
 Imports `scene` and `kernels`.
 """

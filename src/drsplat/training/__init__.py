@@ -1,6 +1,6 @@
 """Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU.
 
-Imports `scene`, `formats`, `kernels`, `reference`, `drawing` and `triangulation`.
+Imports `scene`, `formats`, `kernels`, `drawing` and `triangulation`.
 """
 
 from .devices import train

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from ..errors import DrSplatError
-from ..reference.projection import BLUR
 from ..scene.views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
 from .job import Beginning
@@ -21,6 +20,8 @@ from .schedules import active_sh_degree
 from .torch_loss import photometric_loss
 from .torch_parameters import DeviceParameters
 from .training_photos import Photo
+
+BLUR = 0.3  # square pixels, added to every splat's covariance, as the kernels add it
 
 
 class Engine(NamedTuple):

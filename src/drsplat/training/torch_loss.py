@@ -5,7 +5,7 @@ from jaxtyping import Float32
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from ..reference.loss import C1, C2, SIGMA, WINDOW
+from .metrics import C1, C2, SIGMA, WINDOW
 
 Image = Float32[Tensor, "h w 3"]
 
