@@ -23,7 +23,7 @@ def main(
     gaussians = ds.read_gaussians(scene)
 
     registration = ds.register(gaussians, views, masks)
-    field = registration.to_field()  # ds.Smaller() takes longer, and often less space
+    field = registration.to_field()  # of a scene's masks, ds.Mixture(), takes longer, and often less space
     field.save(output, overwrite=True)
     print(f"{registration}\n{field}\nwritten to {output}")
 

@@ -4,8 +4,8 @@ Needs (N, D) features of the demo's Gaussians in its encoder's space; without an
 python examples/05_evaluate_my_features.py [FOLDER FEATURES.npy]
 """
 
+import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,27 +13,26 @@ from skimage.measure import find_contours
 
 import drsplat as ds
 from drsplat.demo.household import read_household
-from drsplat.evaluation.lerf_ovs import LerfScene, predict, score
-from drsplat.evaluation.scorers import cosine_scorer, feature_scorer
-from drsplat.formats.lerf_ovs import LabelledFrame
+
+THINGS = ("red vase", "green toy duck", "orange sofa")
 
 
 def main(folder: str = "drsplat-demo", features: str = "", report: str = "evaluation") -> None:
-    scene, truth, frames = ds.open_scene(folder), read_household(Path(folder)), []
-    views = {Path(name).stem: scene.view(name) for name in truth.held_out}
-    for stem, view in views.items():  # true masks, outlined as people outlined those of LERF-OVS
-        lines = {}
-        for thing in ("red vase", "green toy duck", "orange sofa"):
-            if outlines := find_contours(truth.mask(view.name, [thing]), 0.5):
-                lines[thing] = tuple(np.int64(line[:, ::-1]) for line in outlines)
-        boxes = {t: tuple(np.float64([*xy.min(0), *xy.max(0)]) for xy in lines[t]) for t in lines}
-        frames.append(LabelledFrame(stem, view.width, view.height, lines, boxes))
+    place, scene, truth = Path(folder), ds.open_scene(folder), read_household(Path(folder))
+    labels = place.parent / "label" / place.name
+    labels.mkdir(parents=True, exist_ok=True)
+    for name in truth.held_out:  # true masks, outlined as people outlined those of LERF-OVS
+        view = scene.view(name)
+        outlines = [(t, line[:, ::-1]) for t in THINGS for line in find_contours(truth.mask(name, [t]), 0.5)]
+        objects = [
+            {"category": thing, "segmentation": xy.tolist(), "bbox": [*xy.min(0), *xy.max(0)]} for thing, xy in outlines
+        ]
+        info = {"name": Path(name).name, "width": view.width, "height": view.height}
+        (labels / Path(name).with_suffix(".json").name).write_text(json.dumps({"info": info, "objects": objects}))
 
-    own = cosine_scorer(scene.field, scene.encoder)
-    scorer = feature_scorer(np.load(features), scene.encoder) if features else own
-    labels = LerfScene("demo", frames, views)
-    predict(labels, scene.gaussians, replace(scorer, sweep=()), Path(report))
-    print(score([labels], Path(report))["columns"]["fixed"]["scene_macro"])
+    judged = (scene.gaussians, np.load(features), scene.encoder) if features else scene
+    answer = ds.evaluate("lerf-ovs", place.parent, {place.name: judged}, report, figures=0, overwrite=True)
+    print(answer["columns"]["fixed"]["scene_macro"])
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ def main(folder: str = "drsplat-demo", words: str = "red vase") -> None:
     if not new:
         raise SystemExit("all photos are registered already")
 
-    ds.embed(new, "new_features", ds.GraphSegmenter(), ds.MiniEncoder())
+    ds.embed(new, "new_features", ds.load_segmenter("graph"), ds.MiniEncoder())
     after = before.merged(ds.register(scene.gaussians, new, ds.read_features("new_features")))
     field = after.to_field()  # the same to the bit as of all photos at once
     field.save("more.field", overwrite=True)

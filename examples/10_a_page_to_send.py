@@ -5,26 +5,19 @@ python examples/10_a_page_to_send.py [FOLDER PAGE.html WORDS...]
 """
 
 import sys
+from pathlib import Path
 
 import drsplat as ds
-from drsplat.viewing.cameras import first_look, up_direction
-from drsplat.viewing.exporting import page_of
-from drsplat.viewing.page import MOST, write_page
-from drsplat.viewing.session import Session
 
 
 def main(folder: str = "drsplat-demo", page: str = "page.html", *words: str) -> None:
-    scene, texts = ds.open_scene(folder), words or ("red vase", "couch", "laptop")
-    # of the largest Gaussians as many as a page holds; words: what a click on the page can say
-    session = Session(scene, MOST, words=(*texts, "table", "shelf", "wall", "floor"))
-    up = up_direction(scene.views)
-    look = first_look(scene.views, session.shown.frame, up)
+    scene, queries = ds.open_scene(folder), words or ("red vase", "couch", "laptop")
+    known = (*queries, "table", "shelf", "wall", "floor")  # what a click on the page can say
+    content = ds.export_page(page, scene, queries, words=known, title="A room, asked in words", overwrite=True)
 
-    content = page_of(session, texts, look, up, title="A room, asked in words")
-    size = write_page(page, content, overwrite=True)
     for answer in content.answers:
         print(f"{answer.text}: {len(answer.matches) or 'nothing'} found")
-    print(f"{page}: {size / 1e6:.1f} MB; open it in a browser")
+    print(f"{page}: {Path(page).stat().st_size / 1e6:.1f} MB; open it in a browser")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ PUBLIC = {
     "Encoder",
     "EncoderIdentity",
     "Gaussians",
-    "GraphSegmenter",
     "LanguageField",
     "Match",
     "MiniEncoder",
@@ -30,13 +29,14 @@ PUBLIC = {
     "Registration",
     "Sampling",
     "Scene",
-    "Smaller",
     "TrainingSettings",
     "View",
     "ViewFeatures",
     "WordEncoder",
     "__version__",
     "embed",
+    "evaluate",
+    "export_page",
     "load_codebook",
     "load_encoder",
     "load_field",
@@ -92,6 +92,7 @@ SOURCE = Path(drsplat.__file__).parent
 
 def test_public_names_are_these_and_no_others() -> None:
     assert set(drsplat.__all__) == PUBLIC
+    assert len(PUBLIC - {"__version__"}) <= 40
     assert set(dir(drsplat)) == PUBLIC
 
 

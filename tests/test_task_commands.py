@@ -10,8 +10,8 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, WordEncoder, load_field, read_gaussians
-from drsplat.commands.legend import class_colors, legend
 from drsplat.demo import story as household
+from drsplat.drawing.legend import class_colors, legend
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.query.nouns import NOUNS

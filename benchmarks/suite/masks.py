@@ -5,10 +5,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import UInt8
 
-from drsplat import GraphSegmenter, MiniEncoder, View, ViewFeatures, load_image
+from drsplat import MiniEncoder, View, ViewFeatures, load_image
 from drsplat.masks.crops import crops
 from drsplat.masks.masks import LEVELS, Masks, cut_masks
 from drsplat.masks.selection import mask_maps
+from drsplat.models.graph import GraphSegmenter
 
 from .scenes import BenchScene
 

@@ -11,10 +11,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from drsplat import GraphSegmenter, MiniEncoder
+from drsplat import MiniEncoder
 from drsplat.encoders import identity_json
 from drsplat.evaluation.voxel import SIDE
 from drsplat.formats.replacing import replacing
+from drsplat.models.graph import GraphSegmenter
 
 from .aggregators import MEASURED
 from .methods import Workshop

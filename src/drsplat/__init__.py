@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
-    from .codes import PQ, Codebook, Mixture, Smaller, load_codebook, train_codebook
+    from .codes import PQ, Codebook, Mixture, load_codebook, train_codebook
     from .drawing.rendering import render
     from .embedding.embed import embed
     from .encoders import Encoder, EncoderIdentity
     from .errors import DrSplatError, DrSplatWarning
+    from .evaluation.running import evaluate
     from .evidence.aggregation import Sampling
     from .field import LanguageField, load_field
     from .formats.captures import read_sparse_points, read_views
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
     from .masks.features import ViewFeatures
-    from .models.graph import GraphSegmenter
     from .models.loading import load_encoder
     from .models.mini import MiniEncoder
     from .models.sam import load_segmenter
@@ -31,14 +31,16 @@ if TYPE_CHECKING:
     from .scene.photos import load_image
     from .scene.views import View
     from .training import TrainingSettings, train
+    from .viewing.exporting import export_page
 
 _HOMES = {
     "models.loading": ("load_encoder",),
     "models.sam": ("load_segmenter",),
     "evidence.aggregation": ("Sampling",),
-    "codes": ("PQ", "Codebook", "Mixture", "Smaller", "load_codebook", "train_codebook"),
+    "codes": ("PQ", "Codebook", "Mixture", "load_codebook", "train_codebook"),
     "embedding.embed": ("embed",),
     "encoders": ("Encoder", "EncoderIdentity"),
+    "evaluation.running": ("evaluate",),
     "errors": ("DrSplatError", "DrSplatWarning"),
     "masks.features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"),
@@ -47,12 +49,12 @@ _HOMES = {
     "formats.scenes": ("read_gaussians", "write_gaussians"),
     "formats.vocabulary": ("read_vocabulary",),
     "scene.gaussians": ("Gaussians",),
-    "models.graph": ("GraphSegmenter",),
     "models.mini": ("MiniEncoder",),
     "scene.photos": ("load_image",),
     "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"),
     "drawing.rendering": ("render",),
+    "viewing.exporting": ("export_page",),
     "training": ("TrainingSettings", "train"),
     "scene.views": ("View",),
     "models.words": ("WordEncoder",),
@@ -69,7 +71,6 @@ __all__ = [
     "Encoder",
     "EncoderIdentity",
     "Gaussians",
-    "GraphSegmenter",
     "LanguageField",
     "Match",
     "MiniEncoder",
@@ -78,13 +79,14 @@ __all__ = [
     "Registration",
     "Sampling",
     "Scene",
-    "Smaller",
     "TrainingSettings",
     "View",
     "ViewFeatures",
     "WordEncoder",
     "__version__",
     "embed",
+    "evaluate",
+    "export_page",
     "load_codebook",
     "load_encoder",
     "load_field",

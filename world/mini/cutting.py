@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from drsplat import GraphSegmenter, LanguageField, MiniEncoder, ViewFeatures, load_image, register
+from drsplat import LanguageField, MiniEncoder, ViewFeatures, load_image, register
 from drsplat.masks.crops import crop
+from drsplat.models.graph import GraphSegmenter
 from drsplat.models.mini.lexicon import NAMES
 from drsplat.query.thresholds import PEAK
 from drsplat.registration import Registration

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .leaving_out import add_without, left_out
 from .options import add_overwrite, add_query_encoders, finite, length, tracker, whole, words
+from .query_options import open_scene
 
 if TYPE_CHECKING:
-    from ..encoders import Encoder
-    from ..evaluation.lerf_ovs import LerfScene
-    from ..evaluation.report import Figure
-    from ..evaluation.scannet import ScannetScene
-    from ..evaluation.scorers import Scorer
-    from ..scene.gaussians import Gaussians
+    from ..evaluation.running import Judged
 
 SUMMARY = "score fields, or features of other systems, on a protocol of the papers"
+HANDED_ON = (
+    "relevancy", "threshold", "method", "automatic", "voxel_side", "figures", "score_only", "overwrite", "threads",
+)  # fmt: skip
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
 EXAMPLES = """\
   drsplat evaluate lerf-ovs lerf_ovs --name teatime --scene teatime.ply --field teatime.field --report out
@@ -91,13 +90,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..evaluation.report import without_nan, write_report
+    from .. import evaluate
+    from ..evaluation.label_sets import label_set
+    from ..evaluation.report import without_nan
 
     _check(arguments)
-    run_protocol = _lerf if arguments.protocol == "lerf-ovs" else _scannet
-    result, figures = run_protocol(arguments, Path(arguments.report) / "predictions")
-    written = write_report(Path(arguments.report), [result], figures, overwrite=True)
-    answer = {**result, "written": [str(path) for path in written]}
+    labels = label_set(arguments.label_set)
+    answer = evaluate(
+        arguments.protocol,
+        arguments.data,
+        {name: partial(_judged, arguments, index) for index, name in enumerate(_names(arguments))},
+        arguments.report,
+        labels=labels.prompted(arguments.prompt) if arguments.prompt else labels,
+        label_table=Path(arguments.label_table) if arguments.label_table else None,
+        without=partial(left_out, without=arguments.without) if arguments.without else None,
+        files=[Path(path) for path in arguments.scene if Path(path).is_file()],
+        track=tracker(arguments),
+        **{name: value for name, value in vars(arguments).items() if name in HANDED_ON},
+    )
     return dict(without_nan(answer)) if arguments.json else answer
 
 
@@ -119,7 +129,7 @@ def _check(arguments: argparse.Namespace) -> None:
     from ..errors import InputError
     from ..terminal import counted
 
-    count, report = len(arguments.scene), Path(arguments.report)
+    count = len(arguments.scene)
     if not arguments.score_only and bool(arguments.field) == bool(arguments.features):
         raise InputError("give --field or --features for each scene, and not both")
     if arguments.without and arguments.protocol != "lerf-ovs":
@@ -128,82 +138,11 @@ def _check(arguments: argparse.Namespace) -> None:
         given = getattr(arguments, option)
         if given and len(given) != count:
             raise InputError(f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
-    if (report / "results.json").exists() and not (arguments.overwrite or arguments.score_only):
-        raise InputError(f"{report} holds results already: pass --overwrite, or name another folder")
     if arguments.features and not (arguments.vocabulary or arguments.encoder):
         raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
 
 
-def _lerf(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], list[Figure]]:
-    from .. import read_gaussians
-    from ..evaluation import lerf_ovs
-    from ..evaluation.figures import lerf_figures
-
-    scenes, figures, files = [], [], []
-    for index, name in enumerate(_names(arguments, "label")):
-        scene = _kept(lerf_ovs.read_lerf_scene(Path(arguments.data), name), arguments.without)
-        scenes.append(scene)
-        files += sorted((Path(arguments.data) / "label" / name).glob("*.json"))
-        if arguments.score_only:
-            continue
-        gaussians = read_gaussians(arguments.scene[index])
-        scorer = _scorer(arguments, index, gaussians)
-        threads = arguments.threads
-        lerf_ovs.predict(
-            scene, gaussians, scorer, folder,
-            choosers=_choosers(arguments, scorer), threads=threads, track=tracker(arguments),
-        )  # fmt: skip
-        figures += lerf_figures(scene, gaussians, scorer, arguments.figures, threads=threads)
-    return {**lerf_ovs.score(scenes, folder), "files": _hashes(arguments, files)}, figures
-
-
-def _kept(scene: LerfScene, without: str | None) -> LerfScene:
-    """Without the labelled photos that are left out."""
-    from dataclasses import replace
-
-    out = left_out([frame.name for frame in scene.frames], without)
-    return replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in out))
-
-
-def _scannet(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Any], list[Figure]]:
-    from ..evaluation import scannet_points, scannet_volume, voxel
-
-    scenes, figures, files = [], [], []
-    for index, name in enumerate(_names(arguments, "")):
-        scene = _labelled(arguments, Path(arguments.data) / name, arguments.scene[index])
-        scenes.append(scene)
-        files += sorted((Path(arguments.data) / name).glob("*_vh_clean_2.labels.ply"))
-        if arguments.score_only:
-            continue
-        scorer, track = _scorer(arguments, index, scene.gaussians), tracker(arguments)
-        if arguments.protocol == "scannet-volume":
-            chosen = _choosers(arguments, scorer)
-            scannet_volume.predict(scene, scorer, folder, choosers=chosen, track=track)
-            figures += _scannet_figures(arguments, scene, scorer, Path(arguments.data) / name)
-        else:
-            module = scannet_points if arguments.protocol == "scannet-points" else voxel
-            module.predict(scene, scorer, folder, track=track)
-    hashes = _hashes(arguments, files)
-    if arguments.protocol == "voxel":
-        side, threads = arguments.voxel_side, arguments.threads
-        return {**voxel.score(scenes, folder, side=side, threads=threads), "files": hashes}, []
-    score = {"scannet-points": scannet_points.score, "scannet-volume": scannet_volume.score}
-    return {**score[arguments.protocol](scenes, folder), "files": hashes}, figures
-
-
-def _scannet_figures(arguments: argparse.Namespace, scene: ScannetScene, scorer: Scorer, folder: Path) -> list[Figure]:
-    """None where the scene has no cameras."""
-    from .. import read_views
-    from ..evaluation.figures import scannet_figures
-
-    cameras = folder / "transforms_test.json"
-    if not cameras.is_file():
-        return []
-    views = read_views(cameras)
-    return scannet_figures(scene, views, scorer, arguments.figures, threads=arguments.threads)
-
-
-def _names(arguments: argparse.Namespace, inside: str) -> list[str]:
+def _names(arguments: argparse.Namespace) -> list[str]:
     """Folder names of the scenes.
 
     Raises: InputError: none is given, and there is not exactly one.
@@ -212,7 +151,7 @@ def _names(arguments: argparse.Namespace, inside: str) -> list[str]:
 
     if arguments.name:
         return list(arguments.name)
-    place = Path(arguments.data) / inside
+    place = Path(arguments.data, "label") if arguments.protocol == "lerf-ovs" else Path(arguments.data)
     found = sorted(path.name for path in place.iterdir() if path.is_dir()) if place.is_dir() else []
     if len(found) != 1 or len(arguments.scene) != 1:
         listed = ", ".join(found[:6]) or "none"
@@ -220,57 +159,17 @@ def _names(arguments: argparse.Namespace, inside: str) -> list[str]:
     return found
 
 
-def _labelled(arguments: argparse.Namespace, folder: Path, scene: str) -> ScannetScene:
-    from .. import read_gaussians
-    from ..evaluation.label_sets import label_set
-    from ..evaluation.scannet import read_nyu40_scene, read_raw_category_scene
+def _judged(arguments: argparse.Namespace, index: int) -> Judged:
+    from .. import load_encoder, read_gaussians, read_vocabulary
+    from ..evaluation.scorers import read_features
 
-    labels, gaussians = label_set(arguments.label_set), read_gaussians(scene)
-    if arguments.prompt:
-        labels = labels.prompted(arguments.prompt)
-    if labels.name == "scannet200":
-        table = Path(arguments.label_table) if arguments.label_table else None
-        return read_raw_category_scene(folder, labels, gaussians, table)
-    return read_nyu40_scene(folder, labels, gaussians)
-
-
-def _scorer(arguments: argparse.Namespace, index: int, gaussians: Gaussians) -> Scorer:
-    from dataclasses import replace
-
-    from .. import load_field
-    from ..evaluation.scorers import cosine_scorer, feature_scorer, read_features, relevant
-    from ..query import encoder_for
-
-    if arguments.features:
-        features = read_features(Path(arguments.features[index]))
-        scorer = feature_scorer(features, _encoder_of_features(arguments))
-    else:
-        field = load_field(arguments.field[index])
-        field.check_scene(gaussians)
-        encoder = encoder_for(field, arguments.vocabulary, arguments.encoder, arguments.device)
-        scorer = cosine_scorer(field, encoder, threads=arguments.threads)
-    if arguments.relevancy:
-        scorer = relevant(scorer)
-    threshold = scorer.threshold if arguments.threshold is None else arguments.threshold
-    return replace(scorer, name=arguments.method or scorer.name, threshold=threshold)
-
-
-def _encoder_of_features(arguments: argparse.Namespace) -> Encoder:
-    from .. import load_encoder, read_vocabulary
-
-    if arguments.vocabulary:
-        return read_vocabulary(arguments.vocabulary)
-    return load_encoder(arguments.encoder, arguments.device)
-
-
-def _choosers(arguments: argparse.Namespace, scorer: Scorer) -> dict[str, Any]:
-    from ..evaluation.choosers import automatic_choosers
-
-    return automatic_choosers(scorer) if arguments.automatic else {}
-
-
-def _hashes(arguments: argparse.Namespace, files: Sequence[Path]) -> dict[str, str]:
-    from ..formats.checksums import hash_file
-
-    given = [Path(path) for path in arguments.scene if Path(path).is_file()]
-    return {f"{path.parent.name}/{path.name}": hash_file(path) for path in [*given, *files]}
+    if arguments.field:
+        return open_scene(
+            argparse.Namespace(**vars(arguments) | {"scene": arguments.scene[index]}), arguments.field[index]
+        )
+    gaussians = read_gaussians(arguments.scene[index])
+    if not arguments.features:
+        return gaussians  # with --score-only
+    words = arguments.vocabulary
+    encoder = read_vocabulary(words) if words else load_encoder(arguments.encoder, arguments.device)
+    return gaussians, read_features(Path(arguments.features[index])), encoder

@@ -128,29 +128,31 @@ def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) ->
     Raises: as `check_outputs` and `open_scene`.
     """
     check_outputs(arguments, suffixes)
-    scene = open_scene(arguments)
+    scene = open_scene_for_output(arguments)
     return scene, scene.ask(query_of(arguments))
 
 
-def open_scene(arguments: argparse.Namespace) -> Scene:
-    """The scene that the field, --scene, --views and the options of encoders and captures mean.
+SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "threads")
+CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side")
 
-    Raises: InputError: an output that cannot be made of it; as `drsplat.open_scene`.
+
+def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene:
+    """The scene that a field (None: the verb's own), --scene, --views and the options of encoders and captures mean.
+
+    Raises: as `drsplat.open_scene`.
     """
     from .. import open_scene as opened
 
-    scene = opened(
-        arguments.field,
-        scene=arguments.scene,
-        views=arguments.views,
-        encoder=arguments.encoder,
-        vocabulary=arguments.vocabulary,
-        device=arguments.device,
-        threads=arguments.threads,
-        images=arguments.images,
-        dataparser_transforms=arguments.dataparser_transforms,
-        max_side=arguments.max_side,
-    )
+    given = {name: value for name, value in vars(arguments).items() if name in SCENE_OPTIONS + CAPTURE_OPTIONS}
+    return opened(field or arguments.field, **given)
+
+
+def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
+    """That scene, if --save and --picture can be made of it.
+
+    Raises: InputError: they cannot; as `open_scene`.
+    """
+    scene = open_scene(arguments)
     drawn = arguments.picture is not None
     if drawn or (arguments.save is not None and not arguments.save.lower().endswith(".npy")):
         _ = scene.gaussians  # or the error that says what is missing, before any work

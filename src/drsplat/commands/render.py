@@ -17,6 +17,7 @@ from .options import (
     views_of,
     words,
 )
+from .query_options import open_scene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -119,18 +120,13 @@ def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | N
     """(N, 1): 1 for the Gaussians that --query finds; None without it."""
     import numpy as np
 
-    from .. import open_scene
     from ..query import Query
 
     if arguments.query is None:
         return None
     path, text = arguments.query
-    asked = open_scene(
-        path, scene=arguments.scene, vocabulary=arguments.vocabulary, encoder=arguments.encoder,
-        device=arguments.device, threads=arguments.threads,
-    )  # fmt: skip
     chosen = np.zeros((len(scene), 1), np.float32)
-    for match in asked.locate(Query(text, threshold=arguments.threshold)):
+    for match in open_scene(arguments, path).locate(Query(text, threshold=arguments.threshold)):
         chosen[match.gaussian_ids] = 1
     return chosen
 

@@ -14,7 +14,7 @@ from .query_options import (
     check_outputs,
     chosen_view,
     cut_of,
-    open_scene,
+    open_scene_for_output,
 )
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     check_outputs(arguments)
     classes = _classes(arguments)
-    scene = open_scene(arguments)
+    scene = open_scene_for_output(arguments)
     found = scene.segment(classes, cut_of(arguments))
     report = {
         "field": arguments.field,
@@ -101,7 +101,7 @@ def _counts(found: Segmentation, registered: int) -> list[dict[str, Any]]:
 
 def _save(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> None:
     from .. import write_gaussians
-    from .legend import colored
+    from ..drawing.legend import colored
 
     painted = colored(scene.gaussians, found.labels, len(found.names))
     columns = {"class_id": found.labels}
@@ -111,8 +111,8 @@ def _save(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> N
 def _draw(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> str:
     import numpy as np
 
+    from ..drawing.legend import class_picture
     from ..drawing.pictures import photo_or_rendering, write_picture
-    from .legend import class_picture
 
     view = chosen_view(arguments, scene, np.flatnonzero(found.labels >= 0))
     photo = photo_or_rendering(scene.gaussians, view, threads=arguments.threads)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from .options import PORT, add_overwrite, add_query_encoders, count, new_output, words
+from .query_options import open_scene
 
 if TYPE_CHECKING:
     from ..query import Scene
-    from ..viewing.session import Session
     from ..viewing.shown import Shown
 
 SUMMARY = "show a scene in the browser and search it there, or write a page of it that needs no server"
@@ -85,25 +85,18 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..errors import InputError
-    from ..viewing.bare import NO_FIELD
-    from ..viewing.cameras import first_look
-    from ..viewing.exporting import page_of
-    from ..viewing.page import MOST, write_page
+    from .. import export_page
     from ..viewing.results import split_queries
 
     new_output(arguments.export, arguments.overwrite, ".html")
-    texts = split_queries(arguments.ask)
-    session = _session(arguments, min(arguments.max_gaussians or MOST, MOST))
-    if bool(texts) != session.is_askable:
-        raise InputError(NO_FIELD if texts else 'a page holds answers: pass --ask "red mug; lamp"')
-    up = _up(arguments, session.scene)
-    look = first_look(session.scene.views, session.shown.frame, up)
-    page = page_of(session, texts, look, up)
-    size = write_page(arguments.export, page, overwrite=arguments.overwrite)
+    scene, queries = _scene(arguments), split_queries(arguments.ask)
+    page = export_page(
+        arguments.export, scene, queries, words=_words(arguments), up=_up(arguments, scene),
+        max_gaussians=arguments.max_gaussians, overwrite=arguments.overwrite,
+    )  # fmt: skip
     return {
         "page": arguments.export,
-        "bytes": size,
+        "bytes": Path(arguments.export).stat().st_size,
         "num_shown": len(page.shown),
         "num_left_out": page.shown.num_left_out,
         "queries": [{"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers],
@@ -112,10 +105,11 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _serve(arguments: argparse.Namespace) -> NoReturn:
     from ..viewing.panel import Panel
+    from ..viewing.session import Session
     from ..viewing.window import Window, viser_module
 
     viser_module()
-    session = _session(arguments, arguments.max_gaussians or BUDGET)
+    session = Session(_scene(arguments), arguments.max_gaussians or BUDGET, _words(arguments))
     up = _up(arguments, session.scene)
     folder = None if arguments.save_dir is None else Path(arguments.save_dir)
     window = Window(session, up, host=arguments.host, port=arguments.port)
@@ -137,31 +131,18 @@ def _tell(as_json: bool, address: str, shown: Shown) -> None:
         print(f"Open {address} in a browser; Ctrl-C ends this. {shown.said}", flush=True)
 
 
-def _session(arguments: argparse.Namespace, budget: int) -> Session:
-    from ..viewing.session import Session
-
-    words = None
-    if arguments.words:
-        words = [word.strip() for word in arguments.words.split(",") if word.strip()]
-    return Session(_scene(arguments), budget, words)
+def _words(arguments: argparse.Namespace) -> list[str] | None:
+    given = (word.strip() for word in (arguments.words or "").split(","))
+    return [word for word in given if word] if arguments.words else None
 
 
 def _scene(arguments: argparse.Namespace) -> Scene:
-    from .. import open_scene
     from ..viewing.bare import is_bare, open_bare
 
     path = Path(arguments.field)
     if arguments.scene is None and is_bare(path):
         return open_bare(path, arguments.views, arguments.threads)
-    scene = open_scene(
-        path,
-        scene=arguments.scene,
-        views=arguments.views,
-        encoder=arguments.encoder,
-        vocabulary=arguments.vocabulary,
-        device=arguments.device,
-        threads=arguments.threads,
-    )
+    scene = open_scene(arguments)
     _ = scene.gaussians  # or the error that says what is missing
     return scene
 

@@ -8,27 +8,23 @@ Source: OpenGaussian (Wu et al. 2024), its evaluation on ScanNet.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int32
 
-from ..codes import Track, untracked
 from ..errors import InputError, MismatchError
 from . import metrics
 from .predictions import read_manifest
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
-from .scorers import Scorer
 
 PROTOCOL = "scannet-points@1"
 FAINT = 0.1
 TOLERANCE = 1e-3  # of the scene's extent
 
-
-def predict(scene: ScannetScene, scorer: Scorer, folder: Path, *, track: Track = untracked) -> None:
-    """Write a class per Gaussian.  Raises: MismatchError: a scorer of another scene."""
-    predict_classes(scene, scorer, folder, PROTOCOL, track=track)
+predict = partial(predict_classes, protocol=PROTOCOL)
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:

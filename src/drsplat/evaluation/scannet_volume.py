@@ -9,15 +9,15 @@ Source: Dr. Splat Sec. B-C.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..codes import Track, untracked
 from ..errors import InputError, MismatchError
 from . import metrics
-from .predictions import AUTOMATIC, FIXED, TUNED, Chooser, Manifest, is_sweep, read_manifest
+from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, is_sweep, read_manifest
 from .scannet import (
     ACCURACIES,
     ScannetScene,
@@ -28,25 +28,11 @@ from .scannet import (
     predicted_scores,
     segmentation_record,
 )
-from .scorers import Scorer
 from .thresholds import best_sweep, sweep_weighted_ious
 
 PROTOCOL = "scannet-volume@1"
 
-
-def predict(
-    scene: ScannetScene,
-    scorer: Scorer,
-    folder: Path,
-    *,
-    choosers: Mapping[str, tuple[Chooser, str]] | None = None,
-    track: Track = untracked,
-) -> None:
-    """Write a class per Gaussian, the scores of each class, and thresholds for them.
-
-    Raises: MismatchError: a scorer of another scene.
-    """
-    predict_classes(scene, scorer, folder, PROTOCOL, choosers=choosers, keep_scores=True, track=track)
+predict = partial(predict_classes, protocol=PROTOCOL, keep_scores=True)
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:

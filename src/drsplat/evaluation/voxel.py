@@ -18,13 +18,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from ..codes import Track, untracked
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume
 from .predictions import read_manifest
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
-from .scorers import Scorer
 
 PROTOCOL = "voxel@1"
 SIDE = 0.05  # scene units: ScanNet's are metres
@@ -34,6 +32,8 @@ MAX_VOXELS = 1 << 27
 SLAB_SCORES = 1 << 22
 PAIRS = 1 << 19
 MIN_SCENES = 8
+
+predict = partial(predict_classes, protocol=PROTOCOL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +90,6 @@ def voxel_labels(
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         parts = list(pool.map(work, slabs))
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
-
-
-def predict(scene: ScannetScene, scorer: Scorer, folder: Path, *, track: Track = untracked) -> None:
-    """Write a class per Gaussian.  Raises: MismatchError: a scorer of another scene."""
-    predict_classes(scene, scorer, folder, PROTOCOL, track=track)
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:

@@ -1,20 +1,50 @@
 """From a scene and queries to a page."""
 
 from collections.abc import Sequence
+from os import PathLike
 
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
-from ..errors import DrSplatError
+from ..errors import DrSplatError, InputError
 from ..query import Scene
 from . import painting
-from .cameras import before
+from .bare import NO_FIELD
+from .cameras import before, first_look, up_direction
 from .naming import words_of
-from .page import MOST_WORDS, Page, PageAnswer
+from .page import MOST, MOST_WORDS, Page, PageAnswer, write_page
 from .results import Result, result_of
 from .session import Mode, Session
 
 MOST_MATCHES = 254  # of one query: a byte per Gaussian says which
+
+
+def export_page(
+    path: str | PathLike[str],
+    scene: Scene,
+    queries: Sequence[str],
+    *,
+    words: Sequence[str] | None = None,
+    up: Float64[np.ndarray, " 3"] | None = None,
+    max_gaussians: int | None = None,
+    title: str = "",
+    overwrite: bool = False,
+) -> Page:
+    """Write a scene and its answers to one HTML file, which needs nothing but a browser; returns what is in it.
+
+    words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
+    held. max_gaussians: the most significant ones are shown, 200,000 at most. title: the scene's name if empty.
+
+    Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
+    that the encoder does not know. MismatchError: another encoder.
+    """
+    session = Session(scene, min(max_gaussians or MOST, MOST), words)
+    if bool(queries) != session.is_askable:
+        raise InputError(NO_FIELD if queries else "a page holds answers: give it queries, as in 'red mug; lamp'")
+    up = up_direction(scene.views) if up is None else up
+    page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title)
+    write_page(path, page, overwrite=overwrite)
+    return page
 
 
 def page_of(

@@ -60,8 +60,8 @@ class Page:
     best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
 
 
-def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> int:
-    """Write the page; returns its size in bytes.
+def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
+    """Write the page.
 
     Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`.
     """
@@ -78,7 +78,6 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
     text = filled(_own("page.html"), parts).encode()
     with replacing(path, overwrite) as file:
         file.write(text)
-    return len(text)
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:

@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from PIL import Image, ImageDraw, ImageFont
 
-from ..drawing.palette import LUMA, class_colors
-from ..drawing.pictures import INK, PAPER, OtherPixels, Pixels
 from ..kernels import render_channels, splat_arrays
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View
+from .palette import LUMA, class_colors
+from .pictures import INK, PAPER, OtherPixels, Pixels
 
 GREY = 0.35  # how much of its own light a Gaussian without class keeps, around a middle grey
 

@@ -1,0 +1,179 @@
+"""One protocol from labelled data and what is judged on it to predictions, numbers and a report."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..codes import Track, untracked
+from ..encoders import Encoder
+from ..errors import InputError
+from ..formats.captures import read_views
+from ..formats.checksums import hash_file
+from ..query import Scene
+from ..scene.gaussians import Gaussians
+from . import lerf_ovs, scannet_points, scannet_volume, voxel
+from .choosers import automatic_choosers
+from .figures import lerf_figures, scannet_figures
+from .label_sets import LabelSet, label_set
+from .predictions import Chooser
+from .report import RESULTS, Figure, write_report
+from .scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene
+from .scorers import Scorer, cosine_scorer, feature_scorer, relevant
+
+PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
+_SCANNET = {"scannet-points": scannet_points, "scannet-volume": scannet_volume, "voxel": voxel}
+
+Judged = Scene | Gaussians | tuple[Gaussians, Float[np.ndarray, "n d"], Encoder]
+Names = Callable[[Sequence[str]], Collection[str]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Task:
+    """The arguments of `evaluate`."""
+
+    data: Path
+    report: Path
+    labels: LabelSet
+    label_table: Path | None
+    relevancy: bool
+    threshold: float | None
+    method: str | None
+    automatic: bool
+    without: Names | None
+    figures: int
+    score_only: bool
+    threads: int
+    track: Track
+
+    @property
+    def folder(self) -> Path:
+        return self.report / "predictions"
+
+    def scorer(self, judged: Judged) -> Scorer:
+        if isinstance(judged, Gaussians):
+            raise InputError("there is nothing to judge: expected a scene with a field, or features and an encoder")
+        if isinstance(judged, Scene):
+            scorer = cosine_scorer(judged.field, judged.encoder, threads=self.threads)
+        else:
+            scorer = feature_scorer(*judged[1:])
+        scorer = relevant(scorer) if self.relevancy else scorer
+        threshold = scorer.threshold if self.threshold is None else self.threshold
+        return replace(scorer, name=self.method or scorer.name, threshold=threshold)
+
+    def choosers(self, scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
+        return automatic_choosers(scorer) if self.automatic else {}
+
+
+def evaluate(
+    protocol: str,
+    data: str | PathLike[str],
+    judged: Mapping[str, Judged | Callable[[], Judged]],
+    report: str | PathLike[str],
+    *,
+    labels: str | LabelSet = "scannet19",
+    label_table: Path | None = None,
+    relevancy: bool = False,
+    threshold: float | None = None,
+    method: str | None = None,
+    automatic: bool = False,
+    without: Names | None = None,
+    voxel_side: float = voxel.SIDE,
+    figures: int = 6,
+    score_only: bool = False,
+    overwrite: bool = False,
+    files: Sequence[Path] = (),
+    threads: int = 0,
+    track: Track = untracked,
+) -> dict[str, Any]:
+    """Judge fields, or features of other systems, by a protocol of the papers; returns the numbers.
+
+    protocol: "lerf-ovs", "scannet-points", "scannet-volume" or "voxel". data: a folder with a folder per scene, of
+    lerf-ovs also with label/. judged: by scene folder an opened scene, or Gaussians, features (N, D) with a row for
+    each and an encoder of texts; or what makes either when it is its turn. report: the folder to write to; predictions
+    are written there and scored from there.
+
+    labels, label_table: classes of ScanNet, a name or a file, and for scannet200 the table of categories. relevancy:
+    measure it instead of cosines. threshold: the fixed one, None: the encoder's own, else 0.5. method: its name in
+    tables. automatic: score with a threshold per query as well. without: which of the labelled photos' names to leave
+    out. figures: pictures per scene. score_only: predictions are there already; Gaussians are enough to judge then.
+    files: more of which the report states the hashes.
+
+    Raises: InputError: no such protocol, files or classes; results are there already and not `overwrite`. FormatError:
+    damaged files. MismatchError: what does not belong together.
+    """
+    report, data = Path(report), Path(data)
+    if protocol not in PROTOCOLS:
+        raise InputError(f"protocol: expected one of {', '.join(PROTOCOLS)}; got {protocol!r}")
+    if (report / RESULTS).exists() and not (overwrite or score_only):
+        raise InputError(f"{report} holds results already: pass overwrite=True, or name another folder")
+    task = _Task(
+        data=data, report=report, labels=label_set(labels) if isinstance(labels, str) else labels,
+        label_table=label_table, relevancy=relevancy, threshold=threshold, method=method, automatic=automatic,
+        without=without, figures=figures, score_only=score_only, threads=threads, track=track,
+    )  # fmt: skip
+    pictures: list[Figure] = []
+    if protocol == "lerf-ovs":
+        result = lerf_ovs.score(list(_lerf_scenes(task, judged, pictures)), task.folder)
+        labelled = [file for name in judged for file in sorted((data / "label" / name).glob("*.json"))]
+    else:
+        scenes = list(_scannet_scenes(task, protocol, judged, pictures))
+        more = {"side": voxel_side, "threads": threads} if protocol == "voxel" else {}
+        result = _SCANNET[protocol].score(scenes, task.folder, **more)
+        labelled = [file for name in judged for file in sorted((data / name).glob("*_vh_clean_2.labels.ply"))]
+    result["files"] = {f"{path.parent.name}/{path.name}": hash_file(path) for path in [*files, *labelled]}
+    written = write_report(report, [result], pictures, overwrite=True)
+    return {**result, "written": [str(path) for path in written]}
+
+
+def _made(judged: Judged | Callable[[], Judged]) -> Judged:
+    return judged() if callable(judged) else judged
+
+
+def _gaussians(judged: Judged) -> Gaussians:
+    if isinstance(judged, Scene):
+        return judged.gaussians
+    return judged if isinstance(judged, Gaussians) else judged[0]
+
+
+def _lerf_scenes(
+    task: _Task, judged: Mapping[str, Judged | Callable[[], Judged]], pictures: list[Figure]
+) -> Iterator[lerf_ovs.LerfScene]:
+    for name, one in judged.items():
+        scene = lerf_ovs.read_lerf_scene(task.data, name)
+        if task.without is not None:
+            out = task.without([frame.name for frame in scene.frames])
+            scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in out))
+        if not task.score_only:
+            known = _made(one)
+            gaussians, scorer = _gaussians(known), task.scorer(known)
+            how: dict[str, Any] = {"threads": task.threads, "track": task.track, "choosers": task.choosers(scorer)}
+            lerf_ovs.predict(scene, gaussians, scorer, task.folder, **how)
+            pictures += lerf_figures(scene, gaussians, scorer, task.figures, threads=task.threads)
+        yield scene
+
+
+def _scannet_scenes(
+    task: _Task, protocol: str, judged: Mapping[str, Judged | Callable[[], Judged]], pictures: list[Figure]
+) -> Iterator[ScannetScene]:
+    for name, one in judged.items():
+        known = _made(one)
+        scene = _labelled(task, task.data / name, _gaussians(known))
+        if not task.score_only:
+            scorer = task.scorer(known)
+            more = {"choosers": task.choosers(scorer)} if protocol == "scannet-volume" else {}
+            _SCANNET[protocol].predict(scene, scorer, task.folder, track=task.track, **more)
+            cameras = task.data / name / "transforms_test.json"
+            if protocol == "scannet-volume" and cameras.is_file():
+                pictures += scannet_figures(scene, read_views(cameras), scorer, task.figures, threads=task.threads)
+        yield scene
+
+
+def _labelled(task: _Task, folder: Path, gaussians: Gaussians) -> ScannetScene:
+    if task.labels.name == "scannet200":
+        return read_raw_category_scene(folder, task.labels, gaussians, task.label_table)
+    return read_nyu40_scene(folder, task.labels, gaussians)
