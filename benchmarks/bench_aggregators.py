@@ -6,7 +6,6 @@ The room and its masks are synthetic and have no meaning: this measures cost, no
 resident memory that an aggregator adds to that of the registration, which is there before (Linux only).
 """
 
-import argparse
 import gc
 import re
 import sys
@@ -15,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from machine import describe
+from machine import arguments
 from rooms import SyntheticFeatures, room, room_views
 
 from benchmarks.suite.aggregators import MEASURED
@@ -52,15 +51,7 @@ def measure(how: Aggregator, evidence: Evidence, gaussians: Gaussians, threads: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--gaussians", type=int, default=300_000)
-    parser.add_argument("--views", type=int, default=40)
-    parser.add_argument("--masks", type=int, default=150, help="per view")
-    parser.add_argument("--dim", type=int, default=512)
-    parser.add_argument("--threads", type=int, default=0)
-    args = parser.parse_args()
-
-    print(describe())
+    args = arguments(__doc__, gaussians=300_000, views=40, masks=150, dim=512, threads=0)
     gaussians, views = room(args.gaussians), room_views(args.views)
     features = SyntheticFeatures(views, args.masks, args.dim)
     by_sampling: dict[Sampling, Evidence] = {}

@@ -5,10 +5,8 @@
 FAISS is only a rival here (pip install faiss-cpu). Points are clusters on the unit sphere.
 """
 
-import argparse
-
 import numpy as np
-from machine import describe, interleaved
+from machine import arguments, interleaved
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
 from drsplat.codes.kmeans import ITERATIONS
@@ -32,14 +30,7 @@ def train_faiss(points: np.ndarray, subvectors: int, encoder: EncoderIdentity) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--points", type=int, default=16384)
-    parser.add_argument("--dim", type=int, default=512)
-    parser.add_argument("--subvectors", type=int, default=128)
-    parser.add_argument("--rounds", type=int, default=3)
-    args = parser.parse_args()
-
-    print(describe())
+    args = arguments(__doc__, points=16384, dim=512, subvectors=128, rounds=3)
     rng, encoder = np.random.default_rng(0), EncoderIdentity("benchmark", args.dim)
     rows = clusters(rng, args.points + 2000, args.dim)
     points, unseen = rows[: args.points], rows[args.points :]

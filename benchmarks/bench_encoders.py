@@ -7,14 +7,13 @@ depend on the values. CPU seconds are of all threads; on a busy machine trust th
 Scaling and normalising are included; the first round of each warms up.
 """
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machine import describe
+from machine import arguments
 
 from drsplat.models.loading import load_encoder
 
@@ -48,20 +47,14 @@ def measured(encoder: Any, crops: list[np.ndarray], rounds: int) -> tuple[float,
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--crops", type=int, default=32)
-    parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--batches", type=int, nargs="+", default=[8, 16, 32])
-    parser.add_argument("--dtypes", nargs="+", default=["float32", "bfloat16"])
-    parser.add_argument("--device", default="cpu")
-    args = parser.parse_args()
-
+    args = arguments(
+        __doc__, crops=32, rounds=2, threads=[1, 2], batches=[8, 16, 32], dtypes=["float32", "bfloat16"], device="cpu"
+    )
     import torch
 
     from drsplat.models.transformers_encoders import TransformersEncoder
 
-    print(f"{describe()}, torch {torch.__version__}")
+    print(f"torch {torch.__version__}")
     rng = np.random.default_rng(0)
     crops = [rng.integers(0, 256, (SIDE, SIDE, 3), np.uint8) for _ in range(args.crops)]
     with tempfile.TemporaryDirectory() as folder:

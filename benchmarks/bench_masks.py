@@ -8,13 +8,12 @@ thresholds: the run with thresholds at the median of the model's own scores pass
 more than a photo does. CPU seconds are of all threads.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from machine import describe
+from machine import arguments
 
 from drsplat.masks.masks import Masks, cut_masks
 from drsplat.masks.selection import mask_nms
@@ -122,14 +121,7 @@ def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--masks", type=int, default=300)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--points", type=int, default=32)
-    parser.add_argument("--crop-layers", type=int, default=0)
-    parser.add_argument("--skip-models", action="store_true")
-    args = parser.parse_args()
-    print(describe())
+    args = arguments(__doc__, masks=300, rounds=5, points=32, crop_layers=0, skip_models=False)
     bench_nms(args.masks, args.rounds)
     if not args.skip_models:
         bench_segmenter(args.points, args.crop_layers, args.rounds)

@@ -5,13 +5,12 @@
 Runs in this process from a clean start; the peak is the kernel's own count of resident memory.
 """
 
-import argparse
 import resource
 import tempfile
 import time
 from pathlib import Path
 
-from machine import describe
+from machine import arguments
 from rooms import SyntheticFeatures, room, room_views
 
 from drsplat import Sampling
@@ -22,17 +21,9 @@ def peak_mib() -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--gaussians", type=int, default=1_000_000)
-    parser.add_argument("--views", type=int, default=200)
-    parser.add_argument("--masks", type=int, default=150, help="per view")
-    parser.add_argument("--dim", type=int, default=512)
-    parser.add_argument("--topk", type=int, default=40)
-    parser.add_argument("--threads", type=int, default=0)
-    args = parser.parse_args()
+    args = arguments(__doc__, gaussians=1_000_000, views=200, masks=150, dim=512, topk=40, threads=0)
     from drsplat import load_field, register
 
-    print(describe())
     views = room_views(args.views)
     features = SyntheticFeatures(views, args.masks, args.dim)
     clock = time.perf_counter()

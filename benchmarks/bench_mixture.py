@@ -1,12 +1,12 @@
 """Searching in the mixture code beside our own product quantisation of 128 bytes, in one process and in turns.
 
     python benchmarks/bench_mixture.py FIELD [--points 1000000] [--threads 1] [--rounds 15]
-        [--prototype FOLDER] [--more-atoms 34000] [--json out.json]
+        [--more-atoms 34000] [--json out.json]
 
 FIELD: a field saved with its evidence. Its rows are encoded as mixtures of 2, 4 and 8 atoms, and repeated, rows of
 both codes alike, up to --points. Times are minima of wall time of what a caller waits for: the scores of
 the dictionary's atoms, or the look-up tables, and the scan. --more-atoms: fills the dictionary up to so many, which
-makes it one of a larger capture, with ids spread over it. --prototype: a folder with earlier kernels.
+makes it one of a larger capture, with ids spread over it.
 """
 
 import argparse
@@ -15,8 +15,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from machine import describe, interleaved
-from search_rivals import Prototype, Run
+from machine import arguments, describe, interleaved
+from search_rivals import Run
 
 from drsplat import LanguageField, load_field
 from drsplat.codes import Code, PQCode
@@ -81,9 +81,6 @@ def single(codes: dict[str, Code], query: np.ndarray, args: argparse.Namespace) 
         rivals[f"{name}, all scores"] = lambda c=code: c.scores(query[None], threads=args.threads)
         rivals[f"{name}, list of the best 1 %"] = lambda c=code: c.select(query, cut, threads=args.threads)
         rivals[f"{name}, top 100"] = lambda c=code: c.top(query, 100, threads=args.threads)
-    if args.prototype:
-        kernels = Prototype(args.prototype, args.threads)
-        rivals["prototype's PQ 128, all scores"] = kernels.scores(pq, query)
     return shown(f"one query, {args.points:,} rows", rivals, args.rounds, reference)  # type: ignore[return-value]
 
 
@@ -111,19 +108,11 @@ def many(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("field", type=Path)
-    parser.add_argument("--points", type=int, default=1_000_000)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--prototype", type=Path)
-    parser.add_argument("--more-atoms", type=int, default=34_000)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
+    args = arguments(__doc__, "field", points=1_000_000, threads=1, rounds=15, more_atoms=34_000, json=Path)
     field = load_field(args.field)
     if field.evidence is None or not isinstance(field.code, PQCode):
-        parser.error("expected a field with product-quantised codes and its evidence")
-    print(f"{describe()}, kernels {default_isa()}, {args.threads} threads")
+        raise SystemExit("expected a field with product-quantised codes and its evidence")
+    print(f"kernels {default_isa()}, {args.threads} threads")
     mixed = encoded(field.evidence, args.threads)
     codes: dict[str, Code] = {"PQ 128": field.code, **mixed}
     wide = with_more_atoms(mixed["mixture K=4"], args.more_atoms)

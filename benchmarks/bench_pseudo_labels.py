@@ -6,12 +6,11 @@ A room with furniture: points lie evenly on its surfaces, Gaussians are discs ne
 spread as in trained scenes (half of them within a factor of two of 1.5 cm), some of them metres wide.
 """
 
-import argparse
 import resource
 import time
 
 import numpy as np
-from machine import describe
+from machine import arguments
 
 from drsplat import Gaussians
 from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels, pseudo_labels
@@ -55,12 +54,7 @@ def discs(rng: np.random.Generator, corners: np.ndarray, count: int) -> Gaussian
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--gaussians", type=int, default=1_000_000)
-    parser.add_argument("--points", type=int, default=1_000_000)
-    parser.add_argument("--threads", type=int, default=0)
-    args = parser.parse_args()
-    print(describe())
+    args = arguments(__doc__, gaussians=1_000_000, points=1_000_000, threads=0)
     rng = np.random.default_rng(0)
     corners = boxes(rng, 40)
     positions, _, box = on_surfaces(rng, corners, args.points)

@@ -1,11 +1,11 @@
 """Searching in product-quantised codes, beside FAISS, raw cosines and the limit of reading memory.
 
     python benchmarks/bench_search.py [--points 1000000] [--threads 1] [--rounds 9] [--json out.json]
-        [--prototype FOLDER] [--skip single|many|mapped] [--mapped-points 5000000 10000000]
+        [--skip single|many|mapped] [--mapped-points 5000000 10000000]
 
 Everything runs in one process and in turns; times are minima of wall time, and hold all that a caller waits for
 (building tables too). Codes are drawn: time does not depend on them. Tables are as unequal as CLIP's: one part of a
-query is far larger than the others. --prototype: a folder with the kernels that these replaced.
+query is far larger than the others.
 
 single: one query, all scores of all points, for 128, 64 and 32 bytes. many: 20 and 200 queries, the best of them for
 each point. mapped: fields saved and loaded again: the first query after loading beside the next ones.
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from machine import describe, interleaved
-from search_rivals import Prototype, Run, faiss_rivals, forced, raw_rivals, readers, vbmi_here
+from search_rivals import Run, faiss_rivals, forced, raw_rivals, readers
 
 from drsplat import Codebook, EncoderIdentity, LanguageField, load_field
 from drsplat.codes import PQCode
@@ -95,7 +95,7 @@ def shown(title: str, rows: Rows, ours: str) -> None:
         print(f"  {name:44s} {row['min_ms']:9.2f} ms  median {row['median_ms']:9.2f}  {share:7.2f} x")
 
 
-def single(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, object]:
+def single(args: argparse.Namespace) -> dict[str, object]:
     """One query, every score."""
     found: dict[str, object] = {}
     query, threads = drawn_queries(1)[0], args.threads
@@ -112,9 +112,6 @@ def single(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, o
         cut = float(np.quantile(scan(), 0.99))
         rivals["drsplat, list of the best 1 %"] = lambda code=code, cut=cut: code.select(query, cut, threads=threads)
         rivals["drsplat, top 100"] = lambda code=code: code.top(query, 100, threads=threads)
-        if prototype is not None:
-            rivals["prototype, all scores"] = prototype.scores(code, query)
-            rivals["read, prototype"] = prototype.read(code.grouped)
         rivals |= readers(code.grouped, threads) | faiss_rivals(code, query, threads)
         features = np.empty((0, 0))
         if parts == PARTS[0]:
@@ -154,7 +151,7 @@ def decoded_best(code: PQCode, queries: np.ndarray) -> None:
         (code.decode(rows) @ queries.T).argmax(axis=1)
 
 
-def many(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, object]:
+def many(args: argparse.Namespace) -> dict[str, object]:
     """The best of many queries for each point."""
     code, found = random_code(args.points, PARTS[0]), {}
     for count in (20, 200):
@@ -168,8 +165,6 @@ def many(args: argparse.Namespace, prototype: Prototype | None) -> dict[str, obj
         slow: dict[str, Run] = {}
         if "v3" in available_isas() and default_isa() != "v3":
             slow["drsplat forced to AVX2 (v3)"] = forced("v3", best)
-        if prototype is not None:
-            rivals["prototype, hybrid argmax"] = prototype.best(code, queries)
         if count == 20:
             slow["decode a block (NumPy), GEMM, argmax"] = lambda q=queries: decoded_best(code, q)
         rows = timed(rivals, max(3, args.rounds // (1 if count == 20 else 2))) | timed(slow, 1)
@@ -223,7 +218,6 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--prototype", type=Path)
     parser.add_argument("--skip", action="append", default=[], choices=("single", "many", "mapped"))
     parser.add_argument("--mapped-points", type=int, nargs="*", default=[5_000_000, 10_000_000])
     parser.add_argument("--folder", help="where --mapped-points are saved; else where the system has it")
@@ -231,14 +225,11 @@ def main() -> None:
     args = parser.parse_args()
 
     print(describe(), f"- instruction sets {', '.join(available_isas())}")
-    prototype = None
-    if args.prototype is not None and vbmi_here():
-        prototype = Prototype(args.prototype, args.threads)
     found: dict[str, object] = {"machine": describe(), "threads": args.threads, "points": args.points}
     if "single" not in args.skip:
-        found["single"] = single(args, prototype)
+        found["single"] = single(args)
     if "many" not in args.skip:
-        found["many"] = many(args, prototype)
+        found["many"] = many(args)
     if "mapped" not in args.skip:
         found["mapped"] = mapped(args)
     if args.json is not None:

@@ -21,7 +21,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from machine import describe
+from machine import arguments
 from rooms import room
 
 from drsplat import LanguageField, WordEncoder, train_codebook, write_gaussians
@@ -146,12 +146,7 @@ def report(clients: list[Client], seconds: float) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name, default in (("points", 1_000_000), ("workers", 2), ("connections", 32)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    given = parser.parse_args()
-    print(describe())
+    given = arguments(__doc__, points=1_000_000, workers=2, connections=32, seconds=60.0)
     with tempfile.TemporaryDirectory() as folder:
         points = write_scene(Path(folder) / "room", given.points)
         size = sum(path.stat().st_size for path in Path(folder).glob("room/room.field/*")) / 2**20

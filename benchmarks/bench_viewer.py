@@ -8,14 +8,13 @@ Scenes are drawn: things are balls of Gaussians with codes of their own. Needs v
 network and the graphics card take comes on top.
 """
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 from bench_search import IDENTITY, random_code
-from machine import describe
+from machine import arguments
 
 from drsplat import Gaussians, LanguageField, write_gaussians
 from drsplat.query import Scene, SceneFiles, open_scene
@@ -87,22 +86,16 @@ def seconds_to_load(count: int, threads: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--asked", type=int, default=50_000)
-    parser.add_argument("--loaded", type=int, default=1_000_000)
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--threads", type=int, default=0)
-    arguments = parser.parse_args()
-    print(describe())
-    asked = 1000 * seconds_to_ask(arguments.asked, arguments.rounds, arguments.threads)
+    given = arguments(__doc__, asked=50_000, loaded=1_000_000, rounds=15, threads=0)
+    asked = 1000 * seconds_to_ask(given.asked, given.rounds, given.threads)
     print(
-        f"enter to highlighted picture, {arguments.asked:,} Gaussians: median {np.median(asked):.0f} ms, "
+        f"enter to highlighted picture, {given.asked:,} Gaussians: median {np.median(asked):.0f} ms, "
         f"slowest {asked.max():.0f} ms of {len(asked)}"
     )
-    loads = [seconds_to_load(arguments.loaded, arguments.threads) for _ in range(3)]
+    loads = [seconds_to_load(given.loaded, given.threads) for _ in range(3)]
     best = min(loads, key=lambda one: one["together"])
     stages = ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in best.items())
-    print(f"loading {arguments.loaded:,} Gaussians, best of 3: {stages}")
+    print(f"loading {given.loaded:,} Gaussians, best of 3: {stages}")
 
 
 if __name__ == "__main__":

@@ -6,14 +6,13 @@
 usage: python benchmarks/check_refit.py [--iterations 3000] [--least 32]
 """
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from machine import describe
+from machine import arguments
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
@@ -22,25 +21,21 @@ MCMC_BUDGET = 600
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--iterations", type=int, default=3000)
-    parser.add_argument("--least", type=float, default=32.0, help="dB, on held-out views")
-    arguments = parser.parse_args()
-    print(describe())
+    given = arguments(__doc__, iterations=3000, least=32.0)
     scene = known_scene()
     found = []
     with tempfile.TemporaryDirectory() as folder:
         views = photographed(Path(folder), scene, ring(32))
         for strategy, budget in (("default", None), ("mcmc", MCMC_BUDGET)):
-            settings = ds.TrainingSettings(iterations=arguments.iterations, strategy=strategy, max_gaussians=budget)
+            settings = ds.TrainingSettings(iterations=given.iterations, strategy=strategy, max_gaussians=budget)
             training = ds.train(views, settings, points=perturbed_points(scene), device="cpu")
             found.append(training.evaluation.psnr)
             print(
-                f"{strategy:8} {arguments.iterations} iterations: PSNR {training.evaluation.psnr:.2f} dB, "
+                f"{strategy:8} {given.iterations} iterations: PSNR {training.evaluation.psnr:.2f} dB, "
                 f"SSIM {training.evaluation.ssim:.4f}, {len(training.gaussians)} Gaussians, "
                 f"{training.seconds:.0f} s"
             )
-    return int(min(found) < arguments.least)
+    return int(min(found) < given.least)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,36 @@
-"""What a benchmark ran on, and how long something took."""
+"""What a benchmark is told, what it ran on, and how long something took."""
 
+import argparse
 import os
 import platform
 import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+
+def arguments(doc: str | None, *places: str, **defaults: object) -> argparse.Namespace:
+    """Paths, and --name VALUE for each default, of its type: of a list several, of a type none; False is a switch.
+
+    Says what all this runs on.
+    """
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for place in places:
+        parser.add_argument(place, type=Path)
+    for name, default in defaults.items():
+        how: dict[str, Any] = {"type": type(default), "default": default}
+        if isinstance(default, list):
+            how = {"type": type(default[0]), "default": default, "nargs": "*"}
+        elif isinstance(default, type):
+            how = {"type": default}
+        elif default is False:
+            how = {"action": "store_true"}
+        parser.add_argument(f"--{name.replace('_', '-')}", **how)
+    given = parser.parse_args()
+    print(describe())
+    return given
 
 
 def describe() -> str:

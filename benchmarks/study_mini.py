@@ -21,16 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from drsplat import Mixture
-
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from scipy.sparse import csr_array
-from study_thresholds import registered
+from study_thresholds import true_things
 
 from benchmarks.suite.masks import features_of
 from benchmarks.suite.scenes import read_scene
-from drsplat import LanguageField, MiniEncoder, load_field, query, register
+from drsplat import LanguageField, MiniEncoder, Mixture, Scene, load_field, register
 from drsplat.models.mini.lexicon import COLORS, NAMES
 from drsplat.query.contrast import contrast, relevancy_threshold
 from drsplat.query.thresholds import PEAK, peak_score, threshold_above
@@ -51,13 +48,8 @@ def kept_room(folder: Path, kept: Path) -> tuple[LanguageField, np.ndarray, np.n
         made = register(scene.gaussians, scene.views, features_of(scene, "graph", MINI))
         made = replace(made, encoder=MINI.identity)
         made.to_field(Mixture()).save(path.with_suffix(".field"), overwrite=True)
-        exact, owners = registered(scene, "true")
-        known = np.flatnonzero(owners >= 0)
-        shape = (len(owners), owners.max() + 1)
-        one = csr_array((np.ones(len(known), np.float32), (known, owners[known])), shape=shape)
-        votes = (exact.weights @ one).toarray()
-        labels = np.where(votes.any(1), votes.argmax(1), -1)
-        np.savez(path.with_suffix(".npz"), labels=labels, mass=votes.sum(1))
+        labels, mass = true_things(scene)
+        np.savez(path.with_suffix(".npz"), labels=labels, mass=mass)
     with np.load(path.with_suffix(".npz")) as known_labels:
         labels, mass = known_labels["labels"], known_labels["mass"]
     field = load_field(path.with_suffix(".field"))
@@ -94,7 +86,7 @@ def selections(field: LanguageField, text: str) -> Iterator[tuple[str, np.ndarra
     yield "list", listed
     for share in SHARES:
         yield f"list, {share} of its height", listed & (peak_score(cosines) > share * known.height)
-    answer = query(field, MINI, text)
+    answer = Scene(field, encoder=MINI).ask(text)
     yield "the rule", answer.values > answer.threshold
 
 
@@ -122,7 +114,7 @@ def ask(field: LanguageField, texts: list[str]) -> None:
     print("|---|---|---|---|")
     height = contrast(field, list_vectors(MINI)).height
     for text in texts:
-        answer = query(field, MINI, text)
+        answer = Scene(field, encoder=MINI).ask(text)
         before = (answer.scores > threshold_above(answer.scores, 0.2)).sum()
         share = peak_score(answer.scores) / height
         print(f"| {text} | {len(answer.gaussian_ids):,} | {before:,} | {share:.2f} |")

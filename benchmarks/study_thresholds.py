@@ -22,7 +22,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -97,14 +97,19 @@ def registered(scene: BenchScene, kind: str) -> tuple[Evidence, np.ndarray]:
     return register(scene.gaussians, scene.views, features).evidence, np.array(owners)
 
 
-def room_of(folder: Path) -> Room:
-    scene = read_scene(folder)
-    truth = json.loads((folder / "truth.json").read_text())
+def true_things(scene: BenchScene) -> tuple[np.ndarray, np.ndarray]:
+    """Per Gaussian the number of its thing, -1 for none, and the weight that photos give it."""
     exact, own = registered(scene, "true")
     known = np.flatnonzero(own >= 0)
     of_thing = csr_array((np.ones(len(known), np.float32), (known, own[known])), shape=(len(own), own.max() + 1))
     votes = (exact.weights @ of_thing).toarray()
-    labels = np.where(votes.any(1), votes.argmax(1), -1)
+    return np.where(votes.any(1), votes.argmax(1), -1), votes.sum(1)
+
+
+def room_of(folder: Path) -> Room:
+    scene = read_scene(folder)
+    truth = json.loads((folder / "truth.json").read_text())
+    labels, mass = true_things(scene)
     count = len(labels)
     rows = np.sort(np.random.default_rng(5).choice(count, min(ROWS, count), replace=False))
     evidence, owners = registered(scene, "graph")
@@ -112,7 +117,7 @@ def room_of(folder: Path) -> Room:
     for thing in (*truth["objects"], *truth["structures"]):
         things[thing["name"]].append(thing["id"])
     few = scene.gaussians.subset(rows)
-    return Room(few, evidence.rows(rows), owners, labels[rows], votes.sum(1)[rows], things)
+    return Room(few, evidence.rows(rows), owners, labels[rows], mass[rows], things)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +143,18 @@ class Trial:
     absent: list[int]
 
 
-def trial(room: Room, clip: Clip, how: str, kind: str, wrong: float, words: range, seed: int) -> Trial:
+class Trying(NamedTuple):
+    """What trials have in common. how: an aggregator; kind: of KINDS; words: that things may be called."""
+
+    room: Room
+    clip: Clip
+    how: str
+    kind: str
+    words: range
+
+
+def trial(trying: Trying, wrong: float, seed: int) -> Trial:
+    room, clip, how, kind, words = trying
     rng, (count, noise, least) = np.random.default_rng(seed), KINDS[kind]
     good = rng.permutation([word for word in words if clip.margins[:, word].max() > least])
     names = list(rng.permutation(sorted(room.things)))
@@ -192,12 +208,13 @@ def selections(case: Trial, clip: Clip, known: Contrast, word: int) -> Iterator[
 Results = dict[str, dict[str, list[float]]]
 
 
-def study(room: Room, clip: Clip, how: str, kind: str, words: range, seeds: int) -> dict[str, Results]:
+def study(trying: Trying, seeds: int) -> dict[str, Results]:
+    clip = trying.clip
     found: dict[str, Results] = {}
     for wrong in WRONG:
         results: Results = defaultdict(lambda: defaultdict(list))
         for seed in range(seeds):
-            case = trial(room, clip, how, kind, wrong, words, seed)
+            case = trial(trying, wrong, seed)
             known = _contrast(case.features, clip.texts, 0)  # type: ignore[arg-type]
             for word in (*case.present, *case.absent):
                 meant = case.truth == word
@@ -235,7 +252,7 @@ def main() -> None:
     document: dict[str, Any] = {}
     for how in arguments.aggregators:
         for kind in KINDS:
-            parts = [study(room, clip, how, kind, words, arguments.seeds) for room in rooms]
+            parts = [study(Trying(room, clip, how, kind, words), arguments.seeds) for room in rooms]
             document[f"{how}, {kind}"] = table(f"{how}, {kind}", parts)
     if arguments.json:
         arguments.json.write_text(json.dumps(document, indent=1))
