@@ -21,20 +21,8 @@ ON_TABLE = (
     "laptop", "frame", "duck", "car", "carton",
 )  # fmt: skip
 ON_SHELF = (
-    "book",
-    "vase",
-    "clock",
-    "frame",
-    "bear",
-    "duck",
-    "car",
-    "teapot",
-    "candle",
-    "blocks",
-    "bowl",
-    "bottle",
-    "ball",
-)
+    "book", "vase", "clock", "frame", "bear", "duck", "car", "teapot", "candle", "blocks", "bowl", "bottle", "ball",
+)  # fmt: skip
 ON_SEAT = ("cushion", "bear", "book")
 ON_FLOOR = ("plant", "floor_lamp", "ball", "basket", "carton", "bear", "stool", "car", "blocks")
 

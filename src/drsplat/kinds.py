@@ -17,19 +17,12 @@ from .errors import InputError
 C = TypeVar("C", bound=Callable[..., Any])
 
 MAKERS = {
-    "Gaussians": "read_gaussians(...)",
-    "View": "one of read_views(...)",
-    "LanguageField": "load_field(...)",
-    "Codebook": "load_codebook(...)",
-    "Encoder": "load_encoder(...), read_vocabulary(...)",
-    "ImageEncoder": "load_encoder(...)",
-    "Segmenter": "load_segmenter(...)",
-    "EncoderIdentity": "encoder.identity",
-    "Code": "field.code",
-    "Evidence": "field.evidence",
-    "SplatArrays": "splat_arrays(gaussians)",
+    "Gaussians": "read_gaussians(...)", "View": "one of read_views(...)", "LanguageField": "load_field(...)",
+    "Codebook": "load_codebook(...)", "Encoder": "load_encoder(...), read_vocabulary(...)",
+    "ImageEncoder": "load_encoder(...)", "Segmenter": "load_segmenter(...)", "EncoderIdentity": "encoder.identity",
+    "Code": "field.code", "Evidence": "field.evidence", "SplatArrays": "splat_arrays(gaussians)",
     "SparsePoints": "read_sparse_points(...)",
-}
+}  # fmt: skip
 """Where people get what is expected."""
 
 WORDS = {int: "a whole number", float: "a number", str: "a text", os.PathLike: "a path", types.NoneType: "None"}

@@ -17,27 +17,8 @@ from .pq_code import PQCode, pq_code
 from .specification import PQ, CodeSpecification, Mixture, Smaller, choose_code
 
 __all__ = [
-    "PQ",
-    "Best",
-    "Code",
-    "CodeSpecification",
-    "Codebook",
-    "Codes",
-    "Hits",
-    "Mixture",
-    "OfficialRows",
-    "PQCode",
-    "Smaller",
-    "Track",
-    "choose_code",
-    "codebook_from_tensors",
-    "encoder_from_json",
-    "from_official_bytes",
-    "load_codebook",
-    "official_bytes",
-    "pq_code",
-    "read_faiss_codebook",
-    "save_codebook",
-    "train_codebook",
+    "PQ", "Best", "Code", "CodeSpecification", "Codebook", "Codes", "Hits", "Mixture", "OfficialRows", "PQCode",
+    "Smaller", "Track", "choose_code", "codebook_from_tensors", "encoder_from_json", "from_official_bytes",
+    "load_codebook", "official_bytes", "pq_code", "read_faiss_codebook", "save_codebook", "train_codebook",
     "untracked",
-]
+]  # fmt: skip

@@ -213,13 +213,9 @@ def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]
 
 
 RULES = {
-    "given": "as given",
-    "top share": "for the given share",
-    "auto": "chosen for this query",
-    "list": "as well as the best of a list of words",
-    "encoder": "that of the encoder",
-    "default": "the default",
-}
+    "given": "as given", "top share": "for the given share", "auto": "chosen for this query",
+    "list": "as well as the best of a list of words", "encoder": "that of the encoder", "default": "the default",
+}  # fmt: skip
 
 
 def measured_said(answer: dict[str, Any]) -> str:

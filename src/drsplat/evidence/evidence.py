@@ -153,13 +153,9 @@ class Evidence:
 
 
 _ARRAYS = {
-    "indptr": ("int32 int64", "r"),
-    "indices": ("int32 int64", "e"),
-    "data": ("float32", "e"),
-    "embeddings": ("float32", "m d"),
-    "segment_views": ("int32", "m"),
-    "segment_ids": ("int32", "m"),
-}
+    "indptr": ("int32 int64", "r"), "indices": ("int32 int64", "e"), "data": ("float32", "e"),
+    "embeddings": ("float32", "m d"), "segment_views": ("int32", "m"), "segment_ids": ("int32", "m"),
+}  # fmt: skip
 
 
 def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str) -> Evidence:

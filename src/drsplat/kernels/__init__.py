@@ -31,28 +31,8 @@ from .splatting import (
 )
 
 __all__ = [
-    "Contributions",
-    "GroupedRows",
-    "QueryTables",
-    "Rendering",
-    "Scanning",
-    "SplatArrays",
-    "Triples",
-    "available_isas",
-    "default_isa",
-    "group_codes",
-    "lookup_tables",
-    "pq_encode",
-    "pq_scores",
-    "render_channels",
-    "rows_of_groups",
-    "scan_above",
-    "scan_best",
-    "scan_scores",
-    "scan_top",
-    "sh_colors",
-    "splat_arrays",
-    "topk_contributions",
-    "view_weights",
-    "weighted_rows",
-]
+    "Contributions", "GroupedRows", "QueryTables", "Rendering", "Scanning", "SplatArrays", "Triples", "available_isas",
+    "default_isa", "group_codes", "lookup_tables", "pq_encode", "pq_scores", "render_channels", "rows_of_groups",
+    "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors", "splat_arrays", "topk_contributions",
+    "view_weights", "weighted_rows",
+]  # fmt: skip

@@ -21,15 +21,9 @@ DIM = 512
 VERSION = 1
 SYNONYM_COSINE = 0.95
 SYNONYMS = {
-    "bear": "teddy",
-    "carpet": "rug",
-    "couch": "sofa",
-    "cup": "mug",
-    "kitten": "cat",
-    "pillow": "cushion",
-    "picture": "painting",
-    "wood": "wooden",
-}
+    "bear": "teddy", "carpet": "rug", "couch": "sofa", "cup": "mug", "kitten": "cat", "pillow": "cushion",
+    "picture": "painting", "wood": "wooden",
+}  # fmt: skip
 """Each is at SYNONYM_COSINE of the other."""
 
 IGNORED = frozenset(

@@ -35,13 +35,10 @@ Scenes that answer words. Positions are world coordinates in scene units. Whatev
 
 Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
 _REFUSALS = {
-    400: "not HTTP as expected",
-    401: "no key, or a wrong one",
-    404: "no such scene or photo",
-    413: "the body is too large",
-    422: "the request makes no sense, or not for this scene",
+    400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
+    413: "the body is too large", 422: "the request makes no sense, or not for this scene",
     503: "too busy, too slow, or the scene's files are damaged",
-}
+}  # fmt: skip
 REFUSALS: dict[int | str, dict[str, Any]] = {
     status: {"model": Problem, "description": text} for status, text in _REFUSALS.items()
 }

@@ -18,12 +18,8 @@ class LostError(DrSplatError):
 
 
 _STATUSES: dict[type[DrSplatError], int] = {
-    UnknownSceneError: 404,
-    SceneFaultError: 503,
-    BusyError: 503,
-    LostError: 503,
-    MissingExtraError: 503,
-}
+    UnknownSceneError: 404, SceneFaultError: 503, BusyError: 503, LostError: 503, MissingExtraError: 503,
+}  # fmt: skip
 
 
 class Reply(NamedTuple):

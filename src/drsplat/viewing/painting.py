@@ -12,15 +12,9 @@ Colors = Float32[np.ndarray, "n 3"]
 Values = Float32[np.ndarray, " n"]
 
 ACCENTS = (
-    (255, 170, 30),
-    (60, 150, 255),
-    (255, 70, 150),
-    (70, 210, 110),
-    (180, 110, 255),
-    (60, 215, 220),
-    (255, 95, 60),
+    (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220), (255, 95, 60),
     (200, 215, 60),
-)
+)  # fmt: skip
 """Of several queries at once, in the order they were given."""
 
 LUMA = palette.LUMA.astype(np.float32)

@@ -10,15 +10,6 @@ from .encoding import DEFAULT_ATOMS, MixtureSource, encode_mixture
 from .scene_atoms import SceneAtoms, train_scene_atoms
 
 __all__ = [
-    "DEFAULT_ATOMS",
-    "AtomTable",
-    "MixtureCode",
-    "MixtureSource",
-    "Part",
-    "SceneAtoms",
-    "encode_mixture",
-    "mixture_from_tensors",
-    "quantised",
-    "recoded",
-    "train_scene_atoms",
-]
+    "DEFAULT_ATOMS", "AtomTable", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "encode_mixture",
+    "mixture_from_tensors", "quantised", "recoded", "train_scene_atoms",
+]  # fmt: skip

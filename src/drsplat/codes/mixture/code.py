@@ -25,13 +25,9 @@ from ..pq_code import PQCode, pq_code
 from .dictionary import AtomTable
 
 _ARRAYS = {
-    "mixture_ids": ("uint16", "b k r"),
-    "mixture_weights": ("uint8", "b k r"),
-    "mixture_scales": ("float16", "n"),
-    "atoms": ("int8", "a D"),
-    "atom_scales": ("float32", "a"),
-    "atom_segments": ("int32", "a"),
-}
+    "mixture_ids": ("uint16", "b k r"), "mixture_weights": ("uint8", "b k r"), "mixture_scales": ("float16", "n"),
+    "atoms": ("int8", "a D"), "atom_scales": ("float32", "a"), "atom_segments": ("int32", "a"),
+}  # fmt: skip
 
 
 class Part(NamedTuple):

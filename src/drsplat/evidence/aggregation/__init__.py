@@ -5,15 +5,6 @@ from .record import MEAN_RECORD, AggregatorRecord, record_from_json, record_json
 from .sampling import Sampling
 
 __all__ = [
-    "AGGREGATORS",
-    "MEAN",
-    "MEAN_RECORD",
-    "Aggregated",
-    "Aggregator",
-    "AggregatorRecord",
-    "Sampling",
-    "Step",
-    "aggregator",
-    "record_from_json",
-    "record_json",
-]
+    "AGGREGATORS", "MEAN", "MEAN_RECORD", "Aggregated", "Aggregator", "AggregatorRecord", "Sampling", "Step",
+    "aggregator", "record_from_json", "record_json",
+]  # fmt: skip
