@@ -72,6 +72,7 @@ ORDER = (
     "codes",
     "evidence",
     "field",
+    "objects",
     "registration",
     "models",
     "drawing",

@@ -16,6 +16,7 @@ import pytest
 import drsplat as ds
 from drsplat.cli import VERBS, main
 from drsplat.formats.tensors import map_tensors
+from drsplat.objects.describing import describe
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -161,7 +162,11 @@ def field_folder(capture, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("field") / "scene.field"
     features = ds.read_features(capture / "capture/language_features", encoder=encoder.identity)
     views = ds.read_views(capture / "capture")
-    field = ds.register(ds.read_gaussians(capture / "scene.ply"), views, features).to_field()
+    gaussians = ds.read_gaussians(capture / "scene.ply")
+    field = ds.register(gaussians, views, features).to_field()
+    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
+    roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
+    field = field.with_objects(describe(field, gaussians, node_of, roots, things, np.ones(2, np.float32)))
     texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
     field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
     return folder
@@ -172,7 +177,7 @@ def test_the_layout_of_a_field_is_as_documented(field_folder):
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
     documented = {(file, name): dtype for file, name, dtype in listed}
-    for part in ("codes", "evidence", "negatives", "contrast"):
+    for part in ("codes", "evidence", "negatives", "contrast", "objects"):
         file = f"{part}.safetensors"
         tensors, _ = map_tensors(field_folder / file)
         for name, array in tensors.items():

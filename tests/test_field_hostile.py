@@ -15,6 +15,7 @@ from drsplat.field import build_field, load_field
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
 from fields import SCENE, as_version_2, random_evidence, unit_rows, without_checksums
+from known_objects import with_objects
 from mutations import bounded_allocations, mutants, quota, seeded
 
 MUTANTS = quota(5_000)  # of each family
@@ -51,6 +52,33 @@ def field_files(mixture: bool = False) -> dict[str, bytes]:
         field.save(Path(folder) / "a")
         as_version_2(Path(folder) / "a")
         return {file.name: file.read_bytes() for file in (Path(folder) / "a").iterdir()}
+
+
+@lru_cache
+def field_with_objects(checksums: bool) -> dict[str, bytes]:
+    """The files of a field with objects."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        with_objects()[0].save(Path(folder) / "a")
+        if not checksums:
+            as_version_2(Path(folder) / "a")
+        return {file.name: file.read_bytes() for file in (Path(folder) / "a").iterdir()}
+
+
+def use_objects(path: Path) -> None:
+    """Whatever loads must also work."""
+    objects = load_field(path.parent).objects
+    assert objects is not None
+    assert objects.thing_of().max(initial=-1) < len(objects)
+    for row in range(0, len(objects.node_of), 100):
+        objects.path(row)
+    for node in range(objects.num_nodes):
+        assert len(objects.masks_of(node)[0]) == len(objects.masks_of(node)[1])
+        assert np.isfinite(objects.descriptors_of(node)).all()
+        assert objects.rows(node).max(initial=-1) < len(objects.node_of)
+        assert (objects.above(node) or node) >= node
+        assert all(below < node for below in objects.below(node))
 
 
 def faiss_bytes(residual: bool) -> bytes:
@@ -109,6 +137,29 @@ def test_damaged_fields(name: str, count: int, mixture: bool, tmp_path: Path, bo
         (tmp_path / file).write_bytes(content)
     read = use_field if name != "field.json" else lambda path: load_field(path.parent)
     assert 0 < survivors(tmp_path / name, len(name), read, count) < count
+
+
+def test_damaged_objects(tmp_path: Path, bounded_memory: None) -> None:
+    for file, content in field_with_objects(False).items():
+        (tmp_path / file).write_bytes(content)
+    with np.errstate(all="ignore"):
+        assert 0 < survivors(tmp_path / "objects.safetensors", 4, use_objects, quota(1000)) < quota(1000)
+
+
+def test_damaged_objects_are_an_error_or_the_same(tmp_path: Path, bounded_memory: None) -> None:
+    for file, content in field_with_objects(True).items():
+        (tmp_path / file).write_bytes(content)
+    expected = with_objects()[0].objects
+    assert expected is not None
+
+    def read(path: Path) -> None:
+        found = load_field(path.parent).objects
+        assert found is not None
+        for name, array in expected.tensors().items():
+            np.testing.assert_array_equal(getattr(found, name), array)
+
+    with np.errstate(all="ignore"):
+        assert survivors(tmp_path / "objects.safetensors", 5, read, quota(300)) < quota(300)
 
 
 def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:

@@ -18,10 +18,11 @@ from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..scene.gaussians import Gaussians
 from ..terminal import counted
+from .objects import Objects
 
 FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
-CONTRAST = "contrast.safetensors"
+CONTRAST, OBJECTS = "contrast.safetensors", "objects.safetensors"
 TEMPERATURE = 10.0
 FEW = 16  # negatives scored at once, exactly
 
@@ -62,6 +63,7 @@ class LanguageField:
     all that the photos said, also what the aggregator left out. aggregator: how a row of it became a feature.
     contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
     up: the unit direction that is up in the photos, in the world; None where they do not tell.
+    objects: what belongs together, None where nobody has looked.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -77,6 +79,7 @@ class LanguageField:
     aggregator: AggregatorRecord = MEAN_RECORD
     contrast: WordList | None = None
     up: Float64[np.ndarray, " 3"] | None = None
+    objects: Objects | None = None
 
     def __repr__(self) -> str:
         rows = f"{len(self):,} of {counted(self.num_gaussians, 'Gaussian')}"
@@ -108,6 +111,9 @@ class LanguageField:
             )
         if self.negatives is not None and self.negatives.maxima.shape != (rows,):
             raise InputError(f"negatives: expected {rows} maxima, got {self.negatives.maxima.shape}")
+        if self.objects is not None:
+            masks = None if self.evidence is None else len(self.evidence.masks)
+            self.objects.check_field(rows, self.encoder.dim, masks)
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)
@@ -245,6 +251,10 @@ class LanguageField:
             )
         return replace(self, contrast=WordList(texts, _unit(embeddings)))
 
+    def with_objects(self, objects: Objects | None) -> "LanguageField":
+        """The same field with what belongs together; `save` keeps it. Raises: InputError: of another field."""
+        return replace(self, objects=objects)
+
     def dense(self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0) -> Float32[np.ndarray, " N"]:
         """Per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
         values = np.full(self.num_gaussians, fill, np.float32)
@@ -321,6 +331,8 @@ class LanguageField:
             files[NEGATIVES] = TensorFile(known, tie)
         if self.contrast is not None:
             files[CONTRAST] = TensorFile({"embeddings": self.contrast.embeddings}, tie)
+        if self.objects is not None:
+            files[OBJECTS] = TensorFile(self.objects.tensors(), tie)
         write_folder(Path(path), self._manifest(list(files)), files, overwrite)
 
     def _manifest(self, files: list[str]) -> dict[str, object]:
@@ -339,6 +351,7 @@ class LanguageField:
             "up": None if self.up is None else self.up.tolist(),
             "negatives": list(self.negatives.texts) if self.negatives else [],
             "contrast": list(self.contrast.texts) if self.contrast else [],
+            "objects": None if self.objects is None else len(self.objects),
         }
 
     def _code_json(self) -> dict[str, object]:

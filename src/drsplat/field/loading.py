@@ -18,7 +18,19 @@ from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
-from .language_field import CODES, CONTRAST, EVIDENCE, FORMAT, NEGATIVES, VERSION, LanguageField, Negatives, WordList
+from .language_field import (
+    CODES,
+    CONTRAST,
+    EVIDENCE,
+    FORMAT,
+    NEGATIVES,
+    OBJECTS,
+    VERSION,
+    LanguageField,
+    Negatives,
+    WordList,
+)
+from .objects import ARRAYS, Objects
 from .stored import StoredField
 
 SUMMED = 3  # the first version with checksums
@@ -70,6 +82,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             record_from_json(manifest.get("aggregator"), str(path)),
             _contrast(files.get(CONTRAST), manifest, code.dim),
             _up(manifest.get("up"), path),
+            _objects(files.get(OBJECTS)),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
@@ -135,7 +148,7 @@ def _names(manifest: dict[str, object]) -> list[str]:
     """The files that must be there."""
     files = manifest.get("files")
     listed = files if isinstance(files, list) else []
-    return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST) if name in listed)]
+    return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST, OBJECTS) if name in listed)]
 
 
 def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
@@ -183,3 +196,14 @@ def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> Word
     if not np.isfinite(embeddings).all():
         raise FormatError(f"{file.path}: expected finite embeddings. {CURE}")
     return WordList(tuple(texts), embeddings)
+
+
+def _objects(file: _File | None) -> Objects | None:
+    """Raises: FormatError: arrays that are not as `Objects` has them."""
+    if file is None:
+        return None
+    check_tensors(file.tensors, ARRAYS, str(file.path))
+    try:
+        return Objects(**{name: file.tensors[name] for name in ARRAYS})
+    except InputError as error:
+        raise FormatError(f"{file.path}: {error}. {CURE}") from error

@@ -6,7 +6,7 @@ docs/formats.md, Checksums.
 
 from collections.abc import Callable, Mapping
 
-from .language_field import CODES, CONTRAST, EVIDENCE, NEGATIVES, LanguageField
+from .language_field import CODES, CONTRAST, EVIDENCE, NEGATIVES, OBJECTS, LanguageField
 
 
 def _guarded(name: str, file: str) -> property:
@@ -31,6 +31,7 @@ class StoredField(LanguageField):
     evidence = _guarded("evidence", EVIDENCE)  # type: ignore[assignment]
     negatives = _guarded("negatives", NEGATIVES)  # type: ignore[assignment]
     contrast = _guarded("contrast", CONTRAST)  # type: ignore[assignment]
+    objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]
 
     def compared_by(self, checks: Mapping[str, Callable[[], None]]) -> "StoredField":
         """This field, with what is to be done once before a file's arrays are used."""

@@ -7,10 +7,10 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
+from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
 from .answer import Match
 from .scene import Scene
-from .tasks import HAZE
 
 ABOVE = 0.5  # of its extent: how far a thing's lower side may hang above what it stands on
 REACH = 0.05  # of its size: how far a thing may stand out of what it stands on
@@ -57,6 +57,4 @@ def stands_on(gaussians: Gaussians, thing: Match, support: Match, up: Float64[np
 
 def _solid(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
     """Centres of what can be seen of a thing."""
-    ids = thing.gaussian_ids
-    solid = ids[gaussians.opacities[ids] >= HAZE]
-    return np.asarray(gaussians.positions[solid if len(solid) else ids])
+    return np.asarray(gaussians.positions[solid(gaussians, thing.gaussian_ids)])

@@ -10,14 +10,13 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..field import LanguageField
-from ..scene.boxes import box_of
+from ..scene.boxes import HAZE, box_of
 from ..scene.gaussians import Gaussians
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
 
 NO_CLASS = -1
 NEIGHBOURS = 8
-HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian's protocol
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 
 

@@ -14,6 +14,7 @@ from .views import View
 BoxKind = Literal["upright", "free"]
 KINDS: tuple[BoxKind, ...] = get_args(BoxKind)
 
+HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian's protocol
 OUTLIERS = 0.003  # of a thing's mass, cut off at each end of each axis
 DEVIATIONS = 6.0  # beyond which a Gaussian has no mass
 STEPS = 30  # of bisection: to a billionth of the range
@@ -60,6 +61,12 @@ def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
         return upward(views)
     except InputError:
         return None
+
+
+def solid(gaussians: Gaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.ndarray, " s"]:
+    """Those of some Gaussians that can be seen; all of them where none can."""
+    seen: np.ndarray = ids[gaussians.opacities[ids] >= HAZE]
+    return seen if len(seen) else ids
 
 
 def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:

@@ -1,0 +1,4 @@
+"""Objects: what belongs together in a scene, found across photos, with or without words.
+
+Imports `evidence`, `field`, `kernels` and `scene`.
+"""

@@ -1,0 +1,154 @@
+"""From a forest over the rows of a field to `Objects`: boxes, masses, photos, masks and descriptors of its nodes.
+
+Linear in the weights of the evidence: rows of W are summed into nodes and these into those above, and no step is
+nodes times Gaussians.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Int64, UInt8
+from scipy.sparse import csr_array
+
+from ..errors import InputError
+from ..evidence.evidence import Evidence
+from ..field import LanguageField
+from ..field.objects import MOST_MASKS, Objects, check_forest
+from ..scene.boxes import Box, box_of, solid
+from ..scene.gaussians import Gaussians
+from .descriptors import descriptors
+from .heaviest import heaviest
+
+SLIVER = 0.01  # of what the best photo of a node shows of it: a photo with less does not see it
+SPREAD = 4096  # Gaussians that a box is made of; of larger nodes as many, spread evenly over them
+
+
+def describe(
+    field: LanguageField,
+    gaussians: Gaussians,
+    node_of: Int32[np.ndarray, " R"],
+    parents: Int32[np.ndarray, " T"],
+    levels: UInt8[np.ndarray, " T"],
+    sure: Float32[np.ndarray, " T"],
+    threads: int = 0,
+) -> Objects:
+    """What is known of each node of a forest; arguments as the arrays of `Objects`. The same bits at any `threads`.
+
+    Nodes that no row belongs to, themselves or below them, are refused: they would be nowhere.
+
+    Raises: InputError: the field was made without evidence, arrays that are no forest over its rows, or a node
+    without rows. MismatchError: the field is of another scene.
+    """
+    field.check_scene(gaussians)
+    if field.evidence is None:
+        raise InputError("this field holds no evidence, which tells what belongs together: register again and keep it")
+    if node_of.shape != (len(field),):
+        raise InputError(f"node_of: expected one node for each of {len(field)} rows, got {node_of.shape}")
+    check_forest(node_of, parents, levels)
+    inside = _members(node_of, parents)
+    weights = _weights(field.evidence, inside, node_of)
+    boxes = [_box(gaussians, field, rows) for rows in _rows(inside, node_of)]
+    starts, masks, shares = _masks(weights)
+    descriptor_starts, vectors = descriptors(
+        _exclusive(weights, field.evidence), field.evidence.embeddings, threads=threads
+    )
+    return Objects(
+        node_of,
+        parents,
+        levels,
+        sure,
+        np.array([box.center for box in boxes]).reshape(-1, 3),
+        np.array([box.axes for box in boxes]).reshape(-1, 3, 3),
+        np.array([box.extent for box in boxes]).reshape(-1, 3),
+        _masses(field, gaussians, inside, node_of),
+        _num_views(weights, field.evidence),
+        starts,
+        masks,
+        shares,
+        descriptor_starts,
+        vectors,
+    )
+
+
+def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
+    """(T, T): entry (t, s) is 1 where node s is t, or below it.
+
+    Raises: InputError: a node without rows.
+    """
+    count = len(parents)
+    below = above = np.arange(count)
+    lower, upper = [below], [above]
+    while len(below):
+        above = parents[above].astype(np.int64)
+        below, above = below[above >= 0], above[above >= 0]
+        lower.append(below)
+        upper.append(above)
+    rows, columns = np.concatenate(upper), np.concatenate(lower)
+    inside = csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
+    if len(empty):
+        raise InputError(f"node {empty[0]} has no rows, neither of its own nor below it")
+    return inside
+
+
+def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:
+    """(T, M): the summed weight of all rows of a node in each mask."""
+    (rows,) = np.nonzero(node_of >= 0)
+    own = csr_array((np.ones(len(rows), np.float32), (node_of[rows], rows)), shape=(inside.shape[0], len(node_of)))
+    summed = inside @ (own @ evidence.weights).astype(np.float64)
+    summed.eliminate_zeros()
+    summed.sort_indices()
+    return csr_array(summed)
+
+
+def _rows(inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> Iterator[Int64[np.ndarray, " r"]]:
+    """Of each node, those below it included, ascending."""
+    order = np.argsort(node_of, kind="stable")
+    own = np.split(order, np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1)))[1:-1]
+    for begin, end in pairwise(inside.indptr):
+        yield np.sort(np.concatenate([own[member] for member in inside.indices[begin:end]]))
+
+
+def _box(gaussians: Gaussians, field: LanguageField, rows: Int64[np.ndarray, " r"]) -> Box:
+    ids = solid(gaussians, field.gaussian_ids[rows].astype(np.int64))
+    spread = np.linspace(0, len(ids) - 1, min(len(ids), SPREAD)).astype(np.int64)
+    return box_of(gaussians, ids[spread], field.up)
+
+
+def _masses(
+    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"]
+) -> Float32[np.ndarray, " T"]:
+    kept = node_of >= 0
+    opacities = gaussians.opacities[field.gaussian_ids[kept]]
+    own = np.bincount(node_of[kept], opacities, inside.shape[0])
+    return np.asarray(inside @ own, np.float32)
+
+
+def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"]:
+    """Photos that show more than a sliver of each node."""
+    views, count = evidence.masks.views, len(evidence.masks.view_names)
+    of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
+    shown = csr_array(weights @ of_view)
+    nodes = np.repeat(np.arange(shown.shape[0]), np.diff(shown.indptr))
+    most = np.zeros(shown.shape[0])
+    np.maximum.at(most, nodes, shown.data)
+    return np.bincount(nodes[shown.data > SLIVER * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
+
+
+def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
+    """Of each node those of the largest share of its weight, largest first."""
+    kept = heaviest(weights, MOST_MASKS)
+    totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
+    shares = kept.data / np.repeat(totals, np.diff(kept.indptr))
+    return kept.indptr.astype(np.int64), kept.indices.astype(np.int32), shares.astype(np.float32)
+
+
+def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
+    """R_tj q_tj: the weight of node t in mask j, times the share of the mask's weight that lies in the node.
+
+    A mask of the whole table says little of the mug on it.
+    """
+    totals = np.bincount(evidence.weights.indices, evidence.weights.data, len(evidence.masks))
+    exclusive = weights.data * (weights.data / np.maximum(totals[weights.indices], weights.data))
+    return csr_array((exclusive, weights.indices, weights.indptr), shape=weights.shape)

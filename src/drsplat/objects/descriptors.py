@@ -1,0 +1,106 @@
+"""A few embeddings that say what a node looks like: spherical k-means of those of its masks, all nodes at once.
+
+One mean of a mug's front and back fits neither as well as two do.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+from scipy.sparse import csr_array
+
+from ..field.objects import MOST_DESCRIPTORS
+from ..kernels import weighted_rows
+from .heaviest import heaviest
+
+LOOKED_AT = 64  # masks of a node, those of the largest weights
+ALIKE = 0.8  # cosine; what is as near as this to a centre needs none of its own
+SUBSTANTIAL = 0.05  # of a node's weight: masks with less together are left out
+ROUNDS = 4  # of Lloyd's algorithm, after each new centre
+BLOCK = 4096  # entries that are compared at once
+
+
+def descriptors(
+    weights: csr_array, embeddings: Float32[np.ndarray, "M D"], *, threads: int = 0
+) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
+    """Up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
+
+    The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
+    (1 - cosine), as long as one is unlike all centres. The same bits at any number of threads.
+    """
+    clusters = _Clusters(heaviest(weights, LOOKED_AT), embeddings, threads)
+    labels = np.zeros(clusters.weights.nnz, np.int64)
+    for count in range(1, MOST_DESCRIPTORS + 1):
+        cosines = clusters.cosines(labels)
+        far = clusters.worst_served(cosines)
+        if count == MOST_DESCRIPTORS or not len(far):
+            break
+        labels[far] = count
+        labels = clusters.settled(labels)
+    return clusters.centers(labels)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    """weights: (T, M), the entries that are put into clusters, MOST_DESCRIPTORS for each row."""
+
+    weights: csr_array
+    embeddings: Float32[np.ndarray, "M D"]
+    threads: int
+
+    @cached_property
+    def rows(self) -> Int64[np.ndarray, " e"]:
+        return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
+
+    def settled(self, labels: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " e"]:
+        """After some rounds: each entry in the cluster of the nearest centre, the first of equal ones."""
+        for _ in range(ROUNDS):
+            labels = self._against(self.means(labels)).argmax(axis=1)
+        return labels
+
+    def cosines(self, labels: Int64[np.ndarray, " e"]) -> Float64[np.ndarray, " e"]:
+        """Of each entry with its nearest centre."""
+        return np.asarray(self._against(self.means(labels)).max(axis=1, initial=-1), np.float64)
+
+    def worst_served(self, cosines: Float64[np.ndarray, " e"]) -> Int64[np.ndarray, " t"]:
+        """The entry of each row that is unlike all centres and served worst."""
+        served = np.where(cosines < ALIKE, self.weights.data * (1 - cosines), 0)
+        order = np.lexsort((np.arange(len(served)), -served, self.rows))
+        first = order[np.diff(self.rows[order], prepend=-1) > 0]
+        return np.asarray(first[served[first] > 0])
+
+    def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
+        """The unit mean of each cluster, zero where it has no entries or they cancel out."""
+        order = np.lexsort((self.weights.indices, labels, self.rows))
+        clusters = self.rows * MOST_DESCRIPTORS + labels
+        count = self.weights.shape[0] * MOST_DESCRIPTORS
+        starts = np.append(0, np.cumsum(np.bincount(clusters, minlength=count)))
+        data = self.weights.data[order].astype(np.float32)
+        means = weighted_rows(
+            starts, self.weights.indices[order], data, self.embeddings, 0, count, threads=self.threads
+        )
+        return means.reshape(-1, MOST_DESCRIPTORS, means.shape[1])
+
+    def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
+        """Row starts and unit means, the heaviest cluster of each row first, without specks."""
+        means = self.means(labels)
+        shape = means.shape[:2]
+        clusters = self.rows * MOST_DESCRIPTORS + labels
+        mass = np.bincount(clusters, self.weights.data, shape[0] * shape[1]).reshape(shape)
+        mass[~means.any(axis=2) | (mass < SUBSTANTIAL * mass.sum(axis=1, keepdims=True))] = 0
+        order = np.argsort(-mass, axis=1, kind="stable")
+        sorted_means = np.take_along_axis(means, order[..., None], axis=1)
+        there = np.take_along_axis(mass, order, axis=1) > 0
+        return np.append(0, np.cumsum(there.sum(axis=1))), np.asarray(sorted_means[there])
+
+    def _against(self, centers: Float32[np.ndarray, "T k D"]) -> Float32[np.ndarray, "e k"]:
+        """Cosines of the entries with the centres of their rows; empty ones are like nothing. No BLAS: see above."""
+        found = np.empty((len(self.rows), centers.shape[1]), np.float32)
+        for begin in range(0, len(found), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            own = self.embeddings[self.weights.indices[part]]
+            found[part] = np.einsum("ed,ekd->ek", own, centers[self.rows[part]])
+        there: np.ndarray = centers.any(axis=2)
+        found[~there[self.rows]] = -1
+        return found
