@@ -7,6 +7,7 @@ using namespace drsplat;
 NB_MODULE(_native, m) {
   bind_algebra(m);
   bind_mixture(m);
+  bind_regions(m);
   bind_scan(m);
   bind_splatting(m);
   bind_training(m);

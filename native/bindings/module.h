@@ -5,6 +5,7 @@
 
 void bind_algebra(nanobind::module_ &);
 void bind_mixture(nanobind::module_ &);
+void bind_regions(nanobind::module_ &);
 void bind_scan(nanobind::module_ &);
 void bind_splatting(nanobind::module_ &);
 void bind_training(nanobind::module_ &);

@@ -119,3 +119,14 @@ def mixture_select(
 ) -> tuple[Array, Array]: ...
 def mixture_top(parts: tuple[Array, ...], query: Array, count: int, threads: int, isa: str) -> tuple[Array, Array]: ...
 def mixture_best(parts: tuple[Array, ...], queries: Array, threads: int, isa: str) -> tuple[Array, Array, Array]: ...
+def agglomerate(
+    starts: Array,
+    columns: Array,
+    weights: Array,
+    views: Array,
+    embeddings: Array,
+    edges: Array,
+    thresholds: Array,
+    rule: Array,
+    threads: int,
+) -> tuple[Array, Array, Array, Array, Array, Array]: ...

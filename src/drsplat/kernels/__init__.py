@@ -4,6 +4,7 @@ Imports `scene`.
 """
 
 from .algebra import pq_encode, pq_scores, weighted_rows
+from .regions import Forest, MergeRule, agglomerate
 from .scan import (
     GroupedRows,
     QueryTables,

@@ -1,0 +1,86 @@
+"""Regions of Gaussians that the masks of the photos hold together, merged step by step (native)."""
+
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32, Integer
+from scipy.sparse import csr_array
+
+from .. import _native
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class MergeRule:
+    """When two neighbouring regions are one; see docs/objects.md.
+
+    soft: the weight in a view at which the view counts half. far: of a region's weight, for how well masks fit it.
+    local: the share of the agreement along the border, the rest is that of the regions as wholes. prior, least: the
+    agreement of regions that no view sees both of, and how much of one view it counts for. unlike: what unrelated
+    embeddings cost; unit: how far apart those are. tolerance: how far below its best a region merges as well.
+    rounds: at most, at each threshold. smallest: Gaussians of a region that is judged.
+    """
+
+    soft: float
+    far: float
+    local: float = 0.15
+    prior: float = 0.5
+    least: float = 0.3
+    unlike: float = 0.15
+    unit: float = 1.0
+    tolerance: float = 0.02
+    rounds: int = 30
+    smallest: int = 30
+
+
+class Forest(NamedTuple):
+    """Nodes 0 to N - 1 are the rows, then come merges: a parent has a higher number than its children, -1 is none.
+
+    agreements: the threshold of the merge. sizes: rows; masses: their weight. fits: the mean, over the views that
+    see a region, of the IoU with the mask most like it there. spreads: the largest distance of embeddings that was
+    merged in it, 1 for unrelated ones. Both are 0 for regions below `smallest`.
+    """
+
+    parents: Int32[np.ndarray, " T"]
+    agreements: Float32[np.ndarray, " T"]
+    sizes: Int32[np.ndarray, " T"]
+    masses: Float32[np.ndarray, " T"]
+    fits: Float32[np.ndarray, " T"]
+    spreads: Float32[np.ndarray, " T"]
+
+
+def agglomerate(
+    weights: csr_array,
+    views: Int32[np.ndarray, " m"],
+    embeddings: Float32[np.ndarray, "m d"],
+    edges: Integer[np.ndarray, "e 2"],
+    thresholds: tuple[float, ...],
+    rule: MergeRule,
+    *,
+    threads: int = 0,
+) -> Forest:
+    """Merge neighbours that are each other's best, as long as they agree by more than each threshold in turn.
+
+    weights: W, (N, M), columns ascending in each row. views: of each mask, never falling. embeddings: unit, or of
+    fewer dimensions but with nearly the same cosines. edges: neighbours (a, b), a < b. Work and memory are linear in
+    weights and edges, times the few rounds; the same bits for any number of threads.
+
+    Raises: InputError: arrays that are not so.
+    Twin: reference.regions.agglomerate.
+    """
+    try:
+        grown = _native.agglomerate(
+            np.ascontiguousarray(weights.indptr, np.int64),
+            np.ascontiguousarray(weights.indices, np.int32),
+            np.ascontiguousarray(weights.data, np.float32),
+            np.ascontiguousarray(views, np.int32),
+            np.ascontiguousarray(embeddings, np.float32),
+            np.ascontiguousarray(edges, np.int32).reshape(-1, 2),
+            np.asarray(thresholds, np.float64),
+            np.asarray(astuple(rule), np.float64),
+            threads,
+        )
+    except ValueError as error:
+        raise InputError(f"regions: expected {error}") from None
+    return Forest(*map(np.asarray, grown))

@@ -1,0 +1,70 @@
+"""From the masks of the photos to objects: what belongs together is in one mask wherever it is seen.
+
+Two Gaussians of one thing lie in the same mask in the photos that see both. Neighbours are merged, best first, while
+their masks agree; of the regions that come about, things are those that single masks fit best. See docs/objects.md.
+"""
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.sparse import csr_array
+
+from ..errors import InputError
+from ..evidence.evidence import Evidence
+from ..field import LanguageField
+from ..field.objects import Objects
+from ..kernels import Forest, MergeRule, agglomerate
+from ..scene.gaussians import Gaussians
+from .choosing import choose
+from .describing import describe
+from .neighbours import neighbours
+
+THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
+SOFT, SIGHT = 2e-5, 1.2e-4  # of the weight of one photo
+SMALLEST = 30  # Gaussians
+DIRECTIONS = 32  # of embeddings that are looked at
+
+
+def find_objects(field: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
+    """The things of a scene with their parts and groups, from the evidence that its field keeps.
+
+    No encoder is needed. Time and memory are linear in the weights; the same bits at any number of threads.
+
+    Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
+    Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/objects.md.
+    """
+    field.check_scene(gaussians)
+    if field.evidence is None:
+        raise InputError("objects are found in the evidence, and this field was saved without: register again")
+    forest = grow(field.evidence, gaussians.means[field.gaussian_ids], threads=threads)
+    found = choose(forest, len(field), SMALLEST)
+    return describe(field, gaussians, *found, threads=threads)
+
+
+def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
+    """The forest of merges over the rows of the evidence; means: the Gaussians' centres."""
+    weights, views, embeddings = _by_view(evidence)
+    embeddings, unit = _fewer_directions(embeddings)
+    of_one_view = float(weights.data.sum(dtype=np.float64)) / max(len(np.unique(views)), 1)
+    rule = MergeRule(max(SOFT * of_one_view, 1e-6), max(SIGHT * of_one_view, 1e-6), unit=unit, smallest=SMALLEST)
+    return agglomerate(weights, views, embeddings, neighbours(means, threads), THRESHOLDS, rule, threads=threads)
+
+
+def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
+    """Its weights, views and embeddings with the masks in the order of their views."""
+    weights, views, embeddings = evidence.weights, evidence.masks.views, evidence.embeddings
+    if (np.diff(views) < 0).any():
+        order = np.argsort(views, kind="stable")
+        weights, views, embeddings = csr_array(weights[:, order]), views[order], embeddings[order]
+    if not weights.has_canonical_format:
+        weights = weights.copy()
+        weights.sum_duplicates()
+    return weights, views, embeddings
+
+
+def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:
+    """The embeddings along the directions that they spread most in, and 1 - the mean cosine of any two."""
+    exact = embeddings.astype(np.float64)
+    unit = max(1 - float(np.square(exact.mean(0)).sum()), 1e-3) if len(exact) else 1.0
+    directions = np.linalg.eigh(exact.T @ exact)[1][:, -DIRECTIONS:]
+    # rounded: sums of other orders, as libraries make them on other machines, then give the same bits
+    return np.round(exact @ directions, 4).astype(np.float32), unit
