@@ -61,8 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--label-set", type=words, default="scannet19", metavar="SET",
         help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "
-        "with "
-        "tabs between (default: scannet19)",
+        "with tabs between (default: scannet19)",
     )  # fmt: skip
     parser.add_argument(
         "--label-table",

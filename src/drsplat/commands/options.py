@@ -84,8 +84,7 @@ def add_near(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--near", type=length, metavar="UNITS",
         help="camera z of the near plane, in scene units; nothing nearer is seen (default: 0.2 as published, less for "
-        "scenes "
-        "smaller than four units)",
+        "scenes smaller than four units)",
     )  # fmt: skip
 
 

@@ -65,9 +65,8 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
         help="select Gaussians that score above this (default: auto, which follows the scene: words of CLIP-like "
-        "encoders "
-        "have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for vectors, "
-        "pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
+        "encoders have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for "
+        "vectors, pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
     )  # fmt: skip
     cut.add_argument(
         "--top-share", type=share, metavar="S",
@@ -81,8 +80,7 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--negatives", type=words, metavar="WORDS|FILE.npy",
         help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the "
-        "field, else "
-        "object,things,stuff,texture)",
+        "field, else object,things,stuff,texture)",
     )  # fmt: skip
 
 

@@ -79,17 +79,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--aggregator", type=words, default="mean", metavar="NAME",
         help="rule by which the masks that see a Gaussian become its feature: mean (the paper), official (what its "
-        "published "
-        "code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
+        "published code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
     )  # fmt: skip
     add_near(method)
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
         help="encoder of embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; "
-        "'drsplat-words' is the "
-        "built-in one. Queries and codebooks of other encoders are then refused (default: what `drsplat embed` noted, "
-        "which nothing overrules, else the codebook's, else unknown)",
+        "'drsplat-words' is the built-in one. Queries and codebooks of other encoders are then refused (default: what "
+        "`drsplat embed` noted, which nothing overrules, else the codebook's, else unknown)",
     )  # fmt: skip
     parser.add_argument(
         "--parts", metavar="DIR",

@@ -32,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
         help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a "
-        "trained "
-        "model, without a field",
+        "trained model, without a field",
     )
     parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for cameras and supporting photos")

@@ -279,9 +279,8 @@ class LanguageField:
             )
         if gaussians.fingerprint != self.scene:
             raise MismatchError(
-                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as "
-                "many Gaussians, but positions or row order differ; this is what compressing does; "
-                "register against the file you query"
+                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as many Gaussians, but "
+                "positions or row order differ; this is what compressing does; register against the file you query"
             )
 
     def check_encoder(self, identity: EncoderIdentity) -> None:
@@ -291,9 +290,8 @@ class LanguageField:
         """
         if not self.encoder.matches(identity):
             raise MismatchError(
-                f"this field was written with {_named(self.encoder)}; the given encoder is "
-                f"{_named(identity)}: use {self.encoder.name} with the same weights, or register "
-                f"again with {identity.name}"
+                f"this field was written with {_named(self.encoder)}; the given encoder is {_named(identity)}: use "
+                f"{self.encoder.name} with the same weights, or register again with {identity.name}"
             )
 
     def verify(self) -> None:

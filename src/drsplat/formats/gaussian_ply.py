@@ -40,9 +40,8 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
     missing = [name for name in REQUIRED if name not in names]
     if missing:
         raise FormatError(
-            f"no 3DGS PLY: vertex has no {', '.join(missing)}; "
-            f"it has {', '.join(names[:12]) or 'nothing'}. "
-            "Point clouds and meshes have to be trained into Gaussians first"
+            f"no 3DGS PLY: vertex has no {', '.join(missing)}; it has {', '.join(names[:12]) or 'nothing'}. Point "
+            "clouds and meshes have to be trained into Gaussians first"
         )
     sh_names = _sh_names(names)
     rows = read_elements(buffer, header, {"vertex"})["vertex"]

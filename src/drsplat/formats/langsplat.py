@@ -66,9 +66,8 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         self.dim = int(self._files(next(iter(self._keys))).embeddings.shape[1])
         if encoder is not None and encoder.dim != self.dim:
             raise MismatchError(
-                f"{directory}: its embeddings have {self.dim} dimensions, those of "
-                f"{encoder.name} have "
-                f"{encoder.dim}: name the encoder that made them"
+                f"{directory}: its embeddings have {self.dim} dimensions, those of {encoder.name} have {encoder.dim}: "
+                "name the encoder that made them"
             )
 
     def __repr__(self) -> str:
@@ -264,9 +263,8 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
     if wrong.any():
         y, x = np.argwhere(wrong)[0]
         raise FormatError(
-            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has mask {stored[y, x]}: "
-            "expected -1 or one of "
-            f"the {num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
+            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has mask {stored[y, x]}: expected -1 or one of the "
+            f"{num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
         )
     return stored.astype(np.int64)
 

@@ -61,10 +61,8 @@ def nearest_rotation(matrix: Matrix3, where: str) -> Matrix3:
             rotation: Matrix3 = u @ vt
             return rotation
     raise FormatError(
-        f"{where}: expected a rotation (orthonormal columns, determinant +1), got columns of "
-        "lengths "
-        f"{', '.join(f'{length:.6g}' for length in lengths)}: remove scale, shear or mirroring "
-        "from the pose"
+        f"{where}: expected a rotation (orthonormal columns, determinant +1), got columns of lengths "
+        f"{', '.join(f'{length:.6g}' for length in lengths)}: remove scale, shear or mirroring from the pose"
     )
 
 

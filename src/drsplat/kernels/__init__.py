@@ -3,7 +3,7 @@
 Imports `scene`.
 """
 
-from .algebra import pq_encode, pq_scores, weighted_rows
+from .algebra import pq_encode, weighted_rows
 from .scan import (
     GroupedRows,
     QueryTables,
@@ -32,7 +32,7 @@ from .splatting import (
 
 __all__ = [
     "Contributions", "GroupedRows", "QueryTables", "Rendering", "Scanning", "SplatArrays", "Triples", "available_isas",
-    "default_isa", "group_codes", "lookup_tables", "pq_encode", "pq_scores", "render_channels", "rows_of_groups",
+    "default_isa", "group_codes", "lookup_tables", "pq_encode", "render_channels", "rows_of_groups",
     "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors", "splat_arrays", "topk_contributions",
     "view_weights", "weighted_rows",
 ]  # fmt: skip

@@ -75,14 +75,10 @@ def mixture_encode(
     """
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")
-    given = (
-        *_contiguous(dictionary),
-        np.ascontiguousarray(features),
-        np.ascontiguousarray(candidates.indptr, np.int64),
-        np.ascontiguousarray(candidates.columns),
-        np.ascontiguousarray(candidates.further),
-    )
-    found = _refusing(_native.mixture_encode, *given, atoms_per_row, threads, _checked_isa(isa))
+    starts = np.ascontiguousarray(candidates.indptr, np.int64)
+    given = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
+    arrays = (*_contiguous(dictionary), *given)
+    found = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, _checked_isa(isa))
     return Encoded(*map(np.asarray, found))
 
 

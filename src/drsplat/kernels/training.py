@@ -109,17 +109,9 @@ def forward(
     for name, array in parameters._asdict().items():
         if array.dtype != np.float32 or not array.flags.c_contiguous:
             raise InputError(f"{name}: expected contiguous float32, got {array.dtype}")
-    native = _native.training_pass(
-        *parameters,
-        camera_numbers(view, near),
-        view.width,
-        view.height,
-        active,
-        np.ascontiguousarray(background, np.float32),
-        threads,
-        _checked_isa(isa),
-    )
-    return TrainingView(native)
+    seen = camera_numbers(view, near), view.width, view.height
+    behind = np.ascontiguousarray(background, np.float32)
+    return TrainingView(_native.training_pass(*parameters, *seen, active, behind, threads, _checked_isa(isa)))
 
 
 def photometric_loss(
@@ -174,18 +166,6 @@ def adam_step(
             raise InputError("adam_step works in place: all arrays must be contiguous")
     if constant_rate is not None and (parameter.ndim != 3 or parameter.shape[2] != 3):
         raise InputError(f"constant_rate: expected harmonics (N, K, 3), got {parameter.shape}")
-    _native.adam_step(
-        parameter,
-        gradient.reshape(-1),
-        first_moment,
-        second_moment,
-        rate,
-        step,
-        beta1,
-        beta2,
-        epsilon,
-        constant_rate or 0.0,
-        0 if constant_rate is None else 3 * parameter.shape[1],
-        threads,
-        _checked_isa(isa),
-    )
+    given = parameter, gradient.reshape(-1), first_moment, second_moment
+    head: tuple[float, int] = (0.0, 0) if constant_rate is None else (constant_rate, 3 * parameter.shape[1])
+    _native.adam_step(*given, rate, step, beta1, beta2, epsilon, *head, threads, _checked_isa(isa))

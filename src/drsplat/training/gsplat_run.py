@@ -126,9 +126,8 @@ class DeviceRun(Run):
         self._lap("loss")
         if not math.isfinite(value):
             raise DrSplatError(
-                f"the loss is {value} in iteration {self.iteration}: the optimisation has left the "
-                "finite numbers. Check that photos and poses belong together; smaller rates help "
-                "where the scene's unit is extreme"
+                f"the loss is {value} in iteration {self.iteration}: the optimisation has left the finite numbers. "
+                "Check that photos and poses belong together; smaller rates help where the scene's unit is extreme"
             )
         self.control.before_backward(seen, self.iteration)
         (loss + self.control.penalty()).backward()  # type: ignore[no-untyped-call]

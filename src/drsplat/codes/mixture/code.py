@@ -207,4 +207,4 @@ def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> PQCode:
         codes[block], nearest = codebook.encode(code.decode(block), threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest
-    return pq_code(codebook, Codes(codes, coarse_ids), threads=threads)
+    return pq_code(codebook, Codes(codes, coarse_ids))
