@@ -64,23 +64,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with tabs between (default: scannet19)",
     )  # fmt: skip
     parser.add_argument(
-        "--label-table",
-        metavar="FILE",
+        "--label-table", metavar="FILE",
         help="file scannetv2-labels.combined.tsv, for scannet200 (default: the one in DATA)",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--prompt",
-        type=words,
-        metavar="TEXT",
+        "--prompt", type=words, metavar="TEXT",
         help='template of the query for a class, e.g. "a photo of a {}" (default: its name)',
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--voxel-side",
-        type=length,
-        default=0.05,
-        metavar="LENGTH",
+        "--voxel-side", type=length, default=0.05, metavar="LENGTH",
         help="side of a voxel in scene units (default: 0.05)",
-    )
+    )  # fmt: skip
     parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
     parser.add_argument("--score-only", action="store_true", help="score the predictions that are in REPORT already")
     add_query_encoders(parser)

@@ -94,11 +94,9 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     )
     output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --click")
     output.add_argument(
-        "--view",
-        type=words,
-        metavar="NAME",
+        "--view", type=words, metavar="NAME",
         help="photo for --picture (default: the one that shows most of the answer)",
-    )
+    )  # fmt: skip
     add_overwrite(output)
     add_capture_options(parser)
 

@@ -55,11 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
-        "--features",
-        required=True,
-        metavar="DIR",
+        "--features", required=True, metavar="DIR",
         help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )

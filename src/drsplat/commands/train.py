@@ -29,13 +29,9 @@ MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution sa
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
-        "--output-dir",
-        "--output",
-        "-o",
-        required=True,
-        metavar="DIR",
+        "--output-dir", "--output", "-o", required=True, metavar="DIR",
         help="folder for the model, in the layout of 3DGS",
-    )
+    )  # fmt: skip
     add_overwrite(parser)
     parser.add_argument(
         "--iterations", type=count, default=30_000, metavar="N",
@@ -86,12 +82,9 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         help="colour behind the Gaussians; random is a new one each iteration (default: black)",
     )  # fmt: skip
     method.add_argument(
-        "--sh-degree",
-        type=int,
-        choices=range(4),
-        default=3,
+        "--sh-degree", type=int, choices=range(4), default=3,
         help="degree of the colours' spherical harmonics (default: 3)",
-    )
+    )  # fmt: skip
     method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
     method.add_argument(
         "--test-every", type=whole, default=8, metavar="N",

@@ -48,11 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"show only the N most significant Gaussians (default: {BUDGET:,}; {200_000:,} in a page)",
     )  # fmt: skip
     parser.add_argument(
-        "--up",
-        type=words,
-        metavar="AXIS",
+        "--up", type=words, metavar="AXIS",
         help="axis that points up: +x -x +y -y +z or -z (default: as the photos were held)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: 127.0.0.1, this machine only)",
