@@ -136,10 +136,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _names(arguments: argparse.Namespace) -> list[str]:
-    """Folder names of the scenes.
-
-    Raises: InputError: none is given, and there is not exactly one.
-    """
+    """Folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
     from ..errors import InputError
 
     if arguments.name:

@@ -144,10 +144,7 @@ def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene
 
 
 def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
-    """That scene, if --save and --picture can be made of it.
-
-    Raises: InputError: they cannot; as `open_scene`.
-    """
+    """That scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
     scene = open_scene(arguments)
     drawn = arguments.picture is not None
     if drawn or (arguments.save is not None and not arguments.save.lower().endswith(".npy")):

@@ -104,10 +104,7 @@ def embed(
 
 
 def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
-    """The words that queries are contrasted with, where `embed` left them.
-
-    Raises: FormatError: a damaged file.
-    """
+    """The words that queries are contrasted with, where `embed` left them. Raises: FormatError: a damaged file."""
     path = Path(folder) / WORD_LIST
     return read_vocabulary(path) if path.is_file() else None
 

@@ -52,10 +52,7 @@ class VoxelGrid:
 
 
 def grid_over(positions: np.ndarray, side: float = SIDE) -> VoxelGrid:
-    """Voxels that cover some points.
-
-    Raises: InputError: no positive side, or more voxels than memory is for.
-    """
+    """Voxels that cover some points. Raises: InputError: no positive side, or more voxels than memory is for."""
     if not side > 0:
         raise InputError(f"voxel side: expected a positive length, got {side}")
     low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)

@@ -142,10 +142,7 @@ def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Int32
 
 
 def check_vertices(cloud: LabelledCloud, instances: Instances, where: str) -> None:
-    """Refuse segments of another mesh.
-
-    Raises: MismatchError.
-    """
+    """Refuse segments of another mesh. Raises: MismatchError."""
     if len(cloud.labels) != len(instances.objects):
         raise MismatchError(
             f"{where}: {len(cloud.labels)} labelled vertices but segments of {len(instances.objects)}: "

@@ -192,10 +192,7 @@ class Scene:
         return [Word(*one) for one in best_names(self.encoder, self.field, feature, names, top)]
 
     def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
-        """The unit feature at a Gaussian, a point or a click.
-
-        Raises: InputError: nothing with a feature there.
-        """
+        """The unit feature at a Gaussian, a point or a click. Raises: InputError: nothing with a feature there."""
         if isinstance(place, int | np.integer):
             return self._feature(int(place))
         if isinstance(place[0], str):
