@@ -178,15 +178,10 @@ def _settings(arguments: argparse.Namespace) -> TrainingSettings:
     from .. import TrainingSettings
 
     return TrainingSettings(
-        iterations=arguments.iterations,
-        seed=arguments.seed,
-        background=arguments.background,
-        strategy=arguments.strategy,
-        max_gaussians=arguments.max_gaussians,
-        sh_degree=arguments.sh_degree,
-        test_every=arguments.test_every,
-        evaluate_every=arguments.eval_every,
-    )
+        iterations=arguments.iterations, seed=arguments.seed, background=arguments.background,
+        strategy=arguments.strategy, max_gaussians=arguments.max_gaussians, sh_degree=arguments.sh_degree,
+        test_every=arguments.test_every, evaluate_every=arguments.eval_every,
+    )  # fmt: skip
 
 
 def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:

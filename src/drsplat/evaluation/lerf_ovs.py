@@ -208,11 +208,6 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
     return view.resized(frame.width, frame.height)
 
 
-def _finite(threshold: float) -> float:
-    """A query that no threshold suits selects nothing."""
-    return threshold if np.isfinite(threshold) else MAX_THRESHOLD
-
-
 class _Cut(NamedTuple):
     """Scores of a query, and by column the thresholds that they are compared with."""
 
@@ -228,7 +223,8 @@ def _cuts(
     asked = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
     for name, (choose, _) in chosen.items():
         if asked is None or name != AUTOMATIC:
-            at[name] = _finite(choose(scores))
+            threshold = choose(scores)
+            at[name] = threshold if np.isfinite(threshold) else MAX_THRESHOLD  # selects nothing
     return [_Cut(scores, at)] + ([] if asked is None else [_Cut(asked[0], {AUTOMATIC: asked[1]})])
 
 
@@ -355,14 +351,9 @@ def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[st
 
 
 def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:
-    leaked = manifest.leaked
-    return {
-        "name": scene.name,
-        "frames": len(scene.frames),
-        "pairs": len(scene.pairs),
-        "leaked": None if leaked is None else list(leaked),
-        "inputs": dict(manifest.inputs),
-    }
+    leaked = None if manifest.leaked is None else list(manifest.leaked)
+    counts = {"frames": len(scene.frames), "pairs": len(scene.pairs)}
+    return {"name": scene.name, **counts, "leaked": leaked, "inputs": dict(manifest.inputs)}
 
 
 def _queries(

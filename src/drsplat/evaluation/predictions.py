@@ -79,13 +79,9 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
         raise FormatError(f"{path}: leaked: expected a list or null, got {shown(leaked)}")
     inputs = document.get("inputs")
     return Manifest(
-        str(document["protocol"]),
-        str(document.get("method")),
-        scene,
-        columns,
-        inputs if isinstance(inputs, dict) else {},
-        None if leaked is None else tuple(map(str, leaked)),
-    )
+        str(document["protocol"]), str(document.get("method")), scene, columns,
+        inputs if isinstance(inputs, dict) else {}, None if leaked is None else tuple(map(str, leaked)),
+    )  # fmt: skip
 
 
 def sweep_column(threshold: float) -> str:

@@ -95,21 +95,12 @@ class DeviceRun(Run):
     def _rendered(self, view: View) -> tuple[Tensor, dict[str, Any]]:
         tensors = self.scene.tensors
         images, _, seen = self.engine.rasterization(
-            means=tensors["means"],
-            quats=tensors["quats"],
-            scales=torch.exp(tensors["scales"]),
-            opacities=torch.sigmoid(tensors["opacities"]),
-            colors=self.scene.sh,
-            sh_degree=active_sh_degree(self.settings, self.iteration),
-            backgrounds=self._sent(self._background()),
-            viewmats=self._sent(view.cam_from_world),
-            Ks=self._sent(view.K),
-            width=view.width,
-            height=view.height,
-            near_plane=self.near,
-            eps2d=BLUR,
-            packed=False,
-        )
+            means=tensors["means"], quats=tensors["quats"], scales=torch.exp(tensors["scales"]),
+            opacities=torch.sigmoid(tensors["opacities"]), colors=self.scene.sh,
+            sh_degree=active_sh_degree(self.settings, self.iteration), backgrounds=self._sent(self._background()),
+            viewmats=self._sent(view.cam_from_world), Ks=self._sent(view.K), width=view.width, height=view.height,
+            near_plane=self.near, eps2d=BLUR, packed=False,
+        )  # fmt: skip
         return images[0], seen
 
     def _sent(self, array: np.ndarray) -> Tensor:
