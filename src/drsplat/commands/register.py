@@ -263,20 +263,14 @@ def _level(text: str) -> str | int:
 
 
 def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
-    from .. import EncoderIdentity, load_codebook
-    from ..codes import read_faiss_codebook
+    from ..codes.official import read_codebook
     from ..errors import InputError
-    from ..formats.faiss_index import read_faiss_quantizer
 
     if arguments.codebook is None:
         return None
     if arguments.subvectors is not None:
         raise InputError("--subvectors is for a codebook trained here; --codebook has its own: drop one of them")
-    if Path(arguments.codebook).suffix != ".faiss":
-        return load_codebook(arguments.codebook)
-    centroids = read_faiss_quantizer(arguments.codebook).centroids
-    dim = centroids.shape[0] * centroids.shape[2]
-    return read_faiss_codebook(arguments.codebook, EncoderIdentity(arguments.encoder_name or "unknown", dim))
+    return read_codebook(arguments.codebook, arguments.encoder_name)
 
 
 def _encoder(arguments: argparse.Namespace, codebook: "Codebook | None") -> "EncoderIdentity | None":

@@ -116,7 +116,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..training.devices import chosen_device
 
     device, settings = chosen_device(arguments.device), _settings(arguments)
-    views = [_resized(view, arguments.resolution) for view in _with_photo(arguments)]
+    divisor = arguments.resolution if arguments.resolution in DIVISORS else None
+    views = [
+        view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE)
+        for view in _with_photo(arguments)
+    ]
     points = read_sparse_points(
         arguments.capture, points=arguments.points, dataparser_transforms=arguments.dataparser_transforms
     )
@@ -188,14 +192,6 @@ def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
     """Views without a photo were warned of by the reader; when all are, `train` says so."""
     views = views_of(arguments, arguments.capture)
     return [view for view in views if view.image_path is not None] or views
-
-
-def _resized(view: View, resolution: int | None) -> View:
-    longest = max(view.width, view.height)
-    scale = 1 / resolution if resolution in DIVISORS else min(1.0, (resolution or MAX_SIDE) / longest)
-    if scale == 1:
-        return view
-    return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 
 def _tell_of_triangulation(points: SparsePoints | None, arguments: argparse.Namespace) -> None:

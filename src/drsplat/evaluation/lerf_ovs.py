@@ -39,9 +39,10 @@ from .predictions import (
     TUNED,
     Chooser,
     Manifest,
+    columns_of,
     is_sweep,
     mask_path,
-    read_manifest,
+    read_manifests,
     read_mask,
     seen_column,
     sweep_column,
@@ -110,11 +111,7 @@ def predict(
     if scorer.num_gaussians != len(gaussians):
         raise MismatchError(f"'{scorer.name}' scores {scorer.num_gaussians} Gaussians, the scene has {len(gaussians)}")
     chosen = choosers or {}
-    columns = {
-        FIXED: f"{scorer.threshold:g} for all queries, chosen without these scenes",
-        **{name: how for name, (_, how) in chosen.items()},
-        **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
-    }
+    columns = columns_of(scorer.threshold, scorer.sweep, chosen)
     if AUTOMATIC in chosen and scorer.answer is not None:
         columns[AUTOMATIC] = ANSWERED
     splats = splat_arrays(gaussians)
@@ -165,9 +162,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
 
     Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
     """
-    if not scenes:
-        raise InputError("expected at least one scene to score")
-    manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
+    manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
     columns = _common_columns(manifests)
     by_scene = [_ious(scene, folder, list(columns)) for scene in scenes]
     ious = {column: [found[column] for found in by_scene] for column in columns}

@@ -54,15 +54,6 @@ def scene_macro(by_scene: Sequence[Numbers]) -> float:
     return mean([mean(values) for values in by_scene])
 
 
-def query_micro(by_scene: Sequence[Numbers]) -> float:
-    """Mean over the queries of all scenes: every query counts alike.
-
-    >>> query_micro([[1.0], [0.0, 0.0, 0.5]])
-    0.375
-    """
-    return mean([value for values in by_scene for value in values])
-
-
 def weighted_iou(
     predicted: Bool[np.ndarray, " n"], truth: Bool[np.ndarray, " n"], weights: Real[np.ndarray, " n"]
 ) -> float:

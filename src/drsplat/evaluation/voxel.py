@@ -21,7 +21,7 @@ from jaxtyping import Float64, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume
-from .predictions import read_manifest
+from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
 PROTOCOL = "voxel@1"
@@ -96,10 +96,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, t
 
     Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
     """
-    if not scenes:
-        raise InputError("expected at least one scene to score")
-    known = (PROTOCOL, scannet_volume.PROTOCOL)
-    manifests = [read_manifest(folder, scene.name, known) for scene in scenes]
+    manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL, scannet_volume.PROTOCOL)
     by_scene = {scene.name: voxel_record(scene, folder, side=side, threads=threads) for scene in scenes}
     compared = [
         {

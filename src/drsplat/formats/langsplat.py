@@ -248,7 +248,7 @@ def _one_level(files: _Pair | CompactFile, level: int) -> LevelFeatures:
     file_rows = np.flatnonzero(used[:-1])
     compact = np.full(len(rows) + 1, -1, np.int32)
     compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
-    return LevelFeatures(compact[ids], _unit_rows(rows, file_rows, files.path), file_rows)
+    return LevelFeatures(compact[ids], unit_rows(rows, file_rows, files.path), file_rows)
 
 
 def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:
@@ -276,7 +276,8 @@ def _map_embeddings(path: Path) -> np.ndarray:
     return rows
 
 
-def _unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
+def unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
+    """Some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)
         norms = np.sqrt((taken**2).sum(1))

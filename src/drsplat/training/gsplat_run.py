@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import DrSplatError
 from ..scene.views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
 from .job import Beginning
@@ -116,10 +115,7 @@ class DeviceRun(Run):
         value = float(loss.detach())
         self._lap("loss")
         if not math.isfinite(value):
-            raise DrSplatError(
-                f"the loss is {value} in iteration {self.iteration}: the optimisation has left the finite numbers. "
-                "Check that photos and poses belong together; smaller rates help where the scene's unit is extreme"
-            )
+            raise self._diverged()
         self.control.before_backward(seen, self.iteration)
         (loss + self.control.penalty()).backward()  # type: ignore[no-untyped-call]
         return Outcome(value, partial(_psnr, fixed, target))
