@@ -52,7 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     models.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
-    method = parser.add_argument_group("method")
+    _add_method(parser.add_argument_group("method"))
+    add_capture_options(parser)
+    add_without(parser)
+
+
+def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
         "--levels", choices=tuple(_LEVELS),
         help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
@@ -73,8 +78,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-height", type=count, default=1080, metavar="PIXELS",
         help="greatest height of a photo; taller ones are scaled down, as LangSplat does (default: 1080)",
     )  # fmt: skip
-    add_capture_options(parser)
-    add_without(parser)
 
 
 def add_device(parser: argparse._ActionsContainer) -> None:

@@ -58,6 +58,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--automatic", action="store_true", help="score with a threshold per query as well, chosen from its scores"
     )
+    _add_classes(parser)
+    parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
+    parser.add_argument("--score-only", action="store_true", help="score the predictions that are in REPORT already")
+    add_query_encoders(parser)
+    add_without(parser)
+    add_overwrite(parser)
+
+
+def _add_classes(parser: argparse.ArgumentParser) -> None:
+    """Of ScanNet, and how their volumes are counted."""
     parser.add_argument(
         "--label-set", type=words, default="scannet19", metavar="SET",
         help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "
@@ -75,11 +85,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--voxel-side", type=length, default=0.05, metavar="LENGTH",
         help="side of a voxel in scene units (default: 0.05)",
     )  # fmt: skip
-    parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
-    parser.add_argument("--score-only", action="store_true", help="score the predictions that are in REPORT already")
-    add_query_encoders(parser)
-    add_without(parser)
-    add_overwrite(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:

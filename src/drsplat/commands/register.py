@@ -62,7 +62,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )
     add_overwrite(parser)
-    method = parser.add_argument_group("method")
+    _add_method(parser.add_argument_group("method"))
+    parser.add_argument(
+        "--parts", metavar="DIR",
+        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
+    )  # fmt: skip
+    add_capture_options(parser)
+    add_without(parser)
+
+
+def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
         "--level", "--feature-level", "--feature_level", type=_level, default="large", metavar="LEVEL", help=LEVEL_HELP
     )
@@ -87,12 +96,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "'drsplat-words' is the built-in one. Queries and codebooks of other encoders are then refused (default: what "
         "`drsplat embed` noted, which nothing overrules, else the codebook's, else unknown)",
     )  # fmt: skip
-    parser.add_argument(
-        "--parts", metavar="DIR",
-        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
-    )  # fmt: skip
-    add_capture_options(parser)
-    add_without(parser)
 
 
 def _add_code(method: argparse._ArgumentGroup) -> None:
