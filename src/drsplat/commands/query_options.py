@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import AUTO
-from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
+from .options import CAPTURE_OPTIONS, add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
 if TYPE_CHECKING:
@@ -129,7 +129,6 @@ def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) ->
 
 
 SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "threads")
-CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side")
 
 
 def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene:

@@ -78,7 +78,7 @@ def voxel_labels(
     Ties go to the lowest label. Each Gaussian is looked at within three standard deviations. Memory is
     bounded: slabs of voxels are worked on in turn, and are the same for any number of threads.
 
-    Source: Dr. Splat Eq. 4.  Twin: evaluation.reference.voxel_scores.
+    Source: Dr. Splat Eq. 4.
     """
     sources = _Sources(gaussians, grid)
     rows = max(1, SLAB_SCORES // (grid.shape[1] * grid.shape[2] * num_labels))

@@ -77,14 +77,6 @@ def read_scannet_labels(path: Path) -> LabelledCloud:
     return LabelledCloud(_positions(rows, path), labels.astype(np.int32))
 
 
-def read_scannet_points(path: Path) -> Float32[np.ndarray, "n 3"]:
-    """The positions of a `points3d.ply`, in its order.
-
-    Raises: InputError: there is no such file. FormatError: damaged.
-    """
-    return _positions(_vertices(path), path)
-
-
 def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
     """The object of each vertex, from `.segs.json` and `.aggregation.json`.
 

@@ -1,4 +1,4 @@
-"""The native core: arrays in, arrays out. The slow float64 twins are in `reference`.
+"""The native core: arrays in, arrays out. A function of the same name in `reference` is its slow float64 twin.
 
 Imports `scene`.
 """

@@ -32,7 +32,6 @@ def weighted_rows(
 
     Raises: InputError: no such rows, or a damaged W (row starts that fall, columns out of range).
     Source: Dr. Splat Sec. A "Training stage" (dividing by the sum of weights changes no direction).
-    Twin: kernels.reference_algebra.weighted_rows.
     """
     if not 0 <= begin <= end < len(indptr):
         raise InputError(f"rows {begin}:{end} asked of a matrix of {len(indptr) - 1} rows")
@@ -55,7 +54,7 @@ def pq_encode(
     """The nearest of 256 centroids (L2) of each of L sub-vectors, ties to the lowest index.
 
     Raises: InputError: centroids are not (L, 256, D / L), or features are not finite.
-    Source: Jegou et al. 2011.  Twin: kernels.reference_algebra.pq_encode.
+    Source: Jegou et al. 2011.
     """
     subvectors, count, dim = centroids.shape
     if count != CENTROIDS or subvectors * dim != features.shape[1] or dim == 0:

@@ -161,7 +161,7 @@ def view_weights(
     only the first hundred of each ray before the top k are taken, as the published code does.
 
     Raises: InputError: topk or first_hits < 1; a mask map of another size than the view.
-    Source: Dr. Splat Sec. A "Training stage"; 3DGS Eq. 3.  Twin: kernels.reference.view_weights.
+    Source: Dr. Splat Sec. A "Training stage"; 3DGS Eq. 3.
     """
     if mask_ids.shape != (view.height, view.width):
         raise InputError(
@@ -182,7 +182,7 @@ def topk_contributions(
     Descending in weight; ties front to back. 8k bytes per pixel.
 
     Raises: InputError: k < 1.
-    Source: Dr. Splat Sec. A; 3DGS Eq. 3.  Twin: kernels.reference.topk_contributions.
+    Source: Dr. Splat Sec. A; 3DGS Eq. 3.
     """
     size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
     found = _native.topk_contributions(*_seen(splats, view), *size, *limits, threads, _checked_isa(isa))
@@ -201,7 +201,7 @@ def render_channels(
     """Composite any per-Gaussian values, front to back, over a background (black if None).
 
     Raises: InputError: not one row of values per Gaussian, or a background of another length.
-    Source: 3DGS Eq. 3.  Twin: kernels.reference.render_channels.
+    Source: 3DGS Eq. 3.
     """
     n, channels = len(splats.opacities), values.shape[1]
     behind = np.zeros(channels, np.float32) if background is None else background
@@ -221,7 +221,7 @@ def sh_colors(
 ) -> Float32[np.ndarray, "n 3"]:
     """Colour of each Gaussian as seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
 
-    Source: 3DGS, "Spherical harmonics".  Twin: kernels.reference.sh_colors.
+    Source: 3DGS, "Spherical harmonics".
     """
     given = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
     return np.asarray(_native.sh_colors(*given, threads, _checked_isa(isa)))

@@ -101,7 +101,7 @@ def forward(
     near: camera z up to which nothing is drawn, scene units.
 
     Raises: InputError: a degree beyond what is stored; arrays that are not contiguous float32.
-    Source: 3DGS Sec. 4-5.  Twin: kernels.reference_training.
+    Source: 3DGS Sec. 4-5.
     """
     active = (sh_degree + 1) ** 2
     if not 0 <= sh_degree <= 3 or active > parameters.sh.shape[1]:
@@ -125,7 +125,7 @@ def photometric_loss(
     """(1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
 
     Raises: InputError: images of different sizes.
-    Source: 3DGS Eq. 7; Wang et al. 2004.  Twin: kernels.reference_loss.
+    Source: 3DGS Eq. 7; Wang et al. 2004.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected two images (H, W, 3), got {image.shape} and {target.shape}")
@@ -156,7 +156,7 @@ def adam_step(
 
     Raises: InputError: arrays that are not contiguous float32 of one shape; a constant_rate for
     anything but harmonics.
-    Source: Kingma & Ba 2015, Algorithm 1.  Twin: kernels.reference_loss.
+    Source: Kingma & Ba 2015, Algorithm 1.
     """
     arrays = (parameter, gradient, first_moment, second_moment)
     for array in arrays:
