@@ -32,12 +32,9 @@ def blobs(number: int, rng: np.random.Generator) -> Masks:
         far = np.hypot((x - middle[0]) / aspect, (y - middle[1]) * aspect) + rough * 3
         cut.append(cut_masks((far < radius)[None], rng.uniform(0.65, 1, 1).astype(np.float32)))
     return Masks(
-        HEIGHT,
-        WIDTH,
-        np.concatenate([masks.boxes for masks in cut]),
-        tuple(masks.parts[0] for masks in cut),
+        HEIGHT, WIDTH, np.concatenate([masks.boxes for masks in cut]), tuple(masks.parts[0] for masks in cut),
         np.concatenate([masks.scores for masks in cut]),
-    )
+    )  # fmt: skip
 
 
 def nms_by_loop(masks: Masks) -> np.ndarray:

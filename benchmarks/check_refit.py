@@ -31,9 +31,8 @@ def main() -> int:
             training = ds.train(views, settings, points=perturbed_points(scene), device="cpu")
             found.append(training.evaluation.psnr)
             print(
-                f"{strategy:8} {given.iterations} iterations: PSNR {training.evaluation.psnr:.2f} dB, "
-                f"SSIM {training.evaluation.ssim:.4f}, {len(training.gaussians)} Gaussians, "
-                f"{training.seconds:.0f} s"
+                f"{strategy:8} {given.iterations} iterations: PSNR {training.evaluation.psnr:.2f} dB, SSIM "
+                f"{training.evaluation.ssim:.4f}, {len(training.gaussians)} Gaussians, {training.seconds:.0f} s"
             )
     return int(min(found) < given.least)
 

@@ -194,11 +194,9 @@ def main() -> None:
     parser.add_argument("--masks", default="true,graph")
     parser.add_argument("--fields", nargs="*", type=Path, default=[])
     parser.add_argument(
-        "--generic",
-        type=Path,
-        default=Path("world/scenes/table_1"),
+        "--generic", type=Path, default=Path("world/scenes/table_1"),
         help="scene whose masks are the generic embeddings of mini",
-    )
+    )  # fmt: skip
     parser.add_argument("--statistics", type=Path)
     parser.add_argument("--rows", type=int, default=65_536)
     parser.add_argument("--threads", type=int, default=0)

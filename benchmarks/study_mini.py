@@ -33,6 +33,7 @@ from drsplat.query.contrast import contrast, relevancy_threshold
 from drsplat.query.thresholds import PEAK, peak_score, threshold_above
 from drsplat.query.word_list import list_vectors
 
+FIXED = (0.125, 0.15, 0.175, 0.2, 0.25, 0.3)
 SHARES = (0.3, 0.36, 0.42, 0.48)
 VISIBLE = 60  # Gaussians of a thing that is asked for
 IN_OTHER_COLORS = 30
@@ -79,6 +80,8 @@ def selections(field: LanguageField, text: str) -> Iterator[tuple[str, np.ndarra
     """By rule, which rows it selects."""
     vector = MINI.encode_texts([text])[0]
     cosines, known = field.scores(vector), contrast(field, list_vectors(MINI))
+    for least in FIXED:
+        yield f"cosine above {least}", cosines > least
     yield "cosine above 0.2 and 0.6 of the peak (before)", cosines > threshold_above(cosines, 0.2)
     values = known.relevancy(vector, cosines)
     assert values is not None

@@ -29,6 +29,8 @@ from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from drawn_embeddings import unit
+
 from benchmarks.suite.aggregators import MEASURED
 from benchmarks.suite.masks import MASKS
 from benchmarks.suite.scenes import BenchScene, read_scene
@@ -45,10 +47,6 @@ PEAK_HERE = round(PEAK * ROWS / OF)
 NEGATIVES = ("object", "things", "stuff", "texture")
 WRONG = (0.0, 0.2, 0.4)
 KINDS = {"clean": (1, 0.5, 0.004), "rough": (3, 1.0, -0.004)}  # centroids, noise, least margin
-
-
-def unit(rows: np.ndarray) -> np.ndarray:
-    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
 class Clip:

@@ -207,11 +207,8 @@ def rows(rogue: Rogue) -> Call:
 
 def codes(rogue: Rogue) -> Call:
     n, length, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64))))
-    if rogue.rng.random() < 0.5:
-        given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
-        return partial(_native.pq_encode, *given, *rogue.how())
-    given = rogue.whole(0, 256, (n, length), "u1"), rogue.floats(length, 256), rogue.floats(n)
-    return partial(_native.pq_scores, *given, rogue.one((None, rogue.floats(n))), *rogue.how())
+    given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
+    return partial(_native.pq_encode, *given, *rogue.how())
 
 
 def training(rogue: Rogue) -> Call:

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import settings
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import InputError
-from drsplat.kernels import available_isas, pq_encode, pq_scores, weighted_rows
+from drsplat.kernels import available_isas, pq_encode, weighted_rows
 from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
 
@@ -62,16 +61,10 @@ def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
     rng = np.random.default_rng(2)
     w, embeddings = random_weights(rng, 900, 200, 0.05), unit_rows(rng, 200, 96)
     centroids = rng.standard_normal((24, 256, 4)).astype(np.float32) / 10
-    codes = rng.integers(0, 256, (40_000, 24), np.uint8)
-    lut, scale = rng.random((24, 256), np.float32), rng.random(40_000, np.float32)
 
     def everything(threads: int) -> list[np.ndarray]:
         rows = weighted_rows(w.indptr, w.indices, w.data, embeddings, 0, 900, threads=threads, isa=isa)
-        return [
-            rows,
-            pq_encode(rows, centroids, threads=threads, isa=isa),
-            pq_scores(codes, lut, scale, scale, threads=threads, isa=isa),
-        ]
+        return [rows, pq_encode(rows, centroids, threads=threads, isa=isa)]
 
     for threads in (2, 3):
         for one, many in zip(everything(1), everything(threads), strict=True):
@@ -132,24 +125,8 @@ def test_a_feature_equal_to_a_centroid_gets_its_code(isa: str) -> None:
     assert_array_equal(pq_encode(features, centroids, isa=isa), first)
 
 
-@few
-@given(st.integers(0, 70), st.integers(1, 40), st.booleans(), st.integers(0, 2**32))
-def test_scores_are_those_of_the_twin(rows: int, length: int, biased: bool, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    codes = rng.integers(0, 256, (rows, length), np.uint8)
-    lut = rng.standard_normal((length, 256)).astype(np.float32) / np.float32(length**0.5)
-    scale, bias = rng.random(rows, np.float32), rng.random(rows, np.float32) if biased else None
-    expected = reference_algebra.pq_scores(codes, lut, scale, bias)
-    for isa in available_isas():
-        scores = pq_scores(codes, lut, scale, bias, isa=isa)
-        assert_allclose(scores, expected, rtol=1e-5, atol=2e-6)
-
-
 def test_arguments_that_do_not_fit_are_refused() -> None:
-    codes, lut, ones = np.zeros((4, 3), np.uint8), np.zeros((3, 256), np.float32), np.ones(4, "f")
     features, centroids = np.zeros((4, 6), np.float32), np.zeros((3, 256, 2), np.float32)
-    with pytest.raises(InputError, match="table"):
-        pq_scores(codes, lut[:2], ones)
     with pytest.raises(InputError, match="centroids"):
         pq_encode(features, centroids[:2])
     with pytest.raises(InputError, match="centroids"):
@@ -157,4 +134,4 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match="finite"):
         pq_encode(np.full((4, 6), np.nan, np.float32), centroids)
     with pytest.raises(InputError, match="instruction set"):
-        pq_scores(codes, lut, ones, isa="z80")
+        pq_encode(features, centroids, isa="z80")

@@ -92,8 +92,6 @@ def test_choosers_let_absent_gaussians_have_no_say() -> None:
         assert how.startswith("per query")
         assert choose(np.full(4, np.nan, np.float32)) == np.inf
         assert np.isfinite(choose(scores))
-    otsu = automatic_choosers(cosine_scorer(toy_field(), ToyEncoder()))["otsu"][0]
-    assert 0.12 < otsu(scores) < 0.9
 
 
 def test_the_automatic_threshold_is_the_encoders_own_where_it_has_one() -> None:

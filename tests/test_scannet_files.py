@@ -16,7 +16,6 @@ from drsplat.formats.scannet import (
     read_label_table,
     read_scannet_instances,
     read_scannet_labels,
-    read_scannet_points,
     scene_file,
 )
 from mutations import bounded_allocations, mutants, quota
@@ -63,7 +62,6 @@ def test_files_are_read(scene: Path) -> None:
     cloud = read_scannet_labels(scene_file(scene, "_vh_clean_2.labels.ply"))
     assert_array_equal(cloud.labels, [1, 2, 5, 0, 5, 40])
     assert_array_equal(cloud.positions, np.arange(18).reshape(6, 3))
-    assert_array_equal(read_scannet_points(scene / "points3d.ply"), cloud.positions)
     instances = read_scannet_instances(scene_file(scene, ".segs.json"), scene_file(scene, ".aggregation.json"))
     assert_array_equal(instances.objects, [-1, -1, 0, 1, 0, 1])
     check_vertices(cloud, instances, "here")
@@ -85,7 +83,7 @@ def test_files_that_are_not_there_are_named(scene: Path) -> None:
         scene_file(scene, ".txt")
     with pytest.raises(InputError, match="folder of a ScanNet scene"):
         scene_file(scene / "x", ".txt")
-    for read in (read_scannet_labels, read_scannet_points, read_label_table):
+    for read in (read_scannet_labels, read_label_table):
         with pytest.raises(InputError, match="no such file"):
             read(scene / "nothing")
 
@@ -182,7 +180,6 @@ def test_damaged_files(scene: Path, bounded_memory: None) -> None:
     segments, groups = (scene_file(scene, end) for end in (".segs.json", ".aggregation.json"))
     ply = scene_file(scene, "_vh_clean_2.labels.ply")
     assert 0 < survivors(ply, read_scannet_labels) < MUTANTS
-    assert 0 < survivors(scene / "points3d.ply", read_scannet_points) < MUTANTS
     assert 0 < survivors(scene / "scannetv2-labels.combined.tsv", read_label_table) < MUTANTS
     good = groups.read_bytes()
     assert 0 < survivors(groups, lambda path: read_scannet_instances(segments, path)) < MUTANTS

@@ -22,6 +22,7 @@ from drsplat.formats.ply import write_vertices
 from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 from test_evaluation_pseudo_labels import random_points
+from test_metrics import weighted_iou
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
 LABELS = LabelSet("mine", (1, 2, 7), ("wall", "floor", "table"), ("wall", "floor", "table"))
@@ -128,7 +129,7 @@ def test_segmentation_is_eq_3(scene: ScannetScene, tmp_path: Path) -> None:
     found = np.load(tmp_path / scene.name / "labels.npy")
     counted = scene.pseudo_labels > 0
     for number, name in enumerate(LABELS.names, 1):
-        expected = metrics.weighted_iou((found == number) & counted, scene.pseudo_labels == number, scene.significance)
+        expected = weighted_iou((found == number) & counted, scene.pseudo_labels == number, scene.significance)
         assert record["classes"][name]["iou"] == pytest.approx(expected)
     plain = scannet_volume.segmentation(scene, tmp_path, weighted=False)
     assert plain["miou"] != pytest.approx(record["miou"], abs=1e-3)
@@ -297,7 +298,7 @@ def test_sweep_is_the_iou_of_each_threshold(seed: int) -> None:
     scores = rng.choice(np.array([0.1, 0.2, 0.3, 0.4, np.nan], np.float32), 60)
     truth, weights = rng.random(60) < 0.4, rng.random(60)
     thresholds = rng.permutation([0.05, 0.1, 0.25, 0.3, 0.3, 0.9]).tolist()
-    expected = [metrics.weighted_iou(scores > np.float32(t), truth, weights) for t in thresholds]
+    expected = [weighted_iou(scores > np.float32(t), truth, weights) for t in thresholds]
     assert_allclose(sweep_weighted_ious(scores, truth, weights, thresholds), expected, atol=1e-12)
 
 

@@ -177,21 +177,14 @@ def _on_ledges(objects: list[Placed], hosts: list[Placed], split: Split, rng: Rn
         for number, ledge in enumerate(host.thing.ledges):
             if host.thing.name == "shelf":
                 count = 0 if number == 0 else int(rng.integers(1, 3))
-            _fill(objects, host, ledge, kinds, count, used, split, rng)
-
-
-def _fill(
-    objects: list[Placed], host: Placed, ledge: Ledge, kinds: tuple[str, ...], count: int,
-    used: list[tuple[str, str]], split: Split, rng: Rng,
-) -> None:  # fmt: skip
-    here: list[Placed] = []
-    wanted = _choice(kinds, min(count, MOST - len(objects)), used, split, rng)
-    for thing in sorted(wanted, key=lambda thing: -float(thing.size[0] * thing.size[1])):
-        placed = _somewhere(thing, host, ledge, here, rng)
-        if placed is not None:
-            here.append(placed)
-            used.append((thing.name, thing.color))
-    objects.extend(here)
+            here: list[Placed] = []
+            things = _choice(kinds, min(count, MOST - len(objects)), used, split, rng)
+            for thing in sorted(things, key=lambda thing: -float(thing.size[0] * thing.size[1])):
+                placed = _somewhere(thing, host, ledge, here, rng)
+                if placed is not None:
+                    here.append(placed)
+                    used.append((thing.name, thing.color))
+            objects.extend(here)
 
 
 def _choice(kinds: tuple[str, ...], count: int, used: list[tuple[str, str]], split: Split, rng: Rng) -> list[Thing]:

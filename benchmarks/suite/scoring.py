@@ -45,7 +45,9 @@ def _scored(scene: BenchScene, methods: Methods, folder: Path, threads: int) -> 
     seconds["scannet-volume"], start = time.perf_counter() - start, time.perf_counter()
     numbers["voxel"] = _voxel(scene, folder / "volume", threads)
     seconds["voxel"], start = time.perf_counter() - start, time.perf_counter()
-    numbers["scannet-points"] = _points(scene, methods.points, folder / "points")
+    scannet_points.predict(scene.points, methods.points, folder / "points")
+    found = scannet_points.score([scene.points], folder / "points")
+    numbers["scannet-points"] = {"segmentation": found["segmentation"]["scene_macro"]}
     seconds["scannet-points"] = time.perf_counter() - start
     return rounded(numbers), seconds
 
@@ -82,11 +84,6 @@ def _voxel(scene: BenchScene, folder: Path, threads: int) -> dict[str, Any]:
     result = voxel.score([scene.volume], folder, threads=threads)
     compared = dict(result["study"]["scenes"][0])
     return {"segmentation": result["segmentation"]["scene_macro"], "study": compared}
-
-
-def _points(scene: BenchScene, scorer: Scorer, folder: Path) -> dict[str, Any]:
-    scannet_points.predict(scene.points, scorer, folder)
-    return {"segmentation": scannet_points.score([scene.points], folder)["segmentation"]["scene_macro"]}
 
 
 def rounded(value: Any) -> Any:

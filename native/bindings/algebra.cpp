@@ -39,24 +39,9 @@ nb::object pq_encode_of(Rows features, Array<float, 3> centroids, int threads, c
   return codes.numpy({rows, subvectors});
 }
 
-nb::object pq_scores_of(Array<uint8_t, 2> codes, Rows lut, Vector scale, std::optional<Vector> bias, int threads,
-                        const std::string &isa) {
-  const Kernels &kernels = kernels_named(isa);
-  const size_t rows = codes.shape(0);
-  require(lut.shape(0) == codes.shape(1) && lut.shape(1) == 256 && lut.shape(0) < (1u << 24), "lut (L, 256)");
-  require(scale.shape(0) == rows && (!bias || bias->shape(0) == rows), "one scale and one bias per row");
-  Fresh<float> scores(rows);
-  without_gil([&] {
-    pq_scores(kernels, {codes.data(), lut.data(), scale.data(), bias ? bias->data() : nullptr, (uint32_t)lut.shape(0)},
-              rows, thread_count(threads), scores.get());
-  });
-  return scores.numpy({rows});
-}
-
 }  // namespace
 
 void bind_algebra(nb::module_ &m) {
   m.def("weighted_rows", &weighted_rows_of, "starts"_a, "columns"_a, "weights"_a, "embeddings"_a, "threads"_a, "isa"_a);
   m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);
-  m.def("pq_scores", &pq_scores_of, "codes"_a, "lut"_a, "scale"_a, "bias"_a.none(), "threads"_a, "isa"_a);
 }

@@ -24,9 +24,4 @@ void pq_encode(const Kernels &kernels, const Quantizer &quantizer, const float *
   });
 }
 
-void pq_scores(const Kernels &kernels, const Scan &scan, uint64_t rows, int threads, float *scores) {
-  over_rows(rows, 16384, threads,
-            [&](int, uint64_t begin, uint64_t end) { kernels.pq_scores(scan, begin, end, scores); });
-}
-
 }  // namespace drsplat

@@ -10,6 +10,4 @@ bool weighted_rows(const Kernels &, const SparseRows &, const Embeddings &, uint
 // Per row and sub-vector the nearest of 256 centroids, ties to the lowest.
 void pq_encode(const Kernels &, const Quantizer &, const float *features, uint64_t rows, int threads, uint8_t *codes);
 
-void pq_scores(const Kernels &, const Scan &, uint64_t rows, int threads, float *scores);
-
 }  // namespace drsplat

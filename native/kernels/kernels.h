@@ -76,13 +76,6 @@ struct Quantizer {
 constexpr size_t kEncodeScratch = 32;  // floats of scratch per dimension of a sub-vector
 
 // score = (bias + sum over m of lut[m][code m]) * scale
-struct Scan {
-  const uint8_t *codes;       // rows x subvectors
-  const float *lut;           // subvectors x 256
-  const float *scale, *bias;  // per row; bias may be null
-  uint32_t subvectors;
-};
-
 struct Parameters {  // a scene while it is trained: pre-activation, rows of Gaussians
   const float *means, *log_scales, *quats, *logits, *sh;
   uint32_t count;
@@ -140,7 +133,6 @@ struct Kernels {
   bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
   void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch,
                     uint8_t *codes);
-  void (*pq_scores)(const Scan &, uint64_t begin, uint64_t end, float *scores);
 
   // training
   void (*activate)(const Parameters &, uint32_t begin, uint32_t end, float *means, float *covariances,

@@ -1,4 +1,4 @@
-// Product quantisation: the nearest centroids of rows, and scores by table look-up.
+// Product quantisation: the nearest centroids of rows.
 #pragma once
 #include "kernels/lanes.h"
 
@@ -52,36 +52,6 @@ static void pq_encode(const Quantizer &q, const float *features, uint64_t begin,
         codes[(first + r) * q.subvectors + m] = (uint8_t)nearest[r];
     }
   }
-}
-
-// Even and odd sub-vectors are summed apart: two chains of additions per row, in one order everywhere.
-template <int Rows>
-static inline void scan_rows(const Scan &s, uint64_t first, float *scores) {
-  const size_t length = s.subvectors;
-  float even[Rows] = {}, odd[Rows] = {};
-  size_t m = 0;
-  for (; m + 8 <= length; m += 8) {
-    const float *lut = s.lut + 256 * m;
-    for (int r = 0; r < Rows; r++) {
-      uint64_t eight;
-      memcpy(&eight, s.codes + (first + r) * length + m, 8);
-      for (int i = 0; i < 8; i += 2) {
-        even[r] += lut[256 * i + (eight >> 8 * i & 255)];
-        odd[r] += lut[256 * i + 256 + (eight >> (8 * i + 8) & 255)];
-      }
-    }
-  }
-  for (int r = 0; r < Rows; r++) {
-    const uint8_t *codes = s.codes + (first + r) * length;
-    for (size_t rest = m; rest < length; rest++) (rest % 2 ? odd[r] : even[r]) += s.lut[256 * rest + codes[rest]];
-    const float bias = s.bias ? s.bias[first + r] : 0.f;
-    scores[first + r] = (bias + (even[r] + odd[r])) * s.scale[first + r];
-  }
-}
-
-static void pq_scores(const Scan &s, uint64_t begin, uint64_t end, float *scores) {
-  for (; begin + 4 <= end; begin += 4) scan_rows<4>(s, begin, scores);
-  for (; begin < end; begin++) scan_rows<1>(s, begin, scores);
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

@@ -61,7 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _failed(error, "usage", MISUSED, as_json)
     except (DrSplatError, OSError, MemoryError) as error:
         if isinstance(error, BrokenPipeError):
-            return _pipe_closed()
+            _drop_stdout()
+            return PIPE_CLOSED  # the reader has gone: exit without a word
         if debug:
             raise
         return _failed(error, type(error).__name__, FAILED, as_json)
@@ -91,14 +92,10 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
     command = import_module(f".commands.{name}", __package__)
     summary: str = command.SUMMARY
     parser = verbs.add_parser(
-        name,
-        aliases=getattr(command, "ALIASES", ()),
-        help=summary,
-        description=summary[0].upper() + summary[1:] + ".",
-        epilog=f"examples:\n{command.EXAMPLES}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        name, aliases=getattr(command, "ALIASES", ()), help=summary, description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"examples:\n{command.EXAMPLES}", formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
-    )
+    )  # fmt: skip
     command.add_arguments(parser)
     common = parser.add_argument_group("all verbs")
     common.add_argument("--json", action="store_true", help="print one JSON object to stdout and nothing else there")
@@ -113,11 +110,7 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
 def _flags(parser: argparse.ArgumentParser) -> dict[str, str]:
     """The long flag of each option, by the name that the library has for it."""
     named = ((action.dest, action.option_strings) for action in parser._actions)
-    return {dest: next(filter(_is_long, flags), "") for dest, flags in named}
-
-
-def _is_long(flag: str) -> bool:
-    return flag.startswith("--")
+    return {dest: next((flag for flag in flags if flag.startswith("--")), "") for dest, flags in named}
 
 
 def spelled(message: str, flags: Mapping[str, str]) -> str:
@@ -190,12 +183,6 @@ def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
     except OSError:  # what failed may be stdout itself
         _drop_stdout()
     return code
-
-
-def _pipe_closed() -> int:
-    """The reader has gone: exit without a word."""
-    _drop_stdout()
-    return PIPE_CLOSED
 
 
 def _drop_stdout() -> None:

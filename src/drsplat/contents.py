@@ -31,10 +31,7 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 
 
 def file_text(path: str | os.PathLike[str]) -> str:
-    """A file of UTF-8, with or without a mark.
-
-    Raises: UnicodeDecodeError; as `open_file`.
-    """
+    """A file of UTF-8, with or without a mark. Raises: UnicodeDecodeError; as `open_file`."""
     with open_file(path) as file:
         return file.read().decode("utf-8-sig")
 

@@ -77,15 +77,9 @@ def _job_bar() -> "Progress":
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[text]}"),
-        TextColumn("{task.fields[rate]}/s"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[text]}"),
+        TextColumn("{task.fields[rate]}/s"), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+    )  # fmt: skip
 
 
 def peak_memory_bytes() -> int:

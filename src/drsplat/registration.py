@@ -202,12 +202,9 @@ def register(
     evidence = Evidence(weights, _masks_of(columns), np.concatenate([c.embeddings for c in columns]))
     encoder = _encoder_of(features, evidence.embeddings.shape[1])
     return Registration(
-        evidence,
-        gaussians.fingerprint,
-        encoder,
-        replace(sampling, near=splats.near),
+        evidence, gaussians.fingerprint, encoder, replace(sampling, near=splats.near),
         up_of([view for view, _ in chosen]),
-    )
+    )  # fmt: skip
 
 
 def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:

@@ -10,9 +10,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int64, UInt8
-from PIL import Image
+from jaxtyping import Int64
+from skimage.segmentation import mark_boundaries
 
+from drsplat.drawing.pictures import as_pixels, contact_sheet, write_picture
 from drsplat.masks.selection import paint
 from drsplat.models.graph import GraphSegmenter
 
@@ -22,7 +23,6 @@ from .scores import LEAST_PIXELS, Score, score, shared_pixels
 Labels = Callable[[Photo], Int64[np.ndarray, "h w"]]
 BANDS = (LEAST_PIXELS, 1000, 4000, 16000, 10**9)
 PLAIN_SCALES = (100, 200, 400, 800, 1600)
-PICTURE_SIZE = (320, 240)
 
 
 def main() -> None:
@@ -47,7 +47,8 @@ def main() -> None:
     if arguments.picture:
         step = max(1, len(shown) // 6)
         pairs = list(zip(shown, found, strict=True))[::step][:6]
-        contact_sheet([bordered(p.image, labels) for p, labels in pairs]).save(arguments.picture)
+        drawn = [mark_boundaries(p.image, labels, (1, 1, 0), mode="inner") for p, labels in pairs]
+        write_picture(arguments.picture, contact_sheet([as_pixels(picture) for picture in drawn], 3), overwrite=True)
 
 
 def true_labels(photo: Photo) -> Int64[np.ndarray, "h w"]:
@@ -95,26 +96,6 @@ def row(name: str, scores: Sequence[Score]) -> str:
     means = [own.mean(), (own > 0.5).mean(), *(b.mean() if len(b) else np.nan for b in by_size)]
     means += [best[~thing].mean(), np.mean([s.masks for s in scores]), np.mean([s.purity for s in scores])]  # fmt: skip
     return f"{name:20}" + "".join(f"{value:10.3f}" for value in means)
-
-
-def bordered(image: UInt8[np.ndarray, "h w 3"], labels: Int64[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
-    """The image, darker, with a line where masks meet."""
-    edge = np.zeros(labels.shape, bool)
-    edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
-    edge[1:] |= labels[1:] != labels[:-1]
-    painted = image // 4 * 3
-    painted[edge] = (255, 255, 0)
-    return painted
-
-
-def contact_sheet(images: Sequence[UInt8[np.ndarray, "h w 3"]], columns: int = 3) -> Image.Image:
-    width, height = PICTURE_SIZE
-    rows = -(-len(images) // columns)
-    sheet = Image.new("RGB", (width * columns, height * rows))
-    for i, image in enumerate(images):
-        tile = Image.fromarray(image).resize(PICTURE_SIZE, Image.Resampling.LANCZOS)
-        sheet.paste(tile, (width * (i % columns), height * (i // columns)))
-    return sheet.quantize(palette=sheet.quantize(128), dither=Image.Dither.FLOYDSTEINBERG)
 
 
 if __name__ == "__main__":

@@ -262,12 +262,9 @@ def _open_box(rng: Rng, x: float, y: float, z: float) -> Thing:
         flaps.append(flap.moved(x=half / 2 - wall, z=z).turned("z", turn))
     tape = box((0.001, 0.045, z * 0.55)).moved(x=x / 2, z=z * 0.45)
     return build(
-        "box",
-        shade,
-        "cardboard",
-        (look, joined(box((x, y, wall)), *walls, *flaps)),
+        "box", shade, "cardboard", (look, joined(box((x, y, wall)), *walls, *flaps)),
         (plain("paper", (0.80, 0.70, 0.5)), tape),
-    )
+    )  # fmt: skip
 
 
 def basket(rng: Rng, split: Split) -> Thing:

@@ -42,10 +42,7 @@ class MassGate:
 
 @dataclass(frozen=True)
 class QuantileGate:
-    """The Gaussians heavier than a quantile of the view's, and than `floor`.
-
-    Source: VALA (3DV 2026), Stage B.
-    """
+    """The Gaussians heavier than a quantile of the view's, and than `floor`. Source: VALA (3DV 2026), Stage B."""
 
     quantile: float = 0.85
     floor: float = 0.15  # of one pixel

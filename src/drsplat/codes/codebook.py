@@ -12,7 +12,7 @@ from jaxtyping import Float32, Integer, UInt8, UInt16
 
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
-from ..kernels import QueryTables, lookup_tables, pq_encode, pq_scores
+from ..kernels import QueryTables, lookup_tables, pq_encode
 from ..kernels.algebra import CENTROIDS
 from .kmeans import Track, train_centroids, untracked
 
@@ -122,15 +122,18 @@ class Codebook:
             features += self.coarse[codes.coarse_ids]
         return features
 
-    def inverse_norms(self, codes: Codes, *, threads: int = 0) -> Float32[np.ndarray, " n"]:
+    def inverse_norms(self, codes: Codes) -> Float32[np.ndarray, " n"]:
         """1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
         self.check(codes)
-        if self.coarse is None:  # squared norms add up over sub-vectors: the scan does that
-            squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
-            squared = pq_scores(codes.codes, squares, np.ones(len(codes.codes), np.float32), threads=threads)
-        else:
-            squared = np.empty(len(codes.codes), np.float32)
-            for rows in _blocks(len(squared)):
+        squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
+        squared = np.empty(len(codes.codes), np.float32)
+        for rows in _blocks(len(squared)):
+            if self.coarse is None:  # squared norms add up over sub-vectors; even and odd ones apart, in one order
+                sums = np.zeros((2, len(squared[rows])), np.float32)
+                for part, column in enumerate(codes.codes[rows].T):
+                    sums[part % 2] += squares[part, column]
+                squared[rows] = sums.sum(axis=0)
+            else:
                 squared[rows] = (self.decode(codes.rows(rows)) ** 2).sum(axis=1)
         norms = np.sqrt(squared)
         return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))

@@ -27,10 +27,7 @@ def save_codebook(codebook: Codebook, path: str | os.PathLike[str], overwrite: b
 
 
 def load_codebook(path: str | os.PathLike[str]) -> Codebook:
-    """Read what `save_codebook` wrote.
-
-    Raises: FormatError: another kind of file or version, or damaged.
-    """
+    """Read what `save_codebook` wrote. Raises: FormatError: another kind of file or version, or damaged."""
     tensors, metadata = map_tensors(path)
     if metadata.get("format") != CODEBOOK_FORMAT:
         raise FormatError(f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}")

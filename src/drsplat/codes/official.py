@@ -10,6 +10,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
 from ..formats.faiss_index import read_faiss_quantizer
 from .codebook import Codebook, Codes
+from .files import load_codebook
 
 
 def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) -> Codebook:
@@ -23,6 +24,18 @@ def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) 
         return Codebook(*quantizer, encoder)
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
+
+
+def read_codebook(path: str | os.PathLike[str], encoder_name: str | None = None) -> Codebook:
+    """Ours, or the authors' .faiss, which does not say who made the embeddings: encoder_name does.
+
+    Raises: as `load_codebook` and `read_faiss_codebook`.
+    """
+    if os.path.splitext(path)[1] != ".faiss":
+        return load_codebook(path)
+    centroids = read_faiss_quantizer(path).centroids
+    dim = centroids.shape[0] * centroids.shape[2]
+    return read_faiss_codebook(path, EncoderIdentity(encoder_name or "unknown", dim))
 
 
 def official_bytes(codes: Codes) -> UInt8[np.ndarray, "n b"]:

@@ -154,9 +154,7 @@ class PQCode:
         return Scanning(HYBRID_ERROR / self._scale, wide, threads)
 
 
-def pq_code(
-    codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray, " n"] | None = None, *, threads: int = 0
-) -> PQCode:
+def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray, " n"] | None = None) -> PQCode:
     """Codes as a code that can be searched. inverse_norms: computed where they are not given.
 
     Raises: InputError: codes of another codebook.
@@ -164,7 +162,7 @@ def pq_code(
     codebook.check(codes)
     norms = inverse_norms
     if norms is None:
-        norms = codebook.inverse_norms(codes, threads=threads)
+        norms = codebook.inverse_norms(codes)
     return PQCode(codebook, group_codes(codes.codes), codes.coarse_ids, norms)
 
 

@@ -156,12 +156,13 @@ def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Nam
 
     from .. import train_codebook
     from ..codes.codebook import TRAINING_POINTS
+    from ..formats.langsplat import unit_rows
 
-    name = arguments.features or arguments.lvis
+    path = Path(arguments.features or arguments.lvis)
     order = np.random.default_rng(arguments.seed).permutation(len(rows))
     share = max(1, int(HELD_OUT_SHARE * len(rows))) if len(rows) > 1 else 0
-    held_out = _unit(rows, order[: min(share, MOST_HELD_OUT)], name)
-    drawn = _unit(rows, np.sort(order[share:][:TRAINING_POINTS]), name)
+    held_out = unit_rows(rows, order[: min(share, MOST_HELD_OUT)], path)
+    drawn = unit_rows(rows, np.sort(order[share:][:TRAINING_POINTS]), path)
     codebook = train_codebook(
         drawn, arguments.subvectors, encoder=encoder, seed=arguments.seed,
         threads=arguments.threads, track=tracker(arguments),
@@ -169,19 +170,3 @@ def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Nam
     codes = codebook.encode(held_out, threads=arguments.threads)
     cosines = (held_out * codebook.decode(codes)).sum(axis=1) * codebook.inverse_norms(codes)
     return codebook, cosines
-
-
-def _unit(rows: np.ndarray, wanted: np.ndarray, name: str) -> np.ndarray:
-    """These rows, brought to unit length as everywhere. FormatError: one without direction."""
-    import numpy as np
-
-    from ..errors import FormatError
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        taken = rows[wanted].astype(np.float64)
-        norms = np.linalg.norm(taken, axis=1)
-    bad = wanted[~(np.isfinite(norms) & (norms > 0))]
-    if len(bad):
-        raise FormatError(f"{name}: row {bad[0]} has no direction (zero or not finite)")
-    unit: np.ndarray = (taken / norms[:, None]).astype(np.float32)
-    return unit

@@ -14,8 +14,7 @@ EXAMPLES = """\
   drsplat view drsplat-demo                     (afterwards, in a browser)"""
 CAPTION = (
     "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are "
-    "built in, "
-    "small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
+    "built in, small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
 )
 
 
@@ -73,8 +72,7 @@ def show(answer: dict[str, Any]) -> None:
     seconds, memory = answer["seconds"], size_said(answer["peak_memory_bytes"])
     print(
         f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} "
-        "photos held out; "
-        f"{seconds:.1f} s, {memory} at most."
+        f"photos held out; {seconds:.1f} s, {memory} at most."
     )
     print(f"Look at {answer['page']} or {answer['overview']}, then try your own query:")
     print(f'  drsplat locate {answer["output_dir"]} "red vase"')

@@ -48,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..models.devices import has_fast_bfloat16
+
     asked = _start_probe()  # the slowest: importing torch; the rest is done meanwhile
     versions = {name: _version(name) for name in PACKAGES}
     answer = {
@@ -59,7 +61,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "models": _models(),
     }
     facts = _probed(asked)
-    devices = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": _has_fast_bfloat16()}
+    devices = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
     devices |= {"cuda": facts.get("cuda", []), "mps": facts.get("mps", False)}
     return {**answer, "devices": devices, "can": abilities(facts)}
 
@@ -196,12 +198,6 @@ def _cached_said(cached: bool | None) -> str:
         False: "not in the local cache, downloaded at first use",
         None: "huggingface_hub is not installed",
     }[cached]
-
-
-def _has_fast_bfloat16() -> bool:
-    from ..models.devices import has_fast_bfloat16
-
-    return has_fast_bfloat16()
 
 
 def _is_installed(name: str) -> bool:

@@ -11,7 +11,6 @@ from .options import add_capture_options, add_overwrite, count, tracker, up_to, 
 
 if TYPE_CHECKING:
     from ..encoders import ImageEncoder
-    from ..masks.masks import Segmenter
     from ..models.point_masks import PointMaskSettings
 
 SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register"
@@ -53,7 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     models.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
-    method = parser.add_argument_group("method")
+    _add_method(parser.add_argument_group("method"))
+    add_capture_options(parser)
+    add_without(parser)
+
+
+def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
         "--levels", choices=tuple(_LEVELS),
         help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
@@ -74,8 +78,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-height", type=count, default=1080, metavar="PIXELS",
         help="greatest height of a photo; taller ones are scaled down, as LangSplat does (default: 1080)",
     )  # fmt: skip
-    add_capture_options(parser)
-    add_without(parser)
 
 
 def add_device(parser: argparse._ActionsContainer) -> None:
@@ -87,6 +89,7 @@ def add_device(parser: argparse._ActionsContainer) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..embedding.embed import embed
+    from ..models.sam import load_segmenter
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
@@ -94,7 +97,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     without = left_out([view.name for view in views], arguments.without)
     views = [view for view in views if view.name not in without]
     output = _output_folder(arguments)
-    segmenter = _segmenter(arguments)
+    segmenter = load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
     encoder = image_encoder(arguments)
     watch.lap("load")
     report = embed(
@@ -159,12 +162,6 @@ def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
     if not isinstance(encoder, ImageEncoder):
         raise InputError(f"--encoder {arguments.encoder}: it embeds words, no images: name another")
     return encoder
-
-
-def _segmenter(arguments: argparse.Namespace) -> Segmenter:
-    from ..models.sam import load_segmenter
-
-    return load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
 
 
 def _point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:

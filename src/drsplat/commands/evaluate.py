@@ -58,35 +58,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--automatic", action="store_true", help="score with a threshold per query as well, chosen from its scores"
     )
-    parser.add_argument(
-        "--label-set", type=words, default="scannet19", metavar="SET",
-        help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "
-        "with "
-        "tabs between (default: scannet19)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--label-table",
-        metavar="FILE",
-        help="file scannetv2-labels.combined.tsv, for scannet200 (default: the one in DATA)",
-    )
-    parser.add_argument(
-        "--prompt",
-        type=words,
-        metavar="TEXT",
-        help='template of the query for a class, e.g. "a photo of a {}" (default: its name)',
-    )
-    parser.add_argument(
-        "--voxel-side",
-        type=length,
-        default=0.05,
-        metavar="LENGTH",
-        help="side of a voxel in scene units (default: 0.05)",
-    )
+    _add_classes(parser)
     parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
     parser.add_argument("--score-only", action="store_true", help="score the predictions that are in REPORT already")
     add_query_encoders(parser)
     add_without(parser)
     add_overwrite(parser)
+
+
+def _add_classes(parser: argparse.ArgumentParser) -> None:
+    """Of ScanNet, and how their volumes are counted."""
+    parser.add_argument(
+        "--label-set", type=words, default="scannet19", metavar="SET",
+        help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "
+        "with tabs between (default: scannet19)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--label-table", metavar="FILE",
+        help="file scannetv2-labels.combined.tsv, for scannet200 (default: the one in DATA)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--prompt", type=words, metavar="TEXT",
+        help='template of the query for a class, e.g. "a photo of a {}" (default: its name)',
+    )  # fmt: skip
+    parser.add_argument(
+        "--voxel-side", type=length, default=0.05, metavar="LENGTH",
+        help="side of a voxel in scene units (default: 0.05)",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -143,10 +141,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _names(arguments: argparse.Namespace) -> list[str]:
-    """Folder names of the scenes.
-
-    Raises: InputError: none is given, and there is not exactly one.
-    """
+    """Folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
     from ..errors import InputError
 
     if arguments.name:

@@ -184,16 +184,9 @@ def _verified(field: Path) -> list[str]:
 
 
 def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import EncoderIdentity, load_codebook
-    from ..codes import read_faiss_codebook
-    from ..formats.faiss_index import read_faiss_quantizer
+    from ..codes.official import read_codebook
 
-    if Path(arguments.path).suffix == ".faiss":
-        centroids = read_faiss_quantizer(arguments.path).centroids
-        dim = centroids.shape[0] * centroids.shape[2]
-        codebook = read_faiss_codebook(arguments.path, EncoderIdentity("unknown", dim))
-    else:
-        codebook = load_codebook(arguments.path)
+    codebook = read_codebook(arguments.path)
     return {"encoder": codebook.encoder.name, "dim": codebook.dim, **codebook_facts(codebook)}
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 MOST = 2**31 - 1  # the kernels count with 32 bits
 LARGEST, SMALLEST = 3.4e38, 1e-30  # and measure with floats of 32 bits
 
+CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side")
 LEVEL_HELP = (
     "level of the masks: default, small, medium, large or 0-3 (default: large). A trap: level 1 is *small* in "
     "features made by LangSplat, but Dr. Splat's own preprocessing stores its *large* masks in all four levels and "
@@ -84,8 +85,7 @@ def add_near(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--near", type=length, metavar="UNITS",
         help="camera z of the near plane, in scene units; nothing nearer is seen (default: 0.2 as published, less for "
-        "scenes "
-        "smaller than four units)",
+        "scenes smaller than four units)",
     )  # fmt: skip
 
 
@@ -113,12 +113,7 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
 def views_of(arguments: argparse.Namespace, capture: str) -> list[View]:
     from .. import read_views
 
-    return read_views(
-        capture,
-        images=arguments.images,
-        dataparser_transforms=arguments.dataparser_transforms,
-        max_side=arguments.max_side,
-    )
+    return read_views(capture, **{name: getattr(arguments, name) for name in CAPTURE_OPTIONS})
 
 
 def add_query_encoders(parser: argparse.ArgumentParser) -> None:

@@ -10,10 +10,7 @@ if TYPE_CHECKING:
 
 
 def pixel(text: str) -> tuple[str, float, float]:
-    """The view's name and the pixel of "photo_003:210,140".
-
-    Raises: InputError: it does not look so.
-    """
+    """The view's name and the pixel of "photo_003:210,140". Raises: InputError: it does not look so."""
     import re
 
     from ..errors import InputError
@@ -25,10 +22,7 @@ def pixel(text: str) -> tuple[str, float, float]:
 
 
 def point(text: str) -> tuple[float, float, float]:
-    """Of "0.3,-0.14,1.2".
-
-    Raises: InputError: not three finite numbers.
-    """
+    """Of "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
     import math
 
     from ..errors import InputError

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import AUTO
-from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
+from .options import CAPTURE_OPTIONS, add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
 if TYPE_CHECKING:
@@ -65,9 +65,8 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
         help="select Gaussians that score above this (default: auto, which follows the scene: words of CLIP-like "
-        "encoders "
-        "have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for vectors, "
-        "pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
+        "encoders have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for "
+        "vectors, pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
     )  # fmt: skip
     cut.add_argument(
         "--top-share", type=share, metavar="S",
@@ -81,8 +80,7 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--negatives", type=words, metavar="WORDS|FILE.npy",
         help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the "
-        "field, else "
-        "object,things,stuff,texture)",
+        "field, else object,things,stuff,texture)",
     )  # fmt: skip
 
 
@@ -96,11 +94,9 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     )
     output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --click")
     output.add_argument(
-        "--view",
-        type=words,
-        metavar="NAME",
+        "--view", type=words, metavar="NAME",
         help="photo for --picture (default: the one that shows most of the answer)",
-    )
+    )  # fmt: skip
     add_overwrite(output)
     add_capture_options(parser)
 
@@ -133,7 +129,6 @@ def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) ->
 
 
 SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "threads")
-CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side")
 
 
 def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene:
@@ -148,10 +143,7 @@ def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene
 
 
 def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
-    """That scene, if --save and --picture can be made of it.
-
-    Raises: InputError: they cannot; as `open_scene`.
-    """
+    """That scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
     scene = open_scene(arguments)
     drawn = arguments.picture is not None
     if drawn or (arguments.save is not None and not arguments.save.lower().endswith(".npy")):

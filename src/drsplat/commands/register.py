@@ -55,16 +55,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
-        "--features",
-        required=True,
-        metavar="DIR",
+        "--features", required=True, metavar="DIR",
         help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )
     add_overwrite(parser)
-    method = parser.add_argument_group("method")
+    _add_method(parser.add_argument_group("method"))
+    parser.add_argument(
+        "--parts", metavar="DIR",
+        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
+    )  # fmt: skip
+    add_capture_options(parser)
+    add_without(parser)
+
+
+def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
         "--level", "--feature-level", "--feature_level", type=_level, default="large", metavar="LEVEL", help=LEVEL_HELP
     )
@@ -79,24 +86,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     method.add_argument(
         "--aggregator", type=words, default="mean", metavar="NAME",
         help="rule by which the masks that see a Gaussian become its feature: mean (the paper), official (what its "
-        "published "
-        "code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
+        "published code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
     )  # fmt: skip
     add_near(method)
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
         help="encoder of embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; "
-        "'drsplat-words' is the "
-        "built-in one. Queries and codebooks of other encoders are then refused (default: what `drsplat embed` noted, "
-        "which nothing overrules, else the codebook's, else unknown)",
+        "'drsplat-words' is the built-in one. Queries and codebooks of other encoders are then refused (default: what "
+        "`drsplat embed` noted, which nothing overrules, else the codebook's, else unknown)",
     )  # fmt: skip
-    parser.add_argument(
-        "--parts", metavar="DIR",
-        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
-    )  # fmt: skip
-    add_capture_options(parser)
-    add_without(parser)
 
 
 def _add_code(method: argparse._ArgumentGroup) -> None:
@@ -267,20 +266,14 @@ def _level(text: str) -> str | int:
 
 
 def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
-    from .. import EncoderIdentity, load_codebook
-    from ..codes import read_faiss_codebook
+    from ..codes.official import read_codebook
     from ..errors import InputError
-    from ..formats.faiss_index import read_faiss_quantizer
 
     if arguments.codebook is None:
         return None
     if arguments.subvectors is not None:
         raise InputError("--subvectors is for a codebook trained here; --codebook has its own: drop one of them")
-    if Path(arguments.codebook).suffix != ".faiss":
-        return load_codebook(arguments.codebook)
-    centroids = read_faiss_quantizer(arguments.codebook).centroids
-    dim = centroids.shape[0] * centroids.shape[2]
-    return read_faiss_codebook(arguments.codebook, EncoderIdentity(arguments.encoder_name or "unknown", dim))
+    return read_codebook(arguments.codebook, arguments.encoder_name)
 
 
 def _encoder(arguments: argparse.Namespace, codebook: "Codebook | None") -> "EncoderIdentity | None":

@@ -41,20 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--view", type=words, metavar="NAME", help="name of one photo, with or without suffix")
     which.add_argument("--all", action="store_true", help="render from all photos")
     parser.add_argument(
-        "--output-dir",
-        "--output",
-        "-o",
-        default="renders",
-        metavar="DIR",
+        "--output-dir", "--output", "-o", default="renders", metavar="DIR",
         help="folder for the PNGs (default: renders)",
-    )
+    )  # fmt: skip
     add_overwrite(parser)
     parser.add_argument(
-        "--background",
-        choices=sorted(BACKGROUNDS),
-        default="black",
+        "--background", choices=sorted(BACKGROUNDS), default="black",
         help="colour behind the Gaussians (default: black)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--depth", action="store_true",
         help="write NAME.depth.npy as well: expected camera z in scene units, float32 (H, W), 0 where nothing is",
@@ -64,12 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_near(parser)
     parser.add_argument(
-        "--query",
-        type=words,
-        nargs=2,
-        metavar=("FIELD", "TEXT"),
+        "--query", type=words, nargs=2, metavar=("FIELD", "TEXT"),
         help="query whose matches stay in colour, the rest grey",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="threshold of --query (default: as of `drsplat locate`)"
     )

@@ -50,14 +50,17 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     check_outputs(arguments)
     classes = _classes(arguments)
     scene = open_scene_for_output(arguments)
-    found = scene.segment(classes, cut_of(arguments))
+    found, registered = scene.segment(classes, cut_of(arguments)), max(len(scene.field), 1)
     report = {
         "field": arguments.field,
         "measure": found.answers[0].measure,
         "threshold_rule": found.answers[0].rule,
         "num_registered": len(scene.field),
         "num_labelled": sum(found.counts),
-        "classes": _counts(found, max(len(scene.field), 1)),
+        "classes": [
+            {"name": name, "num_gaussians": count, "share": count / registered, "threshold": answer.threshold}
+            for name, answer, count in zip(found.names, found.answers, found.counts, strict=True)
+        ],
     }
     if arguments.save:
         _save(arguments, scene, found)
@@ -89,14 +92,6 @@ def _classes(arguments: argparse.Namespace) -> list[str]:
         raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')
     given = lines_of(arguments.classes_file, "one class") if arguments.classes is None else arguments.classes.split(",")
     return [name.strip() for name in given if name.strip()]
-
-
-def _counts(found: Segmentation, registered: int) -> list[dict[str, Any]]:
-    parts = zip(found.names, found.answers, found.counts, strict=True)
-    return [
-        {"name": name, "num_gaussians": count, "share": count / registered, "threshold": answer.threshold}
-        for name, answer, count in parts
-    ]
 
 
 def _save(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> None:

@@ -29,13 +29,9 @@ MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution sa
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
-        "--output-dir",
-        "--output",
-        "-o",
-        required=True,
-        metavar="DIR",
+        "--output-dir", "--output", "-o", required=True, metavar="DIR",
         help="folder for the model, in the layout of 3DGS",
-    )
+    )  # fmt: skip
     add_overwrite(parser)
     parser.add_argument(
         "--iterations", type=count, default=30_000, metavar="N",
@@ -86,12 +82,9 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         help="colour behind the Gaussians; random is a new one each iteration (default: black)",
     )  # fmt: skip
     method.add_argument(
-        "--sh-degree",
-        type=int,
-        choices=range(4),
-        default=3,
+        "--sh-degree", type=int, choices=range(4), default=3,
         help="degree of the colours' spherical harmonics (default: 3)",
-    )
+    )  # fmt: skip
     method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
     method.add_argument(
         "--test-every", type=whole, default=8, metavar="N",
@@ -123,7 +116,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..training.devices import chosen_device
 
     device, settings = chosen_device(arguments.device), _settings(arguments)
-    views = [_resized(view, arguments.resolution) for view in _with_photo(arguments)]
+    divisor = arguments.resolution if arguments.resolution in DIVISORS else None
+    views = [
+        view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE)
+        for view in _with_photo(arguments)
+    ]
     points = read_sparse_points(
         arguments.capture, points=arguments.points, dataparser_transforms=arguments.dataparser_transforms
     )
@@ -185,29 +182,16 @@ def _settings(arguments: argparse.Namespace) -> TrainingSettings:
     from .. import TrainingSettings
 
     return TrainingSettings(
-        iterations=arguments.iterations,
-        seed=arguments.seed,
-        background=arguments.background,
-        strategy=arguments.strategy,
-        max_gaussians=arguments.max_gaussians,
-        sh_degree=arguments.sh_degree,
-        test_every=arguments.test_every,
-        evaluate_every=arguments.eval_every,
-    )
+        iterations=arguments.iterations, seed=arguments.seed, background=arguments.background,
+        strategy=arguments.strategy, max_gaussians=arguments.max_gaussians, sh_degree=arguments.sh_degree,
+        test_every=arguments.test_every, evaluate_every=arguments.eval_every,
+    )  # fmt: skip
 
 
 def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
     """Views without a photo were warned of by the reader; when all are, `train` says so."""
     views = views_of(arguments, arguments.capture)
     return [view for view in views if view.image_path is not None] or views
-
-
-def _resized(view: View, resolution: int | None) -> View:
-    longest = max(view.width, view.height)
-    scale = 1 / resolution if resolution in DIVISORS else min(1.0, (resolution or MAX_SIDE) / longest)
-    if scale == 1:
-        return view
-    return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 
 def _tell_of_triangulation(points: SparsePoints | None, arguments: argparse.Namespace) -> None:

@@ -32,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
         help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a "
-        "trained "
-        "model, without a field",
+        "trained model, without a field",
     )
     parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for cameras and supporting photos")
@@ -49,11 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"show only the N most significant Gaussians (default: {BUDGET:,}; {200_000:,} in a page)",
     )  # fmt: skip
     parser.add_argument(
-        "--up",
-        type=words,
-        metavar="AXIS",
+        "--up", type=words, metavar="AXIS",
         help="axis that points up: +x -x +y -y +z or -z (default: as the photos were held)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: 127.0.0.1, this machine only)",

@@ -7,10 +7,11 @@ beside them. Features count as finished only with an entry there that fits them 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int32, UInt8
 
 from ..codes import Track, encoder_from_json, untracked
 from ..encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
@@ -96,7 +97,7 @@ def embed(
         for stem in sorted(photos.keys() - pending):
             _rewrite(record, stem, form)
         for stem in track(pending, "embedding photos"):
-            _embed_photo(record, stem, rasters[stem], photos[stem], segmenter, encoder, form)
+            _store(record, stem, photos[stem], _embedded(rasters[stem], segmenter, encoder), form)
         _record_words(record.folder, encoder)
         _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
@@ -104,10 +105,7 @@ def embed(
 
 
 def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
-    """The words that queries are contrasted with, where `embed` left them.
-
-    Raises: FormatError: a damaged file.
-    """
+    """The words that queries are contrasted with, where `embed` left them. Raises: FormatError: a damaged file."""
     path = Path(folder) / WORD_LIST
     return read_vocabulary(path) if path.is_file() else None
 
@@ -171,27 +169,35 @@ def _photo_identity(view: View) -> str:
     return f"{hash_file(view.image_path)} {view.width}x{view.height}"
 
 
-def _embed_photo(
-    record: EmbeddingRecord, stem: str, view: View, photo: str, segmenter: Segmenter, encoder: ImageEncoder, form: Form
-) -> None:
+class _Embedded(NamedTuple):
+    """One photo's masks and their embeddings. counts: of masks by level. empty: left out."""
+
+    mask_ids: Int32[np.ndarray, "*levels h w"]
+    embeddings: Float32[np.ndarray, "n d"]
+    counts: Mapping[str, int]
+    empty: int
+
+
+def _embedded(view: View, segmenter: Segmenter, encoder: ImageEncoder) -> _Embedded:
     image = load_image(view)
     levels = segmenter.segment(image)
     maps = mask_maps(levels)
-    embeddings = _embeddings(image, maps.masks, encoder, view.name)
-    record.make_room(stem)
-    write_features(record.folder, stem, maps.mask_ids, embeddings, overwrite=True, form=form)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
-    record.add(stem, photo, _counts(maps, levels), empty, form)
+    return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)
+
+
+def _store(record: EmbeddingRecord, stem: str, photo: str, found: _Embedded, form: Form) -> None:
+    record.make_room(stem)
+    write_features(record.folder, stem, found.mask_ids, found.embeddings, overwrite=True, form=form)
+    record.add(stem, photo, found.counts, found.empty, form)
 
 
 def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
     """A finished photo's files in this form, if they are in the other."""
     known = record.finished[stem]
     if known.form != form:
-        maps, embeddings = stored_features(record.folder, stem, known.form)
-        record.make_room(stem)
-        write_features(record.folder, stem, maps, embeddings, overwrite=True, form=form)
-        record.add(stem, known.photo, known.masks, known.empty_masks, form)
+        stored = stored_features(record.folder, stem, known.form)
+        _store(record, stem, known.photo, _Embedded(*stored, known.masks, known.empty_masks), form)
 
 
 def _embeddings(

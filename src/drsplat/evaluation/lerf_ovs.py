@@ -39,9 +39,10 @@ from .predictions import (
     TUNED,
     Chooser,
     Manifest,
+    columns_of,
     is_sweep,
     mask_path,
-    read_manifest,
+    read_manifests,
     read_mask,
     seen_column,
     sweep_column,
@@ -110,11 +111,7 @@ def predict(
     if scorer.num_gaussians != len(gaussians):
         raise MismatchError(f"'{scorer.name}' scores {scorer.num_gaussians} Gaussians, the scene has {len(gaussians)}")
     chosen = choosers or {}
-    columns = {
-        FIXED: f"{scorer.threshold:g} for all queries, chosen without these scenes",
-        **{name: how for name, (_, how) in chosen.items()},
-        **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
-    }
+    columns = columns_of(scorer.threshold, scorer.sweep, chosen)
     if AUTOMATIC in chosen and scorer.answer is not None:
         columns[AUTOMATIC] = ANSWERED
     splats = splat_arrays(gaussians)
@@ -165,9 +162,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
 
     Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
     """
-    if not scenes:
-        raise InputError("expected at least one scene to score")
-    manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
+    manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
     columns = _common_columns(manifests)
     by_scene = [_ious(scene, folder, list(columns)) for scene in scenes]
     ious = {column: [found[column] for found in by_scene] for column in columns}
@@ -208,11 +203,6 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
     return view.resized(frame.width, frame.height)
 
 
-def _finite(threshold: float) -> float:
-    """A query that no threshold suits selects nothing."""
-    return threshold if np.isfinite(threshold) else MAX_THRESHOLD
-
-
 class _Cut(NamedTuple):
     """Scores of a query, and by column the thresholds that they are compared with."""
 
@@ -228,7 +218,8 @@ def _cuts(
     asked = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
     for name, (choose, _) in chosen.items():
         if asked is None or name != AUTOMATIC:
-            at[name] = _finite(choose(scores))
+            threshold = choose(scores)
+            at[name] = threshold if np.isfinite(threshold) else MAX_THRESHOLD  # selects nothing
     return [_Cut(scores, at)] + ([] if asked is None else [_Cut(asked[0], {AUTOMATIC: asked[1]})])
 
 
@@ -355,14 +346,9 @@ def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[st
 
 
 def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:
-    leaked = manifest.leaked
-    return {
-        "name": scene.name,
-        "frames": len(scene.frames),
-        "pairs": len(scene.pairs),
-        "leaked": None if leaked is None else list(leaked),
-        "inputs": dict(manifest.inputs),
-    }
+    leaked = None if manifest.leaked is None else list(manifest.leaked)
+    counts = {"frames": len(scene.frames), "pairs": len(scene.pairs)}
+    return {"name": scene.name, **counts, "leaked": leaked, "inputs": dict(manifest.inputs)}
 
 
 def _queries(

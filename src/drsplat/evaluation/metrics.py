@@ -54,29 +54,6 @@ def scene_macro(by_scene: Sequence[Numbers]) -> float:
     return mean([mean(values) for values in by_scene])
 
 
-def query_micro(by_scene: Sequence[Numbers]) -> float:
-    """Mean over the queries of all scenes: every query counts alike.
-
-    >>> query_micro([[1.0], [0.0, 0.0, 0.5]])
-    0.375
-    """
-    return mean([value for values in by_scene for value in values])
-
-
-def weighted_iou(
-    predicted: Bool[np.ndarray, " n"], truth: Bool[np.ndarray, " n"], weights: Real[np.ndarray, " n"]
-) -> float:
-    """d . (p * g) / d . (p + g - p * g); 0 where nothing is in either.
-
-    >>> weighted_iou(np.array([True, True, False]), np.array([True, False, True]), np.array([6, 1, 1]))
-    0.75
-
-    Source: Dr. Splat Eq. 3.
-    """
-    union = float(weights[predicted | truth].sum(dtype=np.float64))
-    return float(weights[predicted & truth].sum(dtype=np.float64)) / union if union else 0.0
-
-
 def class_overlaps(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, " c"], Float64[np.ndarray, " c"]]:

@@ -79,13 +79,23 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
         raise FormatError(f"{path}: leaked: expected a list or null, got {shown(leaked)}")
     inputs = document.get("inputs")
     return Manifest(
-        str(document["protocol"]),
-        str(document.get("method")),
-        scene,
-        columns,
-        inputs if isinstance(inputs, dict) else {},
-        None if leaked is None else tuple(map(str, leaked)),
-    )
+        str(document["protocol"]), str(document.get("method")), scene, columns,
+        inputs if isinstance(inputs, dict) else {}, None if leaked is None else tuple(map(str, leaked)),
+    )  # fmt: skip
+
+
+def read_manifests(folder: Path, scenes: Sequence[str], *protocols: str) -> list[Manifest]:
+    """Of each scene. Raises: InputError: no scenes; as `read_manifest`."""
+    if not scenes:
+        raise InputError("expected at least one scene to score")
+    return [read_manifest(folder, scene, protocols) for scene in scenes]
+
+
+def columns_of(threshold: float, sweep: Sequence[float], choosers: Mapping[str, tuple[Chooser, str]]) -> dict[str, str]:
+    """Each choice of thresholds, and in words how it was made."""
+    fixed = {FIXED: f"{threshold:g} for all queries, chosen without these scenes"}
+    chosen = {name: how for name, (_, how) in choosers.items()}
+    return fixed | chosen | {sweep_column(t): f"{t:g} for all queries" for t in sweep}
 
 
 def sweep_column(threshold: float) -> str:

@@ -103,7 +103,6 @@ def density_labels(
 
     Raises: InputError: no points, labels below 0, numbers that are not finite.
     Source: Dr. Splat Sec. C. The paper prints a sum of distances: see `printed_labels`.
-    Twin: evaluation.reference.density_labels.
     """
     _check(gaussians, points)
     points = points.relative_to(gaussians.origin)
@@ -127,7 +126,7 @@ def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.nda
     over points is trace(inv(cov) (scatter_s + m_s (mean_s - mu)(mean_s - mu)^T)): no pairs at all.
 
     Raises: InputError: as `density_labels`.
-    Source: Dr. Splat Eq. 2.  Twin: evaluation.reference.printed_labels.
+    Source: Dr. Splat Eq. 2.
     """
     _check(gaussians, points)
     points = points.relative_to(gaussians.origin)

@@ -24,7 +24,7 @@ from ..formats.scannet import (
 from ..scene.gaussians import Gaussians
 from . import metrics
 from .label_sets import LabelSet
-from .predictions import ANSWERED, AUTOMATIC, FIXED, Chooser, Manifest, read_array, sweep_column
+from .predictions import ANSWERED, AUTOMATIC, FIXED, Chooser, Manifest, columns_of, read_array, sweep_column
 from .pseudo_labels import LabelledPoints, pseudo_labels
 from .scorers import Scorer, hashed
 
@@ -135,11 +135,7 @@ def predict_classes(
     write_npy(place / LABELS, found, overwrite=True)
     columns = {"argmax": "the class of the highest score; no threshold"}
     if keep_scores:
-        columns = {
-            FIXED: f"{scorer.threshold:g} for all queries, chosen without these scenes",
-            **{name: how for name, (_, how) in chosen.items()},
-            **{sweep_column(t): f"{t:g} for all queries" for t in scorer.sweep},
-        }
+        columns = columns_of(scorer.threshold, scorer.sweep, chosen)
         columns |= {AUTOMATIC: ANSWERED} if answers is not None else {}
     inputs = {
         **scene.inputs,

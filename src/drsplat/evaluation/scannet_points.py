@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int32
 
-from ..errors import InputError, MismatchError
+from ..errors import MismatchError
 from . import metrics
-from .predictions import read_manifest
+from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
 PROTOCOL = "scannet-points@1"
@@ -33,9 +33,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
     Raises: InputError: no scene, or one without predictions. MismatchError: Gaussians that are not
     at the points. FormatError: damaged predictions.
     """
-    if not scenes:
-        raise InputError("expected at least one scene to score")
-    manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
+    manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
     by_scene = {scene.name: _record(scene, folder) for scene in scenes}
     return {
         "protocol": PROTOCOL,

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MismatchError
+from ..errors import MismatchError
 from . import metrics
-from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, is_sweep, read_manifest
+from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, is_sweep, read_manifests
 from .scannet import (
     ACCURACIES,
     ScannetScene,
@@ -41,9 +41,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
     Raises: InputError: no scene, or one without predictions. MismatchError: scenes predicted in
     different ways. FormatError: damaged predictions.
     """
-    if not scenes:
-        raise InputError("expected at least one scene to score")
-    manifests = [read_manifest(folder, scene.name, (PROTOCOL,)) for scene in scenes]
+    manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
     columns = _common_columns(manifests)
     segmented = {scene.name: segmentation(scene, folder) for scene in scenes}
     located = [

@@ -82,17 +82,9 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
     }
     views = None if known.evidence is None else known.evidence.masks.view_names
     return Scorer(
-        name,
-        known.num_gaussians,
-        scores,
-        _fixed(encoder),
-        COSINES,
-        about,
-        views,
-        _own(encoder),
-        several,
+        name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
         _answer(known, encoder, threads),
-    )
+    )  # fmt: skip
 
 
 def _answer(known: LanguageField, encoder: Encoder, threads: int) -> Callable[[str], tuple[Scores, float]]:
@@ -146,16 +138,9 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
 
     about = {**cosines.about, "measure": "relevancy", "negatives": list(NEGATIVES)}
     return replace(
-        cosines,
-        name=name,
-        scores=scores,
-        several=several,
-        threshold=RELEVANCY_THRESHOLD,
-        sweep=RELEVANCIES,
-        about=about,
-        least=None,
-        answer=None,
-    )
+        cosines, name=name, scores=scores, several=several, threshold=RELEVANCY_THRESHOLD, sweep=RELEVANCIES,
+        about=about, least=None, answer=None,
+    )  # fmt: skip
 
 
 def read_features(path: Path) -> Float[np.ndarray, "N D"]:

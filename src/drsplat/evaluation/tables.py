@@ -28,7 +28,7 @@ class Table:
 def tables_of(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """All tables of results of one protocol, one or several methods."""
     found = []
-    for task, pick in (("selection", _selection), ("localization", _localization)):
+    for task, pick in (("selection", _selection), ("localization", lambda result: result.get("localization", {}))):
         blocks = [(result, pick(result)) for result in results if pick(result)]
         if blocks:
             found.append(_by_column(task, blocks))
@@ -45,11 +45,6 @@ def tables_of(results: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 def _selection(result: Mapping[str, Any]) -> Mapping[str, Any]:
     found: Mapping[str, Any] = result.get("columns", {})
-    return found
-
-
-def _localization(result: Mapping[str, Any]) -> Mapping[str, Any]:
-    found: Mapping[str, Any] = result.get("localization", {})
     return found
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float64, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume
-from .predictions import read_manifest
+from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
 PROTOCOL = "voxel@1"
@@ -52,10 +52,7 @@ class VoxelGrid:
 
 
 def grid_over(positions: np.ndarray, side: float = SIDE) -> VoxelGrid:
-    """Voxels that cover some points.
-
-    Raises: InputError: no positive side, or more voxels than memory is for.
-    """
+    """Voxels that cover some points. Raises: InputError: no positive side, or more voxels than memory is for."""
     if not side > 0:
         raise InputError(f"voxel side: expected a positive length, got {side}")
     low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
@@ -81,7 +78,7 @@ def voxel_labels(
     Ties go to the lowest label. Each Gaussian is looked at within three standard deviations. Memory is
     bounded: slabs of voxels are worked on in turn, and are the same for any number of threads.
 
-    Source: Dr. Splat Eq. 4.  Twin: evaluation.reference.voxel_scores.
+    Source: Dr. Splat Eq. 4.
     """
     sources = _Sources(gaussians, grid)
     rows = max(1, SLAB_SCORES // (grid.shape[1] * grid.shape[2] * num_labels))
@@ -99,10 +96,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, t
 
     Raises: InputError: no scene, or one without predictions. FormatError: damaged predictions.
     """
-    if not scenes:
-        raise InputError("expected at least one scene to score")
-    known = (PROTOCOL, scannet_volume.PROTOCOL)
-    manifests = [read_manifest(folder, scene.name, known) for scene in scenes]
+    manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL, scannet_volume.PROTOCOL)
     by_scene = {scene.name: voxel_record(scene, folder, side=side, threads=threads) for scene in scenes}
     compared = [
         {

@@ -56,7 +56,8 @@ class ColumnMaker:
         if not _is_finished(path, key):
             triples = self.sampling.triples(self.splats, view, mask_ids, self.threads)
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_tensors(path, _tensors(triples), {"key": key, "view": view.name}, overwrite=True)
+            tensors = dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
+            write_tensors(path, tensors, {"key": key, "view": view.name}, overwrite=True)
         return Columns(view.name, path, features.embeddings)
 
     @cached_property
@@ -83,11 +84,6 @@ def part_name(view_name: str) -> str:
     """Of the file of a view's columns."""
     digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
     return f"{digest}.columns.safetensors"
-
-
-def _tensors(triples: Triples) -> dict[str, np.ndarray]:
-    """By the names that files have for them."""
-    return dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
 
 
 def _digest(*arrays: np.ndarray, salt: str = "") -> str:

@@ -91,7 +91,7 @@ def _quantised(
     codes, directed = _encode_rows(features, codebook, threads, track)
     if not directed.all():
         codes = codes.rows(np.flatnonzero(directed))
-    return pq_code(codebook, codes, threads=threads), directed
+    return pq_code(codebook, codes), directed
 
 
 def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:

@@ -128,10 +128,7 @@ class LanguageField:
 
     @property
     def codebook(self) -> Codebook:
-        """Of product-quantised features.
-
-        Raises: InputError: they are kept in another way.
-        """
+        """Of product-quantised features. Raises: InputError: they are kept in another way."""
         if not isinstance(self.code, PQCode):
             raise InputError(f"this field's features are of the code '{self.code.kind}': no codebook")
         return self.code.codebook
@@ -184,10 +181,7 @@ class LanguageField:
         return self.code.select(self._unit(query), margin, self.negatives.maxima, threads=threads)
 
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
-        """The `count` rows of the highest cosine, best first.
-
-        Raises: as `scores`; InputError: a count below 1.
-        """
+        """The `count` rows of the highest cosine, best first. Raises: as `scores`; InputError: a count below 1."""
         return self.code.top(self._unit(query), count, threads=threads)
 
     def best(self, queries: Float32[np.ndarray, "c D"], *, threads: int = 0) -> Best:
@@ -219,10 +213,7 @@ class LanguageField:
     def score_negatives(
         self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> Negatives:
-        """Each row's best score among some negatives.
-
-        Raises: InputError: no embeddings, or not one per text.
-        """
+        """Each row's best score among some negatives. Raises: InputError: no embeddings, or not one per text."""
         if not len(embeddings) or (texts and len(texts) != len(embeddings)):
             raise InputError(
                 f"expected one or more negatives, one per text; got {len(embeddings)} and {len(texts)} texts"
@@ -278,10 +269,7 @@ class LanguageField:
         return [] if row < 0 else self.evidence.explain(row, _unit(query), top)
 
     def check_scene(self, gaussians: Gaussians) -> None:
-        """Refuse another scene than the one registered.
-
-        Raises: MismatchError.
-        """
+        """Refuse another scene than the one registered. Raises: MismatchError."""
         if len(gaussians) != self.num_gaussians:
             raise MismatchError(
                 f"this field belongs to a scene of {self.num_gaussians} Gaussians, the given one "
@@ -289,21 +277,16 @@ class LanguageField:
             )
         if gaussians.fingerprint != self.scene:
             raise MismatchError(
-                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as "
-                "many Gaussians, but positions or row order differ; this is what compressing does; "
-                "register against the file you query"
+                f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as many Gaussians, but "
+                "positions or row order differ; this is what compressing does; register against the file you query"
             )
 
     def check_encoder(self, identity: EncoderIdentity) -> None:
-        """Refuse an encoder whose embeddings mean something else.
-
-        Raises: MismatchError.
-        """
+        """Refuse an encoder whose embeddings mean something else. Raises: MismatchError."""
         if not self.encoder.matches(identity):
             raise MismatchError(
-                f"this field was written with {_named(self.encoder)}; the given encoder is "
-                f"{_named(identity)}: use {self.encoder.name} with the same weights, or register "
-                f"again with {identity.name}"
+                f"this field was written with {_named(self.encoder)}; the given encoder is {_named(identity)}: use "
+                f"{self.encoder.name} with the same weights, or register again with {identity.name}"
             )
 
     def verify(self) -> None:

@@ -58,9 +58,8 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     version = manifest.get("version")
     if type(version) is not int or not 1 <= version <= VERSION:
         raise FormatError(
-            f"{path}: version {ascii(version)[:20]} of drsplat "
-            f"{ascii(manifest.get('drsplat'))[:20]}; this one reads 1 to {VERSION}: upgrade, or register "
-            "again"
+            f"{path}: version {ascii(version)[:20]} of drsplat {ascii(manifest.get('drsplat'))[:20]}; this one reads 1 "
+            f"to {VERSION}: upgrade, or register again"
         )
     check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
     files = {name: _tied(path, name, manifest) for name in _names(manifest)}

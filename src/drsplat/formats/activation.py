@@ -14,9 +14,8 @@ from ..scene.gaussians import Gaussians
 
 BLOCK_ROWS = 1 << 13
 CURE = (
-    "Delete these Gaussians in the tool that wrote the file (SuperSplat, or splat-transform "
-    "--filter-nan) and read it again; rows are never dropped here, because the row number is a "
-    "Gaussian's identity"
+    "Delete these Gaussians in the tool that wrote the file (SuperSplat, or splat-transform --filter-nan) and read it "
+    "again; rows are never dropped here, because the row number is a Gaussian's identity"
 )
 SCALE_RANGE = "that are not finite or, after exp(scale_0..2), not in float32's positive range"
 # Column of [three stored, largest] for each of the four components, by the index of the largest.

@@ -43,7 +43,19 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
     if inexact:
         text = f"{path}: cameras.json holds neither principal point nor distortion; lost for {len(inexact)} views: "
         warnings.warn(text + listed(inexact), DrSplatWarning, stacklevel=3)
-    entries = [_entry(index, view) for index, view in enumerate(views)]
+    entries = [
+        {
+            "id": index,
+            "img_name": view.name,
+            "width": view.width,
+            "height": view.height,
+            "position": view.center.tolist(),
+            "rotation": view.cam_from_world[:3, :3].T.tolist(),
+            "fy": float(view.K[1, 1]),
+            "fx": float(view.K[0, 0]),
+        }
+        for index, view in enumerate(views)
+    ]
     with replacing(path, overwrite) as file:
         file.write(json.dumps(entries, indent=1).encode())
 
@@ -60,19 +72,6 @@ def _view(entry: object, where: str) -> View:
     rotation = nearest_rotation(as_matrix(entry["rotation"], 3, 3, f"{where}: rotation"), f"{where}: rotation")
     center = as_vector(entry["position"], 3, f"{where}: position")
     return posed_view(where, name, pinhole(*focal, size[0] / 2, size[1] / 2), inverse_pose(rotation, center), size)
-
-
-def _entry(index: int, view: View) -> dict[str, object]:
-    return {
-        "id": index,
-        "img_name": view.name,
-        "width": view.width,
-        "height": view.height,
-        "position": view.center.tolist(),
-        "rotation": view.cam_from_world[:3, :3].T.tolist(),
-        "fy": float(view.K[1, 1]),
-        "fx": float(view.K[0, 0]),
-    }
 
 
 def _is_inexact(view: View) -> bool:

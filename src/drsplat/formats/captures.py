@@ -73,7 +73,7 @@ def read_views(
     frame = _scene_frame(source, Path(capture), dataparser_transforms)
     if frame is not None:
         views = [frame.view(view) for view in views]
-    return [_limited(view, max_side) for view in _sorted(views, source.path)]
+    return [view.limited(max_side) for view in _sorted(views, source.path)]
 
 
 def read_sparse_points(
@@ -180,11 +180,3 @@ def _sorted(views: list[View], path: Path) -> list[View]:
     if twice:
         raise FormatError(f"{path}: {len(twice)} image names occur more than once: {listed(twice)}")
     return ordered
-
-
-def _limited(view: View, max_side: int | None) -> View:
-    longest = max(view.width, view.height)
-    if max_side is None or longest <= max_side:
-        return view
-    scale = max_side / longest
-    return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))

@@ -49,7 +49,6 @@ def parameter_names(model: str, where: str) -> tuple[str, ...]:
     if model in PARAMETERS:
         return PARAMETERS[model]
     raise FormatError(
-        f"{where}: camera model {model!a} is not supported (supported: "
-        f"{', '.join(PARAMETERS)}): "
-        "run `colmap image_undistorter` and read its output folder"
+        f"{where}: camera model {model!a} is not supported (supported: {', '.join(PARAMETERS)}): run `colmap "
+        "image_undistorter` and read its output folder"
     )

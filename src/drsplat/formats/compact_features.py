@@ -37,10 +37,7 @@ class CompactFile:
     maps: tuple[np.ndarray, ...]
 
     def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
-        """Row of `embeddings` by pixel, -1 for none.
-
-        Raises: FormatError: damaged, or an id without a row.
-        """
+        """Row of `embeddings` by pixel, -1 for none. Raises: FormatError: damaged, or an id without a row."""
         height, width = self.size
         dtype = _dtype(len(self.embeddings))
         raw = _decompressed(

@@ -40,9 +40,8 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
     missing = [name for name in REQUIRED if name not in names]
     if missing:
         raise FormatError(
-            f"no 3DGS PLY: vertex has no {', '.join(missing)}; "
-            f"it has {', '.join(names[:12]) or 'nothing'}. "
-            "Point clouds and meshes have to be trained into Gaussians first"
+            f"no 3DGS PLY: vertex has no {', '.join(missing)}; it has {', '.join(names[:12]) or 'nothing'}. Point "
+            "clouds and meshes have to be trained into Gaussians first"
         )
     sh_names = _sh_names(names)
     rows = read_elements(buffer, header, {"vertex"})["vertex"]
@@ -103,17 +102,13 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
     positions = gaussians.positions if gaussians.origin.any() else gaussians.means
     return {
         **dict(zip(MEANS, positions.T, strict=True)),
-        **{name: _normals(gaussians, name) for name in NORMALS},
+        **{name: np.asarray(gaussians.extra.get(name, np.zeros(len(gaussians))), np.float32) for name in NORMALS},
         **dict(zip(DC, gaussians.sh[:, 0].T, strict=True)),
         **{f"f_rest_{i}": column for i, column in enumerate(rest)},
         "opacity": logit(gaussians.opacities),
         **dict(zip(SCALES, log_scales.T, strict=True)),
         **dict(zip(QUATS, gaussians.quats.T, strict=True)),
     }
-
-
-def _normals(gaussians: Gaussians, name: str) -> Float32[np.ndarray, " n"]:
-    return np.asarray(gaussians.extra.get(name, np.zeros(len(gaussians))), np.float32)
 
 
 def _refuse_unwritable(g: Gaussians) -> None:

@@ -47,10 +47,7 @@ def is_text(value: object) -> bool:
 
 
 def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """For json.loads, which takes the last of two.
-
-    Raises: ValueError: a name is given twice.
-    """
+    """For json.loads, which takes the last of two. Raises: ValueError: a name is given twice."""
     entries = dict(pairs)
     if len(entries) < len(pairs):
         names = [name for name, _ in pairs]

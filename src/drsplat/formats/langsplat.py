@@ -66,9 +66,8 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         self.dim = int(self._files(next(iter(self._keys))).embeddings.shape[1])
         if encoder is not None and encoder.dim != self.dim:
             raise MismatchError(
-                f"{directory}: its embeddings have {self.dim} dimensions, those of "
-                f"{encoder.name} have "
-                f"{encoder.dim}: name the encoder that made them"
+                f"{directory}: its embeddings have {self.dim} dimensions, those of {encoder.name} have {encoder.dim}: "
+                "name the encoder that made them"
             )
 
     def __repr__(self) -> str:
@@ -249,7 +248,7 @@ def _one_level(files: _Pair | CompactFile, level: int) -> LevelFeatures:
     file_rows = np.flatnonzero(used[:-1])
     compact = np.full(len(rows) + 1, -1, np.int32)
     compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
-    return LevelFeatures(compact[ids], _unit_rows(rows, file_rows, files.path), file_rows)
+    return LevelFeatures(compact[ids], unit_rows(rows, file_rows, files.path), file_rows)
 
 
 def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:
@@ -264,9 +263,8 @@ def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"
     if wrong.any():
         y, x = np.argwhere(wrong)[0]
         raise FormatError(
-            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has mask {stored[y, x]}: "
-            "expected -1 or one of "
-            f"the {num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
+            f"{path}: level {LEVELS[level]}, pixel ({x}, {y}) has mask {stored[y, x]}: expected -1 or one of the "
+            f"{num_rows} rows of {path.name.removesuffix(MAPS)}{EMBEDDINGS}"
         )
     return stored.astype(np.int64)
 
@@ -278,7 +276,8 @@ def _map_embeddings(path: Path) -> np.ndarray:
     return rows
 
 
-def _unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
+def unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
+    """Some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)
         norms = np.sqrt((taken**2).sum(1))

@@ -74,9 +74,8 @@ def on_photo(view: View, path: Path) -> View:
     width, height = photo_size(path)
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
-            f"{path}: the photo is {width}x{height}, its camera {view.width}x{view.height}: "
-            "another aspect ratio. "
-            "Use the photos that the camera file was made of (uncropped, not rotated by EXIF)"
+            f"{path}: the photo is {width}x{height}, its camera {view.width}x{view.height}: another aspect ratio. Use "
+            "the photos that the camera file was made of (uncropped, not rotated by EXIF)"
         )
     return replace(view.resized(width, height), image_path=path)
 

@@ -38,10 +38,7 @@ def inverse_pose(rotation: Matrix3, center: Vector3) -> Matrix4:
 
 
 def rotation_from_quaternion(quaternion: tuple[float, ...], where: str) -> Matrix3:
-    """Of (w, x, y, z), of any length but zero.
-
-    Raises: FormatError: a zero or non-finite quaternion.
-    """
+    """Of (w, x, y, z), of any length but zero. Raises: FormatError: a zero or non-finite quaternion."""
     norm = math.hypot(*quaternion)
     if not (math.isfinite(norm) and norm > 1e-12):
         raise FormatError(f"{where}: expected a rotation quaternion, got {quaternion}")
@@ -61,10 +58,8 @@ def nearest_rotation(matrix: Matrix3, where: str) -> Matrix3:
             rotation: Matrix3 = u @ vt
             return rotation
     raise FormatError(
-        f"{where}: expected a rotation (orthonormal columns, determinant +1), got columns of "
-        "lengths "
-        f"{', '.join(f'{length:.6g}' for length in lengths)}: remove scale, shear or mirroring "
-        "from the pose"
+        f"{where}: expected a rotation (orthonormal columns, determinant +1), got columns of lengths "
+        f"{', '.join(f'{length:.6g}' for length in lengths)}: remove scale, shear or mirroring from the pose"
     )
 
 

@@ -77,14 +77,6 @@ def read_scannet_labels(path: Path) -> LabelledCloud:
     return LabelledCloud(_positions(rows, path), labels.astype(np.int32))
 
 
-def read_scannet_points(path: Path) -> Float32[np.ndarray, "n 3"]:
-    """The positions of a `points3d.ply`, in its order.
-
-    Raises: InputError: there is no such file. FormatError: damaged.
-    """
-    return _positions(_vertices(path), path)
-
-
 def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
     """The object of each vertex, from `.segs.json` and `.aggregation.json`.
 
@@ -142,10 +134,7 @@ def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Int32
 
 
 def check_vertices(cloud: LabelledCloud, instances: Instances, where: str) -> None:
-    """Refuse segments of another mesh.
-
-    Raises: MismatchError.
-    """
+    """Refuse segments of another mesh. Raises: MismatchError."""
     if len(cloud.labels) != len(instances.objects):
         raise MismatchError(
             f"{where}: {len(cloud.labels)} labelled vertices but segments of {len(instances.objects)}: "

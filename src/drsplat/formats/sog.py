@@ -36,10 +36,7 @@ Bytes = UInt8[np.ndarray, "n 4"]
 
 
 def read_unpacked_sog(meta: Path) -> Gaussians:
-    """A SOG whose files lie beside its meta.json.
-
-    Raises: FormatError: as `parse_sog`.
-    """
+    """A SOG whose files lie beside its meta.json. Raises: FormatError: as `parse_sog`."""
     return _Sog(folder_member(meta.parent)).gaussians()
 
 

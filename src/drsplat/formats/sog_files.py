@@ -33,10 +33,7 @@ Member = Callable[[str], bytes]
 
 
 def folder_member(folder: Path) -> Member:
-    """Files beside meta.json.
-
-    Raises: FormatError, when called: a name that leads elsewhere, or of no regular file.
-    """
+    """Files beside meta.json. Raises: FormatError, when called: a name that leads elsewhere, or of no regular file."""
 
     def read(name: str) -> bytes:
         path = folder / _bare(name)

@@ -146,9 +146,8 @@ def _refuse_other_lenses(entry: Entry, where: str) -> None:
     if model not in CAMERA_MODELS or entry.get("is_fisheye") or higher_terms:
         lens = f"camera_model {shown(model)}" + (" with terms beyond k2" if higher_terms else "")
         raise FormatError(
-            f"{where}: {lens} is not supported (supported: {', '.join(CAMERA_MODELS)} with k1, "
-            "k2, p1, p2): "
-            "undistort the photos first, with `colmap image_undistorter`"
+            f"{where}: {lens} is not supported (supported: {', '.join(CAMERA_MODELS)} with k1, k2, p1, p2): undistort "
+            "the photos first, with `colmap image_undistorter`"
         )
 
 

@@ -1,9 +1,9 @@
-"""The native core: arrays in, arrays out. The slow float64 twins are in `reference`.
+"""The native core: arrays in, arrays out. A function of the same name in `reference` is its slow float64 twin.
 
 Imports `scene`.
 """
 
-from .algebra import pq_encode, pq_scores, weighted_rows
+from .algebra import pq_encode, weighted_rows
 from .regions import Forest, MergeRule, agglomerate
 from .scan import (
     GroupedRows,
@@ -32,8 +32,8 @@ from .splatting import (
 )
 
 __all__ = [
-    "Contributions", "GroupedRows", "QueryTables", "Rendering", "Scanning", "SplatArrays", "Triples", "available_isas",
-    "default_isa", "group_codes", "lookup_tables", "pq_encode", "pq_scores", "render_channels", "rows_of_groups",
-    "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors", "splat_arrays", "topk_contributions",
-    "view_weights", "weighted_rows",
+    "Contributions", "Forest", "GroupedRows", "MergeRule", "QueryTables", "Rendering", "Scanning", "SplatArrays",
+    "Triples", "agglomerate", "available_isas", "default_isa", "group_codes", "lookup_tables", "pq_encode",
+    "render_channels", "rows_of_groups", "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors",
+    "splat_arrays", "topk_contributions", "view_weights", "weighted_rows",
 ]  # fmt: skip

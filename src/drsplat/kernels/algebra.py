@@ -1,4 +1,4 @@
-"""The algebra after registration (native; float32): rows of W @ E, codes, table look-ups.
+"""The algebra after registration (native; float32): rows of W @ E, codes.
 
 Every function is the same to the bit for any number of threads; `threads=0` takes all cores and
 `isa` names an instruction set of `available_isas()`, "" the best.
@@ -32,7 +32,6 @@ def weighted_rows(
 
     Raises: InputError: no such rows, or a damaged W (row starts that fall, columns out of range).
     Source: Dr. Splat Sec. A "Training stage" (dividing by the sum of weights changes no direction).
-    Twin: kernels.reference_algebra.weighted_rows.
     """
     if not 0 <= begin <= end < len(indptr):
         raise InputError(f"rows {begin}:{end} asked of a matrix of {len(indptr) - 1} rows")
@@ -40,16 +39,10 @@ def weighted_rows(
     low, high = int(starts[0]), int(starts[-1])
     if not 0 <= low <= high <= len(indices) or len(indices) != len(data) or (np.diff(starts) < 0).any():
         raise InputError(f"rows {begin}:{end}: row starts do not fit {len(indices)} columns, {len(data)} weights")
-    columns = np.ascontiguousarray(indices[low:high], np.int32)
+    entries = np.ascontiguousarray(indices[low:high], np.int32), np.ascontiguousarray(data[low:high])
+    given = starts - low, *entries, np.ascontiguousarray(embeddings)
     try:
-        rows = _native.weighted_rows(
-            starts - low,
-            columns,
-            np.ascontiguousarray(data[low:high]),
-            np.ascontiguousarray(embeddings),
-            threads,
-            _checked_isa(isa),
-        )
+        rows = _native.weighted_rows(*given, threads, _checked_isa(isa))
     except ValueError as error:
         raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
     return np.asarray(rows)
@@ -61,7 +54,7 @@ def pq_encode(
     """The nearest of 256 centroids (L2) of each of L sub-vectors, ties to the lowest index.
 
     Raises: InputError: centroids are not (L, 256, D / L), or features are not finite.
-    Source: Jegou et al. 2011.  Twin: kernels.reference_algebra.pq_encode.
+    Source: Jegou et al. 2011.
     """
     subvectors, count, dim = centroids.shape
     if count != CENTROIDS or subvectors * dim != features.shape[1] or dim == 0:
@@ -75,34 +68,3 @@ def pq_encode(
         np.ascontiguousarray(features), np.ascontiguousarray(centroids), threads, _checked_isa(isa)
     )
     return np.asarray(codes)
-
-
-def pq_scores(
-    codes: UInt8[np.ndarray, "n L"],
-    lut: Float32[np.ndarray, "l c"],
-    scale: Float32[np.ndarray, " s"],
-    bias: Float32[np.ndarray, " b"] | None = None,
-    *,
-    threads: int = 0,
-    isa: str = "",
-) -> Float32[np.ndarray, " n"]:
-    """score_i = (bias_i + sum_m lut[m, codes[i, m]]) * scale_i, summed in one order everywhere.
-
-    lut: (L, 256). scale, bias: one per row.
-
-    Raises: InputError: not one table of 256 per sub-vector, or not one scale and bias per row.
-    Source: Jegou et al. 2011, asymmetric distance.  Twin: kernels.reference_algebra.pq_scores.
-    """
-    if lut.shape != (codes.shape[1], CENTROIDS):
-        raise InputError(f"expected a table ({codes.shape[1]}, {CENTROIDS}) for these codes, got {lut.shape}")
-    if scale.shape != (len(codes),) or (bias is not None and bias.shape != scale.shape):
-        raise InputError(f"expected one scale and one bias for each of {len(codes)} rows")
-    scores = _native.pq_scores(
-        np.ascontiguousarray(codes),
-        np.ascontiguousarray(lut),
-        np.ascontiguousarray(scale),
-        None if bias is None else np.ascontiguousarray(bias),
-        threads,
-        _checked_isa(isa),
-    )
-    return np.asarray(scores)

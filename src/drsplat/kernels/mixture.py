@@ -71,18 +71,13 @@ def mixture_encode(
 
     Raises: InputError: shapes disagree, candidates that are no atoms, more than 16 atoms per row.
     Source: Chen, Billings & Luo 1989 (orthogonal least squares).
-    Twin: kernels.reference_mixture.mixture_encode.
     """
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")
-    given = (
-        *_contiguous(dictionary),
-        np.ascontiguousarray(features),
-        np.ascontiguousarray(candidates.indptr, np.int64),
-        np.ascontiguousarray(candidates.columns),
-        np.ascontiguousarray(candidates.further),
-    )
-    found = _refusing(_native.mixture_encode, *given, atoms_per_row, threads, _checked_isa(isa))
+    starts = np.ascontiguousarray(candidates.indptr, np.int64)
+    given = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
+    arrays = (*_contiguous(dictionary), *given)
+    found = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, _checked_isa(isa))
     return Encoded(*map(np.asarray, found))
 
 
@@ -92,7 +87,6 @@ def nearest_centres(
     """The centre of largest inner product with each point, ties to the lowest.
 
     Raises: InputError: no centres, or of another dimension.
-    Twin: kernels.reference_mixture.nearest_centres.
     """
     given = np.ascontiguousarray(points), np.ascontiguousarray(centres)
     return np.asarray(_refusing(_native.nearest_centres, *given, threads, _checked_isa(isa)))
@@ -111,7 +105,6 @@ def nearest_members(
     """The `wanted` atoms with the largest inner products with each point, among the members of its group.
 
     Raises: InputError: groups or members that are not there, or fewer members than wanted.
-    Twin: kernels.reference_mixture.nearest_members.
     """
     given = [np.ascontiguousarray(part) for part in (points, groups, members)]
     arrays = (*_contiguous(dictionary), *given)
@@ -124,7 +117,6 @@ def mixture_scores(
     """scale_i * sum_k weight_ik * <query, atom of id_ik>, where <query, atom> is in steps of 1 / 32767.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
-    Twin: kernels.reference_mixture.mixture_scores.
     """
     given = _scanned(blocks, dictionary), _finite(queries)
     return np.asarray(_refusing(_native.mixture_scores, *given, threads, _checked_isa(isa)))
@@ -176,7 +168,6 @@ def mixture_best(
     """Which query scores best in each row, ties to the first; its score, and the second best.
 
     Raises: InputError: shapes disagree, no query, or one that is not finite.
-    Twin: kernels.reference_mixture.mixture_best.
     """
     given = _scanned(blocks, dictionary), _finite(queries)
     index, scores, runner_up = _refusing(_native.mixture_best, *given, threads, _checked_isa(isa))

@@ -80,7 +80,6 @@ def lookup_tables(
     centroids: number by number, (L, D / L, 256).
 
     Raises: InputError: centroids of another shape.
-    Twin: kernels.reference_scan.lookup_tables.
     """
     subvectors, dim, count = centroids.shape
     if count != CENTROIDS or subvectors * dim != queries.shape[1] or dim == 0:
@@ -97,7 +96,6 @@ def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -
 
     Raises: InputError: arrays that do not fit each other.
     Source: Jegou et al. 2011, asymmetric distance; Dr. Splat Eq. 5-6.
-    Twin: kernels.reference_scan.scan_scores.
     """
     return np.asarray(_native.scan_scores(*_checked(rows, tables, how)))
 

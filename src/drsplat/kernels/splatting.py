@@ -105,8 +105,14 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
     return SplatArrays(means, covariances, opacities, near, placed.origin)
 
 
-def _camera_of(splats: SplatArrays, view: View) -> Float32[np.ndarray, "17"]:
-    return camera_numbers(view.relative_to(splats.origin), splats.near)
+def _seen(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Means, covariances, opacities and the camera."""
+    return (
+        splats.means,
+        splats.covariances,
+        splats.opacities,
+        camera_numbers(view.relative_to(splats.origin), splats.near),
+    )
 
 
 def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
@@ -155,23 +161,17 @@ def view_weights(
     only the first hundred of each ray before the top k are taken, as the published code does.
 
     Raises: InputError: topk or first_hits < 1; a mask map of another size than the view.
-    Source: Dr. Splat Sec. A "Training stage"; 3DGS Eq. 3.  Twin: kernels.reference.view_weights.
+    Source: Dr. Splat Sec. A "Training stage"; 3DGS Eq. 3.
     """
     if mask_ids.shape != (view.height, view.width):
         raise InputError(
             f"view '{view.name}': mask map is {mask_ids.shape[1]}x{mask_ids.shape[0]}, "
             f"the view {view.width}x{view.height}: resize one of them"
         )
-    ids, masks, weights, _ = _native.view_weights(
-        *splats[:3],
-        _camera_of(splats, view),
-        np.ascontiguousarray(mask_ids, np.int32),
-        _positive("topk", topk),
-        _positive("first_hits", first_hits),
-        threads,
-        _checked_isa(isa),
-    )
-    return Triples(ids, masks, weights)
+    pixels = np.ascontiguousarray(mask_ids, np.int32)
+    limits = _positive("topk", topk), _positive("first_hits", first_hits)
+    found = _native.view_weights(*_seen(splats, view), pixels, *limits, threads, _checked_isa(isa))
+    return Triples(*found[:3])
 
 
 def topk_contributions(
@@ -182,19 +182,11 @@ def topk_contributions(
     Descending in weight; ties front to back. 8k bytes per pixel.
 
     Raises: InputError: k < 1.
-    Source: Dr. Splat Sec. A; 3DGS Eq. 3.  Twin: kernels.reference.topk_contributions.
+    Source: Dr. Splat Sec. A; 3DGS Eq. 3.
     """
-    ids, weights = _native.topk_contributions(
-        *splats[:3],
-        _camera_of(splats, view),
-        view.width,
-        view.height,
-        _positive("k", k),
-        _positive("first_hits", first_hits),
-        threads,
-        _checked_isa(isa),
-    )
-    return Contributions(ids, weights)
+    size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
+    found = _native.topk_contributions(*_seen(splats, view), *size, *limits, threads, _checked_isa(isa))
+    return Contributions(*found)
 
 
 def render_channels(
@@ -209,23 +201,14 @@ def render_channels(
     """Composite any per-Gaussian values, front to back, over a background (black if None).
 
     Raises: InputError: not one row of values per Gaussian, or a background of another length.
-    Source: 3DGS Eq. 3.  Twin: kernels.reference.render_channels.
+    Source: 3DGS Eq. 3.
     """
     n, channels = len(splats.opacities), values.shape[1]
     behind = np.zeros(channels, np.float32) if background is None else background
     if len(values) != n or behind.shape != (channels,):
         raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
-    image, alpha, depth = _native.render(
-        *splats[:3],
-        _camera_of(splats, view),
-        view.width,
-        view.height,
-        np.ascontiguousarray(values),
-        np.ascontiguousarray(behind),
-        threads,
-        _checked_isa(isa),
-    )
-    return Rendering(image, alpha, depth)
+    given = view.width, view.height, np.ascontiguousarray(values), np.ascontiguousarray(behind)
+    return Rendering(*_native.render(*_seen(splats, view), *given, threads, _checked_isa(isa)))
 
 
 def sh_colors(
@@ -238,14 +221,7 @@ def sh_colors(
 ) -> Float32[np.ndarray, "n 3"]:
     """Colour of each Gaussian as seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
 
-    Source: 3DGS, "Spherical harmonics".  Twin: kernels.reference.sh_colors.
+    Source: 3DGS, "Spherical harmonics".
     """
-    return np.asarray(
-        _native.sh_colors(
-            np.ascontiguousarray(sh),
-            np.ascontiguousarray(means),
-            np.asarray(center, np.float32),
-            threads,
-            _checked_isa(isa),
-        )
-    )
+    given = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
+    return np.asarray(_native.sh_colors(*given, threads, _checked_isa(isa)))

@@ -101,7 +101,7 @@ def forward(
     near: camera z up to which nothing is drawn, scene units.
 
     Raises: InputError: a degree beyond what is stored; arrays that are not contiguous float32.
-    Source: 3DGS Sec. 4-5.  Twin: kernels.reference_training.
+    Source: 3DGS Sec. 4-5.
     """
     active = (sh_degree + 1) ** 2
     if not 0 <= sh_degree <= 3 or active > parameters.sh.shape[1]:
@@ -109,17 +109,9 @@ def forward(
     for name, array in parameters._asdict().items():
         if array.dtype != np.float32 or not array.flags.c_contiguous:
             raise InputError(f"{name}: expected contiguous float32, got {array.dtype}")
-    native = _native.training_pass(
-        *parameters,
-        camera_numbers(view, near),
-        view.width,
-        view.height,
-        active,
-        np.ascontiguousarray(background, np.float32),
-        threads,
-        _checked_isa(isa),
-    )
-    return TrainingView(native)
+    seen = camera_numbers(view, near), view.width, view.height
+    behind = np.ascontiguousarray(background, np.float32)
+    return TrainingView(_native.training_pass(*parameters, *seen, active, behind, threads, _checked_isa(isa)))
 
 
 def photometric_loss(
@@ -133,7 +125,7 @@ def photometric_loss(
     """(1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
 
     Raises: InputError: images of different sizes.
-    Source: 3DGS Eq. 7; Wang et al. 2004.  Twin: kernels.reference_loss.
+    Source: 3DGS Eq. 7; Wang et al. 2004.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected two images (H, W, 3), got {image.shape} and {target.shape}")
@@ -164,7 +156,7 @@ def adam_step(
 
     Raises: InputError: arrays that are not contiguous float32 of one shape; a constant_rate for
     anything but harmonics.
-    Source: Kingma & Ba 2015, Algorithm 1.  Twin: kernels.reference_loss.
+    Source: Kingma & Ba 2015, Algorithm 1.
     """
     arrays = (parameter, gradient, first_moment, second_moment)
     for array in arrays:
@@ -174,18 +166,6 @@ def adam_step(
             raise InputError("adam_step works in place: all arrays must be contiguous")
     if constant_rate is not None and (parameter.ndim != 3 or parameter.shape[2] != 3):
         raise InputError(f"constant_rate: expected harmonics (N, K, 3), got {parameter.shape}")
-    _native.adam_step(
-        parameter,
-        gradient.reshape(-1),
-        first_moment,
-        second_moment,
-        rate,
-        step,
-        beta1,
-        beta2,
-        epsilon,
-        constant_rate or 0.0,
-        0 if constant_rate is None else 3 * parameter.shape[1],
-        threads,
-        _checked_isa(isa),
-    )
+    given = parameter, gradient.reshape(-1), first_moment, second_moment
+    head: tuple[float, int] = (0.0, 0) if constant_rate is None else (constant_rate, 3 * parameter.shape[1])
+    _native.adam_step(*given, rate, step, beta1, beta2, epsilon, *head, threads, _checked_isa(isa))

@@ -168,9 +168,6 @@ def _joined(levels: list[Masks]) -> Masks:
     if len(sizes) != 1:
         raise InputError(f"levels: expected masks of one image, got sizes {sorted(sizes)}")
     return Masks(
-        levels[0].height,
-        levels[0].width,
-        np.concatenate([masks.boxes for masks in levels]),
-        tuple(part for masks in levels for part in masks.parts),
-        np.concatenate([masks.scores for masks in levels]),
-    )
+        levels[0].height, levels[0].width, np.concatenate([masks.boxes for masks in levels]),
+        tuple(part for masks in levels for part in masks.parts), np.concatenate([masks.scores for masks in levels]),
+    )  # fmt: skip

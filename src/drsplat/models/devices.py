@@ -30,10 +30,7 @@ def chosen_device(device: str = "auto") -> str:
 
 
 def chosen_dtype(dtype: str, device: str) -> str:
-    """What "auto" stands for on a device: half precision where it is faster.
-
-    Raises: InputError: no such dtype.
-    """
+    """What "auto" stands for on a device: half precision where it is faster. Raises: InputError: no such dtype."""
     if dtype not in DTYPES:
         raise InputError(f"dtype: expected one of {', '.join(DTYPES)}, got {dtype!r}")
     if dtype != "auto":

@@ -63,9 +63,8 @@ def _unusable(error: BaseException) -> MissingExtraError:
     fault = torchvision_fault()
     if fault is not None:
         return MissingExtraError(
-            "transformers cannot be imported because the installed torchvision does not fit torch "
-            f"({fault}): drsplat needs no torchvision, so {NO_TORCHVISION}, or install the one of "
-            "this torch"
+            f"transformers cannot be imported because the installed torchvision does not fit torch ({fault}): drsplat "
+            f"needs no torchvision, so {NO_TORCHVISION}, or install the one of this torch"
         )
     return MissingExtraError(
         f"torch and transformers are installed but cannot be imported: {error}. Install them anew: {INSTALL}"

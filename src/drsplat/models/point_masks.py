@@ -118,10 +118,7 @@ class PointSegmenter:
         self.identity: Mapping[str, object] = {**predictor.identity, "settings": asdict(self.settings)}
 
     def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
-        """Masks by level, in the order in which they are painted.
-
-        Raises: InputError: an image without pixels.
-        """
+        """Masks by level, in the order in which they are painted. Raises: InputError: an image without pixels."""
         height, width = image.shape[:2]
         if 0 in (height, width):
             raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")

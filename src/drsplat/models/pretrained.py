@@ -32,9 +32,8 @@ def model_folder(name: str) -> Path:
         return folder
     if folder.exists() or not _ID.fullmatch(name):
         raise InputError(
-            f"{name}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and "
-            f"{OPEN_CLIP}), or an id of the Hugging Face hub such as "
-            "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+            f"{name}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and {OPEN_CLIP}), or an "
+            "id of the Hugging Face hub such as laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
         )
     return _downloaded(name)
 
@@ -182,9 +181,8 @@ def _downloaded(name: str) -> Path:
         ) from error
     except (OSError, errors.LocalEntryNotFoundError) as error:  # all else of the network is OSError
         raise DrSplatError(
-            f"{name}: not in the local cache in full, and the hub cannot be reached "
-            f"({_first_line(error)}). Run once with a network and without HF_HUB_OFFLINE, or copy the "
-            "model's folder here and give its path"
+            f"{name}: not in the local cache in full, and the hub cannot be reached ({_first_line(error)}). Run once "
+            "with a network and without HF_HUB_OFFLINE, or copy the model's folder here and give its path"
         ) from error
 
 

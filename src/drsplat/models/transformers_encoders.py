@@ -159,9 +159,8 @@ class TransformersEncoder:
     def _check_texts(self, texts: Sequence[str]) -> None:
         if not self._family.texts:
             raise InputError(
-                f"{self.identity.name} sees images only and knows no words: query with an image of "
-                "what you look for, or with the embedding of a mask of the scene (a self-referencing "
-                "query)"
+                f"{self.identity.name} sees images only and knows no words: query with an image of what you look for, "
+                "or with the embedding of a mask of the scene (a self-referencing query)"
             )
         if isinstance(texts, str):
             raise InputError(f"texts: expected a list of texts, got the single text {texts!r}")
@@ -197,9 +196,8 @@ class TransformersEncoder:
         bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
         if len(bad):
             raise FormatError(
-                f"{self.identity.name}: the vector of {what} {bad[0]} of {len(rows)} has no direction "
-                f"(zero or not finite): the weights are damaged, or {self.dtype} is too coarse for "
-                "them: try dtype 'float32'"
+                f"{self.identity.name}: the vector of {what} {bad[0]} of {len(rows)} has no direction (zero or not "
+                f"finite): the weights are damaged, or {self.dtype} is too coarse for them: try dtype 'float32'"
             )
         return np.asarray(rows / norms, np.float32)
 

@@ -11,9 +11,8 @@ def no_weights(folder: Path) -> str:
     others = sorted(path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth"))
     if not others:
         return (
-            f"{folder}: has no {WEIGHTS} and no {OPEN_CLIP}: download the model's weights into it. "
-            "Where they are published as a pickle only, put that there and run this again for the command "
-            "that converts it"
+            f"{folder}: has no {WEIGHTS} and no {OPEN_CLIP}: download the model's weights into it. Where they are "
+            "published as a pickle only, put that there and run this again for the command that converts it"
         )
     cure = _converted_open_clip(folder) if others[0].startswith("open_clip") else _converted(folder)
     return (

@@ -32,10 +32,7 @@ class Answer:
 
     @classmethod
     def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
-        """Of values that were made elsewhere, one per row of the field.
-
-        Raises: InputError: not one per row.
-        """
+        """Of values that were made elsewhere, one per row of the field. Raises: InputError: not one per row."""
         if values.shape != (len(field),):
             raise InputError(f"expected {len(field)} values, one per row of the field; got shape {values.shape}")
         return cls(field, None, values, COSINE, threshold, GIVEN, values)

@@ -50,9 +50,8 @@ def encoder_for(
         return _loaded_encoder(field, MiniEncoder.name, device, load)
     raise InputError(
         f"the masks of this field were embedded by '{field.encoder.name}' ({field.encoder.dim}-d), so words must be "
-        "too: pass encoder=NAME (its folder, or its id on the Hugging Face hub), vocabulary=FILE (JSON {text: "
-        "[numbers]}) of texts embedded with it, or one query with "
-        f"vector=FILE.npy ({field.encoder.dim} numbers)"
+        f"too: pass encoder=NAME (its folder, or its id on the Hugging Face hub), vocabulary=FILE (JSON {{text: "
+        f"[numbers]}}) of texts embedded with it, or one query with vector=FILE.npy ({field.encoder.dim} numbers)"
     )
 
 

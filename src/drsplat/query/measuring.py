@@ -114,10 +114,7 @@ class Measuring:
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
     def of_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Answer:
-        """To a picture of a thing.
-
-        Raises: InputError: an encoder of words only. MismatchError: another encoder.
-        """
+        """To a picture of a thing. Raises: InputError: an encoder of words only. MismatchError: another encoder."""
         return self.of_vector(embedded_image(self.background.encoder, picture))
 
     def of_vector(self, vector: Float32[np.ndarray, " D"]) -> Answer:

@@ -192,10 +192,7 @@ class Scene:
         return [Word(*one) for one in best_names(self.encoder, self.field, feature, names, top)]
 
     def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
-        """The unit feature at a Gaussian, a point or a click.
-
-        Raises: InputError: nothing with a feature there.
-        """
+        """The unit feature at a Gaussian, a point or a click. Raises: InputError: nothing with a feature there."""
         if isinstance(place, int | np.integer):
             return self._feature(int(place))
         if isinstance(place[0], str):
@@ -241,7 +238,7 @@ class Scene:
         ids = shown.gaussian_ids if isinstance(shown, Answer) else shown
         chosen = self.best_view(ids) if view is None else view
         chosen = self.view(chosen) if isinstance(chosen, str) else chosen
-        chosen = _limited(chosen, max_side)
+        chosen = chosen.limited(max_side)
         if photo:
             pixels = photo_or_rendering(self.gaussians, chosen, threads=self.threads)
         else:
@@ -284,12 +281,3 @@ def _source(field: LanguageField, encoder: Encoder | Callable[[], Encoder] | Non
     if isinstance(encoder, Encoder) and not isinstance(encoder, type):  # a class makes one
         return lambda: encoder
     return encoder  # type: ignore[return-value]
-
-
-def _limited(view: View, max_side: int | None) -> View:
-    longest = max(view.width, view.height)
-    if max_side is None or longest <= max_side:
-        return view
-    scale = max_side / longest
-    size = (max(1, round(side * scale)) for side in (view.width, view.height))
-    return view.resized(*size)

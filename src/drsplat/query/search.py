@@ -21,10 +21,7 @@ _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s
 
 
 def embed_query(encoder: Encoder, field: LanguageField, text: str) -> Float32[np.ndarray, " D"]:
-    """The unit vector of a text.
-
-    Raises: MismatchError: the field was written with another encoder.
-    """
+    """The unit vector of a text. Raises: MismatchError: the field was written with another encoder."""
     field.check_encoder(encoder.identity)
     return np.asarray(encoder.encode_texts([text])[0], np.float32)
 

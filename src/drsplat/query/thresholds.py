@@ -5,13 +5,12 @@ All follow the scores when these are shifted or scaled, and none depends on thei
 """
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 
 from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
 CUT = 0.6  # of the way to the peak: from the median, or from 0
-BINS, STEPS, SETTLED = 512, 200, 1e-4
 
 Scores = Float[np.ndarray, " r"]
 
@@ -70,68 +69,6 @@ def share_threshold(scores: Scores, share: float) -> float:
     if count == len(scores):
         return float(np.nextafter(scores.min(), scores.dtype.type(-np.inf)))
     return _largest(scores, count + 1)
-
-
-def otsu_threshold(scores: Scores) -> float:
-    """The middle of the gap that splits the scores into the two groups of least variance within.
-
-    Raises: InputError: as `peak_score`.
-    Source: Otsu 1979, without a histogram.
-    """
-    _check(scores)
-    ordered = np.sort(scores.astype(np.float64))
-    centered = ordered - ordered.mean()
-    below, total = np.arange(1, len(ordered)), np.cumsum(centered)[:-1]
-    # of two groups of sizes n0, n1 and sums t, -t about the mean: n0 n1 (mean1 - mean0)^2 = n^2 t^2 / (n0 n1)
-    between = total**2 / (below * (len(ordered) - below))
-    between[np.diff(ordered) == 0] = -1
-    if not (between > 0).any():
-        return float(ordered[-1])
-    best = int(between.argmax())
-    return float((ordered[best] + ordered[best + 1]) / 2)
-
-
-def mixture_threshold(scores: Scores) -> float:
-    """Where the upper of two Gaussians fitted to the scores becomes the likelier one.
-
-    Fitted by expectation maximisation to a histogram, from Otsu's split.
-
-    Raises: InputError: as `peak_score`.
-    """
-    start = otsu_threshold(scores)
-    low, high = float(scores.min()), float(scores.max())
-    if not start < high:
-        return high
-    counts, edges = np.histogram(scores.astype(np.float64), BINS, (low, high))
-    at, weight = (edges[1:] + edges[:-1]) / 2, counts / counts.sum()
-    upper = (at > start).astype(np.float64)
-    floor = ((high - low) / BINS) ** 2  # no component is narrower than a bin
-    for _ in range(STEPS):
-        parts = [_moments(at, weight * share, floor) for share in (1 - upper, upper)]
-        if min(part[0] for part in parts) <= 0:
-            return high
-        before, upper = upper, _posterior(at, *parts)
-        if np.abs(upper - before).max() < SETTLED:
-            break
-    likelier = np.flatnonzero((upper > 0.5) & (at > parts[0][1]))
-    return float(edges[likelier[0]]) if len(likelier) else high
-
-
-Component = tuple[float, float, float]  # weight, mean, variance
-
-
-def _moments(at: Float64[np.ndarray, " b"], weight: Float64[np.ndarray, " b"], floor: float) -> Component:
-    total = float(weight.sum())
-    mean = float(weight @ at) / total if total > 0 else 0.0
-    return total, mean, float(weight @ (at - mean) ** 2) / max(total, 1e-300) + floor
-
-
-def _posterior(at: Float64[np.ndarray, " b"], lower: Component, upper: Component) -> Float64[np.ndarray, " b"]:
-    logs = [
-        np.log(weight / np.sqrt(variance)) - (at - mean) ** 2 / (2 * variance)
-        for weight, mean, variance in (lower, upper)
-    ]
-    return np.asarray(1 / (1 + np.exp(np.clip(logs[0] - logs[1], -500, 500))))
 
 
 def _check(scores: Scores) -> None:

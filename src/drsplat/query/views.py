@@ -8,10 +8,7 @@ from ..scene.views import View
 
 
 def view_named(views: Sequence[View], name: str) -> View:
-    """By file name, with or without suffix.
-
-    Raises: InputError: there is none.
-    """
+    """By file name, with or without suffix. Raises: InputError: there is none."""
     if not views:
         raise InputError(
             f"there is no view '{name}': this scene has none: pass views=CAPTURE, the photos and their poses"

@@ -39,14 +39,3 @@ def pq_decode(codes: UInt8[np.ndarray, "n L"], centroids: Float[np.ndarray, "L c
     """The centroids that the codes name, side by side."""
     rows = centroids.astype(np.float64)[np.arange(codes.shape[1]), codes]
     return np.asarray(rows.reshape(len(codes), -1))
-
-
-def pq_scores(
-    codes: UInt8[np.ndarray, "n L"],
-    lut: Float[np.ndarray, "L c"],
-    scale: Float[np.ndarray, " n"],
-    bias: Float[np.ndarray, " n"] | None = None,
-) -> Float64[np.ndarray, " n"]:
-    """score_i = (bias_i + sum_m lut[m, codes[i, m]]) * scale_i."""
-    sums = lut.astype(np.float64)[np.arange(codes.shape[1]), codes].sum(axis=1)
-    return np.asarray((sums + (0.0 if bias is None else bias)) * scale)

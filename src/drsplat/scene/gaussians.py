@@ -110,14 +110,9 @@ class Gaussians:
         """The Gaussians at `index` (integers or a boolean mask), in that order."""
         extra = {name: column[index] for name, column in self.extra.items()}
         return Gaussians(
-            self.means[index],
-            self.quats[index],
-            self.scales[index],
-            self.opacities[index],
-            self.sh[index],
-            extra,
+            self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
             self.origin,
-        )
+        )  # fmt: skip
 
 
 def _narrowest(positions: Float64[np.ndarray, "n 3"]) -> np.ndarray:

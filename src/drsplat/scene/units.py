@@ -40,9 +40,7 @@ def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
     if away > AWAY * size:
         found.append(
             f"half of the {len(views)} cameras are {away:.3g} units or more from the middle of the Gaussians, which "
-            "are "
-            f"{size:.3g} units large: scene and cameras are hardly of one frame and scale (scenes that nerfstudio "
-            "trained "
-            "need dataparser_transforms=FILE)"
+            f"are {size:.3g} units large: scene and cameras are hardly of one frame and scale (scenes that nerfstudio "
+            "trained need dataparser_transforms=FILE)"
         )
     return found

@@ -64,6 +64,13 @@ class View:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
+    def limited(self, max_side: float | None) -> "View":
+        """With a longer side of so many pixels at most, and the same aspect ratio; None: as it is."""
+        scale = (max_side or np.inf) / max(self.width, self.height)
+        if scale >= 1:
+            return self
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
 
 def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether rasters (width, height) show the same: one is the other scaled, to a whole pixel either way."""

@@ -147,10 +147,7 @@ ANSWERS: Mapping[str, Answering] = {
 
 
 def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
-    """The reply to one of `ANSWERS`.
-
-    Raises: DrSplatError: what the question makes of the scene.
-    """
+    """The reply to one of `ANSWERS`. Raises: DrSplatError: what the question makes of the scene."""
     way = ANSWERS[what]
     answer = way.answer(scene, way.asked(**asked), limits)
     field = scene.field.fingerprint

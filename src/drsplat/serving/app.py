@@ -60,10 +60,7 @@ class Settings:
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The service over the scenes of a folder, as an ASGI application.
-
-    Raises: InputError: no such folder.
-    """
+    """The service over the scenes of a folder, as an ASGI application. Raises: InputError: no such folder."""
     catalog, limits, metrics = (Catalog(Path(settings.folder), settings.sources), settings.limits, Metrics())
     bench = Workbench(Workplace(settings.folder, settings.sources, limits), metrics)
 

@@ -99,10 +99,7 @@ class Catalog:
         read_vocabulary(self.sources.vocabulary)
 
     def checked(self) -> int:
-        """How many scenes there are, for whoever starts a service.
-
-        Raises: InputError: none; as `check_sources`.
-        """
+        """How many scenes there are, for whoever starts a service. Raises: InputError: none; as `check_sources`."""
         self.check_sources()
         number = len(self.folders())
         if not number:
@@ -116,10 +113,7 @@ class Catalog:
         return [self._summary(name, folder) for name, folder in self.folders().items()]
 
     def scene(self, name: str) -> Scene:
-        """Open, or the one that is open.
-
-        Raises: UnknownSceneError. SceneFaultError: its files cannot be opened.
-        """
+        """Open, or the one that is open. Raises: UnknownSceneError. SceneFaultError: its files cannot be opened."""
         folders = self.folders()
         if name not in folders:
             known = ", ".join(map(repr, list(folders)[:LISTED])) or "none"

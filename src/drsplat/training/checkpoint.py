@@ -63,10 +63,7 @@ def _photo_hash(view: View) -> bytes:
 
 
 def save_checkpoint(path: Path, run: Run, capture: str) -> None:
-    """Write the run's state in place of the one before, whole or not at all.
-
-    Raises: InputError: the disk is full.
-    """
+    """Write the run's state in place of the one before, whole or not at all. Raises: InputError: the disk is full."""
     arrays, texts = run.state()
     texts |= {"version": VERSION, "settings": run.settings.fingerprint, "capture": capture}
     texts["iterations"] = str(run.settings.iterations)

@@ -50,7 +50,6 @@ def _memory_explained(run: DeviceRun) -> Iterator[None]:
         yield
     except torch.cuda.OutOfMemoryError as error:
         raise DrSplatError(
-            f"the GPU's memory is full at {len(run):,} Gaussians, in iteration {run.iteration}: "
-            "limit them with max_gaussians=N, or train on smaller photos. "
-            f"{error}"
+            f"the GPU's memory is full at {len(run):,} Gaussians, in iteration {run.iteration}: limit them with "
+            f"max_gaussians=N, or train on smaller photos. {error}"
         ) from error

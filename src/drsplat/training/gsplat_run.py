@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import DrSplatError
 from ..scene.views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
 from .job import Beginning
@@ -95,21 +94,12 @@ class DeviceRun(Run):
     def _rendered(self, view: View) -> tuple[Tensor, dict[str, Any]]:
         tensors = self.scene.tensors
         images, _, seen = self.engine.rasterization(
-            means=tensors["means"],
-            quats=tensors["quats"],
-            scales=torch.exp(tensors["scales"]),
-            opacities=torch.sigmoid(tensors["opacities"]),
-            colors=self.scene.sh,
-            sh_degree=active_sh_degree(self.settings, self.iteration),
-            backgrounds=self._sent(self._background()),
-            viewmats=self._sent(view.cam_from_world),
-            Ks=self._sent(view.K),
-            width=view.width,
-            height=view.height,
-            near_plane=self.near,
-            eps2d=BLUR,
-            packed=False,
-        )
+            means=tensors["means"], quats=tensors["quats"], scales=torch.exp(tensors["scales"]),
+            opacities=torch.sigmoid(tensors["opacities"]), colors=self.scene.sh,
+            sh_degree=active_sh_degree(self.settings, self.iteration), backgrounds=self._sent(self._background()),
+            viewmats=self._sent(view.cam_from_world), Ks=self._sent(view.K), width=view.width, height=view.height,
+            near_plane=self.near, eps2d=BLUR, packed=False,
+        )  # fmt: skip
         return images[0], seen
 
     def _sent(self, array: np.ndarray) -> Tensor:
@@ -125,11 +115,7 @@ class DeviceRun(Run):
         value = float(loss.detach())
         self._lap("loss")
         if not math.isfinite(value):
-            raise DrSplatError(
-                f"the loss is {value} in iteration {self.iteration}: the optimisation has left the "
-                "finite numbers. Check that photos and poses belong together; smaller rates help "
-                "where the scene's unit is extreme"
-            )
+            raise self._diverged()
         self.control.before_backward(seen, self.iteration)
         (loss + self.control.penalty()).backward()  # type: ignore[no-untyped-call]
         return Outcome(value, partial(_psnr, fixed, target))

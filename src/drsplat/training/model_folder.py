@@ -111,15 +111,10 @@ class ModelFolder:
         self.write_json("settings.json", asdict(settings))
         source, images = _source_and_images(views[0])
         arguments = Namespace(
-            data_device="cpu",
-            eval=settings.test_every > 0,
-            images=images,
-            model_path=str(self.path.absolute()),
-            resolution=-1,
-            sh_degree=settings.sh_degree,
-            source_path=str(source.absolute()),
+            data_device="cpu", eval=settings.test_every > 0, images=images, model_path=str(self.path.absolute()),
+            resolution=-1, sh_degree=settings.sh_degree, source_path=str(source.absolute()),
             white_background=settings.background == "white",
-        )
+        )  # fmt: skip
         with replacing(self.path / "cfg_args", overwrite=True) as file:
             file.write(repr(arguments).encode())
 

@@ -93,10 +93,7 @@ class Optimizer:
         return all(np.isfinite(array).all() for array in self.parameters)
 
     def gaussians(self) -> Gaussians:
-        """The scene as it is now, after activation.
-
-        Raises: FormatError: a value that is not finite.
-        """
+        """The scene as it is now, after activation. Raises: FormatError: a value that is not finite."""
         p = self.parameters
         limited = np.clip(p.log_scales, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
         try:

@@ -61,10 +61,7 @@ class Run:
         return len(self.optimizer)
 
     def step(self, threads: int = 0) -> Outcome:
-        """The next iteration.
-
-        Raises: DrSplatError: the loss is no longer a number.
-        """
+        """The next iteration. Raises: DrSplatError: the loss is no longer a number."""
         self._since = time.perf_counter()
         self.iteration += 1
         self.density.before_step(self.optimizer, self.iteration)

@@ -98,9 +98,8 @@ def scene_extent(views: Sequence[View]) -> float:
     farthest = float(np.linalg.norm(centers - mean, axis=1).max())
     if not farthest > IN_ONE_PLACE * (1 + float(np.linalg.norm(mean))):
         raise InputError(
-            f"all {len(views)} cameras are in one place, {np.array2string(mean, precision=3)}: "
-            "depth cannot be learnt from there. Take photos from different places, and check that "
-            "the poses were read from the right file"
+            f"all {len(views)} cameras are in one place, {np.array2string(mean, precision=3)}: depth cannot be learnt "
+            "from there. Take photos from different places, and check that the poses were read from the right file"
         )
     return 1.1 * farthest
 

@@ -58,8 +58,7 @@ def _found(views: Sequence[View], settings: TrainingSettings, rng: np.random.Gen
     warnings.warn(
         f"triangulating {found.photos} photos gave {count:,} of the {FEW} points that would do (they show little "
         f"texture, or little of the same): training starts from {len(drawn):,} random points as well, where several "
-        "cameras look, which "
-        "takes longer and ends worse. Points of another tool can be given (points=FILE)",
+        "cameras look, which takes longer and ends worse. Points of another tool can be given (points=FILE)",
         DrSplatWarning,
         stacklevel=5,
     )

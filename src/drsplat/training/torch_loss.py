@@ -11,10 +11,7 @@ Image = Float32[Tensor, "h w 3"]
 
 
 def photometric_loss(image: Image, target: Image, ssim_weight: float = 0.2) -> Float32[Tensor, ""]:
-    """(1 - w) L1 + w (1 - SSIM), as `kernels.training.photometric_loss`.
-
-    Source: 3DGS Eq. 7; Wang et al. 2004.
-    """
+    """(1 - w) L1 + w (1 - SSIM), as `kernels.training.photometric_loss`. Source: 3DGS Eq. 7; Wang et al. 2004."""
     l1 = (image - target).abs().mean()
     loss: Tensor = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim(image, target))
     return loss

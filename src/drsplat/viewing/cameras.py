@@ -35,10 +35,7 @@ def up_direction(views: Sequence[View]) -> Vector:
 
 
 def named_up(text: str) -> Vector:
-    """The direction of "+z", "-y" and so on.
-
-    Raises: InputError: none of these.
-    """
+    """The direction of "+z", "-y" and so on. Raises: InputError: none of these."""
     if len(text) != 2 or text[0] not in "+-" or text[1] not in "xyz":
         raise InputError(f"up: {text}: expected one of +x -x +y -y +z -z")
     return np.asarray(np.eye(3)["xyz".index(text[1])] * (1 if text[0] == "+" else -1))

@@ -61,10 +61,7 @@ class Page:
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
-    """Write the page.
-
-    Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`.
-    """
+    """Write the page. Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`."""
     if len(page.shown) > MOST:
         raise InputError(f"a page holds up to {MOST:,} Gaussians, got {len(page.shown):,}: show fewer of them")
     arrays = _arrays(page)

@@ -80,28 +80,19 @@ class Session:
         return self._answered([results.result_of(self.scene, one, self.scene.ask(one)) for one in texts])
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
-        """To what a picture shows.
-
-        Raises: InputError: an encoder that sees no images.
-        """
+        """To what a picture shows. Raises: InputError: an encoder that sees no images."""
         answer = self.scene.ask(Query(image=picture))
         return self._answered([results.result_of(self.scene, name, answer)])
 
     def more_like_this(self) -> str:
-        """To what was clicked.
-
-        Raises: InputError: nothing was.
-        """
+        """To what was clicked. Raises: InputError: nothing was."""
         if self.clicked is None:
             raise InputError("click something in the scene first")
         label = f"like this {self.clicked.name}".rstrip()
         return self._answered([replace(self.clicked.alike, label=label)])
 
     def set_threshold(self, number: int, threshold: float) -> str:
-        """Cut the values of one of the queries elsewhere.
-
-        Raises: InputError: no such query, or not a number.
-        """
+        """Cut the values of one of the queries elsewhere. Raises: InputError: no such query, or not a number."""
         if not np.isfinite(threshold):
             raise InputError(f"expected a finite threshold, got {threshold}")
         if not 0 <= number < len(self.results):

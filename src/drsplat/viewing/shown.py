@@ -77,14 +77,9 @@ def shown_of(gaussians: Gaussians, budget: int) -> Shown:
         shown = part.subset(rows).covariances() * frame.scale**2
         covariances[rows] = np.clip(shown, -MOST_VARIANCE, MOST_VARIANCE)
     return Shown(
-        ids,
-        frame.shown(part.positions).astype(np.float32),
-        covariances,
-        base_colors(part),
-        part.opacities,
-        frame,
+        ids, frame.shown(part.positions).astype(np.float32), covariances, base_colors(part), part.opacities, frame,
         len(gaussians) - len(ids),
-    )
+    )  # fmt: skip
 
 
 def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:

@@ -101,18 +101,12 @@ class MixtureCode:
         *,
         threads: int = 0,
     ) -> Hits:
-        """See Code.
-
-        Raises: InputError: a query of another dimension, not finite, or not one floor per row.
-        """
+        """See Code. Raises: InputError: a query of another dimension, not finite, or not one floor per row."""
         atoms = self.atoms.dictionary
         return Hits(*mixture_select(self.blocks, atoms, query, threshold, floor, threads=threads))
 
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
-        """See Code.
-
-        Raises: InputError: a query of another dimension, not finite, or a count below 1.
-        """
+        """See Code. Raises: InputError: a query of another dimension, not finite, or a count below 1."""
         return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
     def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
@@ -207,4 +201,4 @@ def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> PQCode:
         codes[block], nearest = codebook.encode(code.decode(block), threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest
-    return pq_code(codebook, Codes(codes, coarse_ids), threads=threads)
+    return pq_code(codebook, Codes(codes, coarse_ids))

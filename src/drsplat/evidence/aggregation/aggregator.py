@@ -121,10 +121,7 @@ AGGREGATORS: Mapping[str, Aggregator] = MappingProxyType({a.name: a for a in _AL
 
 
 def aggregator(name: str) -> Aggregator:
-    """One of AGGREGATORS.
-
-    Raises: InputError: there is none of that name.
-    """
+    """One of AGGREGATORS. Raises: InputError: there is none of that name."""
     if name not in AGGREGATORS:
         raise InputError(f"no aggregator '{name}': there are {', '.join(AGGREGATORS)}")
     return AGGREGATORS[name]

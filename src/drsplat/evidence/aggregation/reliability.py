@@ -29,9 +29,6 @@ def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarra
 
 
 def reliability(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
-    """R = |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence.
-
-    Source: NormLift (2026), reliability.
-    """
+    """R = |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence. Source: NormLift (2026), reliability."""
     views = effective_views(evidence)
     return np.asarray(resultant_lengths(evidence, threads) * views / (views + 1))

@@ -38,10 +38,7 @@ class Sampling:
             raise InputError(f"near: expected a distance in front of the camera, got {self.near}")
 
     def triples(self, splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], threads: int = 0) -> Triples:
-        """The entries of W of one view.
-
-        Raises: InputError: not of all pixels.
-        """
+        """The entries of W of one view. Raises: InputError: not of all pixels."""
         if self.pixels != "all":
             raise InputError(f"pixels: only all of them can be registered, not '{self.pixels}'")
         return view_weights(splats, view, mask_ids, self.topk, first_hits=self.first_hits, threads=threads)

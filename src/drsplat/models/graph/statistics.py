@@ -42,7 +42,8 @@ def region_graph(labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3
         sums[:, MEAN.start + channel] = np.bincount(flat, values, count)
         sums[:, SQUARE.start + channel] = np.bincount(flat, values**2, count)
         sums[:, _histogram_columns(channel)] = _histograms(flat, values, channel, count)
-    sums[:, FRAME] = np.bincount(_frame(labels), minlength=count)
+    frame = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    sums[:, FRAME] = np.bincount(frame, minlength=count)
     for side in (0, 1):
         sums[:, AROUND] += np.bincount(pairs[:, side], borders[:, LENGTH], count)
     sums[:, TEXTURE] = np.bincount(flat, _texture(lab[..., 0]).ravel(), count)
@@ -60,10 +61,6 @@ def _histograms(
     places = (values / LAB_STEPS - low) * (BINS / (high - low))
     bins = np.clip(places.astype(np.int64), 0, BINS - 1)
     return np.bincount(flat * BINS + bins, minlength=count * BINS).reshape(count, BINS)
-
-
-def _frame(labels: Int64[np.ndarray, "h w"]) -> Int64[np.ndarray, " p"]:
-    return np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
 
 
 def _texture(lightness: Int32[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
