@@ -2,6 +2,7 @@
 
     python benchmarks/study_mini.py world/scenes/table_2 world/scenes/table_4 ... --kept FOLDER
     python benchmarks/study_mini.py --field photos.field --ask "something red" "something blue"
+    python benchmarks/study_mini.py --outline PHOTO 176,105 190,85 215,80 ... --ask "orange carrot" "red bottle"
 
 Masks of the segmenter `graph` in packed rooms of world/scenes. Asked are each name and each "colour name" of
 what is in a room, the names that are not there, and 30 names that are there in colours that they do not
@@ -9,6 +10,7 @@ have. IoU is over Gaussians, by the weight that the photos give them; "nothing":
 found, fewer than 40 Gaussians. The numbers of the rule were chosen on table_1, table_3, room_5 and room_7.
 --kept: where fields and truth of rooms are kept (minutes a room), and found the next time.
 --field, --ask: a field of any scene, and what of several texts is found in it, without a truth.
+--outline, --ask: a thing cut out of a photo by hand, corner by corner, and how well texts and all names fit it.
 """
 
 import argparse
@@ -23,11 +25,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from PIL import Image, ImageDraw
 from study_thresholds import true_things
 
 from benchmarks.suite.masks import features_of
 from benchmarks.suite.scenes import read_scene
 from drsplat import LanguageField, MiniEncoder, Mixture, Scene, load_field, register
+from drsplat.masks.crops import crop
 from drsplat.models.mini.lexicon import COLORS, NAMES
 from drsplat.query.contrast import contrast, relevancy_threshold
 from drsplat.query.thresholds import PEAK, peak_score, threshold_above
@@ -123,17 +127,34 @@ def ask(field: LanguageField, texts: list[str]) -> None:
         print(f"| {text} | {len(answer.gaussian_ids):,} | {before:,} | {share:.2f} |")
 
 
+def fit(photo: str, corners: list[str], texts: list[str]) -> None:
+    """Cosines of texts, and of the names that fit best, with what the corners enclose."""
+    picture = np.asarray(Image.open(photo).convert("RGB"))
+    drawn = Image.new("1", picture.shape[1::-1])
+    ImageDraw.Draw(drawn).polygon([tuple(map(float, corner.split(","))) for corner in corners], fill=1)
+    mask = np.asarray(drawn)
+    left, top, right, bottom = drawn.getbbox()
+    cut = crop(picture, mask[top:bottom, left:right], (left, top, right, bottom))
+    seen = MINI.encode_images([cut])[0]
+    asked, names = ([(float(MINI.encode_texts([t])[0] @ seen), t) for t in some] for some in (texts, MINI.nouns))
+    print("; ".join(f"{text} {cosine:.2f}" for cosine, text in asked))
+    print("of all names:", "; ".join(f"{text} {cosine:.2f}" for cosine, text in sorted(names, reverse=True)[:3]))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rooms", type=Path, nargs="*")
     parser.add_argument("--kept", type=Path, default=Path("kept"))
     parser.add_argument("--field", type=Path)
     parser.add_argument("--ask", nargs="+", default=[])
+    parser.add_argument("--outline", nargs="+", metavar=("PHOTO", "X,Y"))
     arguments = parser.parse_args()
     if arguments.rooms:
         study(arguments.rooms, arguments.kept)
     if arguments.field:
         ask(load_field(arguments.field), arguments.ask)
+    if arguments.outline:
+        fit(arguments.outline[0], arguments.outline[1:], arguments.ask)
 
 
 if __name__ == "__main__":

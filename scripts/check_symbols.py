@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 NATIVE = Path(__file__).resolve().parent.parent / "native"
@@ -19,7 +20,7 @@ UNITS = {"kernels/kernels.cpp": LEVELS, "kernels/scan_kernels.cpp": LEVELS | BYT
 
 def shared_weak_symbols(unit: str, level: str, folder: Path) -> list[str]:
     """Weak symbols of a unit, demangled, outside the namespace drsplat::LEVEL."""
-    target = folder / f"{level}.o"
+    target = folder / f"{Path(unit).stem}_{level}.o"
     compiler = os.environ.get("CXX", "g++")
     flags = ["-O1", "-std=c++17", "-fPIC", "-w", f"-I{NATIVE}", f"-DDRSPLAT_ISA={level}"]
     command = [compiler, *flags, *UNITS[unit][level], "-c", NATIVE / unit, "-o", target]
@@ -33,17 +34,14 @@ def main() -> int:
     if os.uname().machine not in ("x86_64", "amd64"):
         print("not an x86-64 machine: there is only one copy of the kernels")
         return 0
-    with tempfile.TemporaryDirectory() as folder:
-        shared = {
-            (unit, level): shared_weak_symbols(unit, level, Path(folder))
-            for unit, levels in UNITS.items()
-            for level in levels
-        }
-    for (unit, level), names in shared.items():
+    copies = [(unit, level) for unit, levels in UNITS.items() for level in levels]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = list(pool.map(lambda copy: shared_weak_symbols(*copy, Path(folder)), copies))
+    for (unit, level), names in zip(copies, found, strict=True):
         for name in names:
             print(f"{unit}: {name} is weak and outside drsplat::{level}", file=sys.stderr)
-    print(f"{', '.join(LEVELS | BYTES)}: no weak symbol outside its own namespace" if not any(shared.values()) else "")
-    return int(any(shared.values()))
+    print(f"{', '.join(LEVELS | BYTES)}: no weak symbol outside its own namespace" if not any(found) else "")
+    return int(any(found))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,21 @@ import pytest
 from drsplat.demo import story as household
 from furnished.story import Setup, Story, tell
 
+COSTLY = "household_story"
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Tests of a file go to the same process, and so do all files that use the demo: each fixture is made once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFixture(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.split("::")[0]
+            return COSTLY if COSTLY in (config.rootpath / file).read_text(encoding="utf-8") else file
+
+    return ByFixture(config, log)
 
 
 @pytest.fixture(scope="session")
