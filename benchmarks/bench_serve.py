@@ -1,17 +1,19 @@
 """The HTTP service under load on this machine: errors, waiting times, memory.
 
-    python benchmarks/bench_serve.py [--points 1000000] [--workers 2] [--connections 32] [--seconds 60]
+    python benchmarks/bench_serve.py [--points 1000000] [--workers 2] [--connections 32] [--seconds 60] [--at-once 1000]
 
 A made-up room of things that are called by words, which each worker opens. Each connection asks one question after
 the other: of ten, eight are a text to a selection (one scan of all Gaussians), one finds things (scan, groups, boxes),
 one asks what is at a point. Clients run in this process, on the same cores. Memory is of all processes: resident, and
-proportional (what is shared is divided by those who share it), every tenth of the time.
+proportional (what is shared is divided by those who share it), every tenth of the time. Then --at-once connections ask
+for a selection in the same moment.
 """
 
 import argparse
 import asyncio
 import json
 import re
+import resource
 import socket
 import subprocess
 import sys
@@ -72,9 +74,9 @@ class Client:
         while time.perf_counter() < until:
             route, body = self.question()
             start = time.perf_counter()
-            status = await exchange(reader, writer, route, body)
+            head = await exchange(reader, writer, route, body)
             self.times.setdefault(route, []).append(time.perf_counter() - start)
-            self.statuses[status] += 1
+            self.statuses[status_of(head)] += 1
         writer.close()
 
     def question(self) -> tuple[str, dict[str, object]]:
@@ -86,7 +88,8 @@ class Client:
         return "select", {"text": NAMES[thing]}
 
 
-async def exchange(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, route: str, body: object) -> int:
+async def exchange(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, route: str, body: object) -> bytes:
+    """The head of the answer."""
     data = json.dumps(body).encode()
     head = (
         f"POST /scenes/room/{route} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
@@ -96,7 +99,11 @@ async def exchange(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, r
     answer = await reader.readuntil(b"\r\n\r\n")
     length = re.search(rb"content-length: (\d+)", answer, re.IGNORECASE)
     await reader.readexactly(int(length[1]) if length else 0)
-    return int(answer.split(b" ", 2)[1])
+    return answer
+
+
+def status_of(head: bytes) -> int:
+    return int(head.split(b" ", 2)[1])
 
 
 def workers_of(pid: int) -> list[int]:
@@ -132,6 +139,23 @@ async def load(port: int, pids: list[int], given: argparse.Namespace, points: np
     report(clients, time.perf_counter() - start)
 
 
+async def flood(port: int, count: int) -> None:
+    """`count` connections, and as many requests when all are open."""
+    lines = await asyncio.gather(*(asyncio.open_connection("127.0.0.1", port) for _ in range(count)))
+    start = time.perf_counter()
+    asked = (exchange(*line, "select", {"text": NAMES[n % len(NAMES)]}) for n, line in enumerate(lines))
+    heads = await asyncio.gather(*asked, return_exceptions=True)
+    seconds = time.perf_counter() - start
+    cut = sum(isinstance(head, BaseException) for head in heads)
+    statuses = Counter(status_of(head) for head in heads if isinstance(head, bytes))
+    told = sum(isinstance(head, bytes) and b"\r\nretry-after:" in head.lower() for head in heads)
+    print(
+        f"{count:,} requests at once: {dict(statuses)}, {told} with Retry-After, {cut} cut off, within {seconds:.1f} s"
+    )
+    for _, writer in lines:
+        writer.close()
+
+
 def report(clients: list[Client], seconds: float) -> None:
     statuses: Counter[int] = sum((client.statuses for client in clients), Counter())
     errors = sum(count for status, count in statuses.items() if status != 200)
@@ -146,7 +170,9 @@ def report(clients: list[Client], seconds: float) -> None:
 
 
 def main() -> None:
-    given = arguments(__doc__, points=1_000_000, workers=2, connections=32, seconds=60.0)
+    given = arguments(__doc__, points=1_000_000, workers=2, connections=32, at_once=1000, seconds=60.0)
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     with tempfile.TemporaryDirectory() as folder:
         points = write_scene(Path(folder) / "room", given.points)
         size = sum(path.stat().st_size for path in Path(folder).glob("room/room.field/*")) / 2**20
@@ -163,6 +189,7 @@ def main() -> None:
         try:
             wait_for(port)
             asyncio.run(load(port, workers_of(server.pid), given, points))
+            asyncio.run(flood(port, given.at_once))
         finally:
             server.terminate()
             print(f"stopped with {server.wait(60)}")

@@ -280,6 +280,24 @@ def test_a_killed_registration_goes_on_to_the_same_field(
     assert not parts.exists()
 
 
+@pytest.mark.parametrize("kept", [12, 3], ids=["none is removed", "some are"])
+def test_a_registration_killed_while_its_parts_are_removed_is_complete(
+    kept: int, room: Path, codebook: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output, parts = tmp_path / "killed.field", tmp_path / "killed.field.parts"
+    argv = registering(room, output, codebook)
+    assert not answer_of(capsys, *argv, "--parts", parts)["was_complete"]
+    for part in sorted(parts.iterdir())[kept:]:
+        part.unlink()
+    before = files_of(output)
+    assert "exists already" in error_of(capsys, *argv, "--topk", "2")
+    assert parts.exists()
+    assert "it was complete already" in text_of(capsys, *argv)
+    assert files_of(output) == before
+    assert not parts.exists()
+    assert "exists already" in error_of(capsys, *argv)
+
+
 def test_parts_of_other_settings_are_not_used(room: Path, codebook: Path, tmp_path: Path, capsys: Capture) -> None:
     parts = ["--parts", tmp_path / "parts", "--overwrite"]
     argv = [*registering(room, tmp_path / "a.field", codebook), *parts]

@@ -1,6 +1,8 @@
 """The demo: the scene that ships, its truth, its answers, its pictures and page."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -28,6 +30,26 @@ def test_the_scene_is_small() -> None:
 
 def test_no_model_has_learned_from_the_scene() -> None:
     assert json.loads((SHIPPED / "truth.json").read_text())["split"] == "test"
+
+
+FULL = """
+import resource, sys
+from drsplat.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+sys.exit(main(["demo", "--output-dir", sys.argv[1]]))
+"""
+
+
+def test_a_full_disk_is_told_in_one_sentence(tmp_path: Path) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path / "room")], capture_output=True, text=True, check=False
+    )  # fmt: skip
+    (line,) = ran.stderr.splitlines()
+    assert ran.returncode == 1
+    assert line.startswith(f"drsplat: error: {tmp_path / 'room'}")
+    assert "there is no room left to write it" in line
+    assert "[" not in line
+    assert not list((tmp_path / "room").rglob("*.tmp"))
 
 
 def test_every_question_is_about_things_in_the_room_or_about_none() -> None:

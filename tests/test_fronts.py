@@ -213,7 +213,7 @@ def test_http(asked: Asked, room: Scene, catalog: Catalog) -> None:
 
 @named([asked for asked in GOOD if asked.in_words])
 def test_language_models(asked: Asked, room: Scene, catalog: Catalog) -> None:
-    told = Conversation(catalog).locate(asked.query["text"], None, "", 20).model_dump()
+    told = Conversation(room, "room").locate(asked.query["text"], top=20).model_dump()
     expected = room.ask(asked.query["text"])
     same_numbers(told["measured"], expected, 1e-5)
     assert told["num_matches"] == len(room.locate(expected))
@@ -268,7 +268,7 @@ def test_bad_input_is_told_in_the_same_words(
     assert answer["kind"] == type(caught.value).__name__
     if asked.in_words:
         with pytest.raises(DrSplatError) as of_mcp:
-            Conversation(catalog).locate(asked.query["text"], None, "", 5)
+            Conversation(room, "room").locate(asked.query["text"])
         with pytest.raises(DrSplatError) as of_viewer:
             Session(room).ask(asked.query["text"])
         assert str(of_mcp.value) == str(of_viewer.value) == str(caught.value)

@@ -7,6 +7,7 @@ import dataclasses
 import inspect
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -139,9 +140,15 @@ def openapi(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def tools(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     pytest.importorskip("mcp")
     from drsplat.serving.catalog import Catalog
+    from drsplat.serving.limits import Limits
+    from drsplat.serving.metrics import Metrics
     from drsplat.serving.tools import make_server
+    from drsplat.serving.workbench import Workbench
+    from drsplat.serving.worker import Workplace
 
-    return asyncio.run(make_server(Catalog(tmp_path_factory.mktemp("scenes"))).list_tools())
+    folder = tmp_path_factory.mktemp("scenes")
+    with closing(Workbench(Workplace(str(folder)), Metrics())) as bench:
+        return asyncio.run(make_server(Catalog(folder), bench, Limits()).list_tools())
 
 
 def test_the_glossary_names_what_is_retired() -> None:

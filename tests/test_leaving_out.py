@@ -1,5 +1,6 @@
 """--without: photos that are kept for measuring."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,10 @@ def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Ca
     field = ds.load_field(output)
     assert field.evidence is not None
     assert field.evidence.masks.view_names == ("photo_1.png", "photo_3.png")
+    assert field.left_out == ("photo_0.png", "photo_2.png")
+    assert answer_of(capsys, "inspect", output)["left_out"] == ["photo_0.png", "photo_2.png"]
+    again = ds.Registration.from_field(field)
+    assert again.to_field(ds.Mixture()).left_out == field.left_out
     models = ["--segmenter", "graph", "--encoder", "drsplat-mini", "--output", room / "made"]
     answer = answer_of(capsys, "embed", capture, *models, "--without", "every:3")
     assert (answer["num_photos"], answer["left_out"]) == (2, ["photo_0.png", "photo_3.png"])
@@ -60,9 +65,36 @@ def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Ca
     assert "no photo has" in error_of(capsys, *register, "-o", room / "b.field", "--without", _names(room))
 
 
-def _names(room: Path) -> Path:
+def test_fields_with_other_photos_left_out_are_told_apart(tmp_path: Path, capsys: Capture) -> None:
+    """Even where the photo shows nothing of the scene, so that all features are the same."""
+    room = write_toy_capture(tmp_path)
+    argv = ["register", room / "scene.ply", room / "capture", "--features", room / "capture/language_features"]
+    for name, without in (("a", []), ("b", ["--without", _names(room, "photo_1")])):
+        answer_of(capsys, *argv, "--output", room / f"{name}.field", *without)
+    a, b = (ds.load_field(room / f"{name}.field") for name in "ab")
+    assert (a.left_out, b.left_out) == ((), ("photo_1.png",))
+    bare = replace(b, left_out=())
+    assert bare.fingerprint != b.fingerprint
+    assert not bare.equals(b)
+    assert a.equals(ds.load_field(room / "a.field"))
+    (room / "b.field.parts").mkdir()  # of a run that was killed: it is not taken for another one
+    assert "exists already" in error_of(capsys, *argv, "--output", room / "b.field")
+    assert ds.load_field(room / "b.field").equals(b)
+
+
+def test_photos_left_out_of_one_shard_and_registered_in_the_other_are_in(tmp_path: Path) -> None:
+    room = write_toy_capture(tmp_path)
+    gaussians, views = ds.read_gaussians(room / "scene.ply"), ds.read_views(room / "capture")
+    features = ds.read_features(room / "capture/language_features")
+    halves = [ds.register(gaussians, half, features) for half in (views[:2], views[2:])]
+    names = [view.name for view in views]
+    one = replace(halves[0], left_out=(names[2], "x.png"))
+    assert one.merged(replace(halves[1], left_out=("a.png",))).left_out == ("a.png", "x.png")
+
+
+def _names(room: Path, name: str = "photo_9") -> Path:
     file = room / "names.txt"
-    file.write_text("photo_9\n")
+    file.write_text(f"{name}\n")
     return file
 
 

@@ -422,6 +422,12 @@ def test_a_codebook_from_annotations(tmp_path, fake_encoder, capsys):
     assert answer["num_held_out"] == 1
     assert not Path(f"{output}.parts").exists()
     assert "exists already" in run(capsys, *command, code=1)
+    parts = Path(f"{output}.parts")  # as a run leaves them that is killed before they are removed
+    parts.mkdir()
+    assert "exists already" in run(capsys, *command, "--seed", 1, code=1)
+    parts.mkdir(exist_ok=True)
+    assert json.loads(run(capsys, *command, "--json"))["was_complete"]
+    assert not parts.exists()
     said = run(capsys, *command, "--overwrite", "--limit", "all")
     assert "1 held out" in said
     assert "0 missing" in said

@@ -4,6 +4,7 @@ import asyncio
 import base64
 import io
 import json
+import os
 import re
 import signal
 import socket
@@ -23,6 +24,7 @@ from PIL import Image
 
 from command_line import Capture, error_of
 from drsplat.demo import story as household
+from processes import children_of
 
 pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
 
@@ -189,6 +191,10 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
         assert [one for one in every["matches"] if one in on_table["matches"]] == on_table["matches"]
         nothing = await told(client, "locate", text="toys", on="sofa")
         assert (nothing["num_matches"], "none on the sofa" in nothing["advice"]) == (0, True)
+        free = await told(client, "locate", text="toys", box="free")
+        assert [one["center"] for one in free["matches"]] != [one["center"] for one in every["matches"]]
+        assert all(abs(one["axes"][2][2]) > 0.99 for one in every["matches"])
+        assert not all(abs(one["axes"][2][2]) > 0.99 for one in free["matches"])
         about = await told(client, "about_scene")
         assert about["up"][2] > 0.99
         assert (about["units"], about["num_photos"]) == ("scene units", 48)
@@ -258,6 +264,42 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
 
     with http_server(tmp_path) as url:
         asyncio.run(talk(url))
+
+
+def test_what_takes_too_long_is_ended_and_the_next_question_is_answered(room: Path) -> None:
+    async def talk(url: str) -> None:
+        async with Client(url) as client:
+            await answered(client)
+            (server,) = children_of(os.getpid(), b"mcp")
+            (worker,) = children_of(server)
+            os.kill(worker, signal.SIGSTOP)
+            assert await refused(client, "locate", text="candle") == "no answer within 4 s: ask for less, or later"
+            await answered(client)
+            assert worker not in children_of(server)
+
+    async def answered(client: Client) -> None:
+        """Opening a scene may take longer than a request."""
+        while (await client.call_tool("locate", {"text": "candle"})).is_error:
+            await asyncio.sleep(0.5)
+
+    with http_server(room, "--timeout", "4") as url:
+        asyncio.run(talk(url))
+
+
+def test_a_signal_ends_the_process_that_computes_too(room: Path) -> None:
+    async def talk(client: Client) -> int:
+        await told(client, "list_scenes")
+        (server,) = children_of(os.getpid(), b"mcp")
+        (worker,) = children_of(server)
+        os.kill(server, signal.SIGTERM)
+        return worker
+
+    worker = over_stdio(room, talk)
+    for _ in range(600):
+        if not Path(f"/proc/{worker}").exists():
+            return
+        time.sleep(0.1)
+    raise AssertionError("the process outlived the one that started it")
 
 
 def test_what_cannot_start_says_why(tmp_path: Path, capsys: Capture) -> None:

@@ -137,7 +137,7 @@ def test_a_damaged_matrix_is_refused(broken: str) -> None:
         w.indptr[3] = w.indptr[5] + 1
     else:
         w.indices[0] = 20 if broken == "too large" else -1
-    with pytest.raises(InputError, match="column|row starts"):
+    with pytest.raises(InputError, match=r"column|row starts"):
         agglomerate(w, views, embeddings, line(40), THRESHOLDS, RULE)
 
 

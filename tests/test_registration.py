@@ -313,6 +313,12 @@ def test_masks_of_another_shape_are_refused(gaussians):
         ((64, 48), (48, 64), False),
         ((4032, 3024), (1440, 1080), True),
         ((1000, 999), (1000, 1000), True),
+        ((640, 480), (8, 6), True),
+        ((500, 375), (31, 23), True),
+        ((640, 480), (1, 1), False),
+        ((640, 480), (2, 2), False),
+        ((1920, 1080), (3, 1), False),
+        ((640, 640), (1, 1), True),
     ],
 )
 def test_rasters_of_the_same_shape(one, other, same):

@@ -27,6 +27,7 @@ from drsplat import LanguageField, MiniEncoder, load_field
 from drsplat.codes import PQCode
 from drsplat.demo import story as household
 from drsplat.query import Query, open_scene
+from processes import children_of
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[serve] is not installed")
@@ -296,11 +297,13 @@ def test_who_has_no_key_is_told(folder: Path) -> None:
     closed = Service(folder, key=KEY)
     assert "Bearer" in reason(closed("GET", "/scenes"), 401)
     for header in (
-        {"authorization": "Bearer wrong"}, {"x-api-key": KEY[:-1]}, {"x-api-key": ""}, {"authorization": KEY[1:]},
+        {"authorization": "Bearer wrong"}, {"authorization": KEY}, {"authorization": f"Basic {KEY}"},
+        {"x-api-key": KEY[:-1]}, {"x-api-key": ""},
     ):  # fmt: skip
         reason(closed("GET", "/scenes", headers=header), 401)
         reason(closed("GET", "/metrics", headers=header), 401)
-    told(closed("GET", "/scenes", headers={"authorization": f"Bearer {KEY}"}))
+    for scheme in ("Bearer", "bearer", "BEARER"):
+        told(closed("GET", "/scenes", headers={"authorization": f"{scheme} {KEY}"}))
     told(closed("GET", "/scenes", headers={"x-api-key": KEY}))
     told(closed("GET", "/health"))
 
@@ -560,12 +563,6 @@ def wait_for(true: Any) -> None:
             return
         time.sleep(0.1)
     raise AssertionError("it did not happen within a minute")
-
-
-def children_of(pid: int) -> list[int]:
-    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    commands = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in listed}
-    return [child for child, command in commands.items() if b"drsplat.serving.worker" in command]
 
 
 @pytest.mark.slow

@@ -173,8 +173,11 @@ def test_a_camera_can_look_straight_down_but_not_at_itself() -> None:
 
 def test_up_is_what_the_photos_call_up() -> None:
     views = [look_at_view((np.cos(a), np.sin(a), 0.5)) for a in np.linspace(0, 6, 9)]
-    np.testing.assert_array_equal(cameras.up_direction(views), UP)
-    np.testing.assert_array_equal(cameras.up_direction([]), (0, -1, 0))
+    field = boxes_scene().field
+    np.testing.assert_allclose(cameras.up_direction(Scene(field, views=views)), UP, atol=1e-12)
+    np.testing.assert_array_equal(cameras.up_direction(Scene(field)), (0, -1, 0))
+    leaning = np.array([0.1, 0.0, np.sqrt(0.99)])  # as the field has it, so its boxes stand: not along the nearest axis
+    np.testing.assert_array_equal(cameras.up_direction(Scene(replace(field, up=leaning), views=views)), leaning)
     np.testing.assert_array_equal(cameras.named_up("-y"), (0, -1, 0))
     with pytest.raises(InputError, match="expected one of"):
         cameras.named_up("z")

@@ -67,7 +67,7 @@ def live(session: Session, chromium: Any, tmp_path_factory: pytest.TempPathFacto
     from drsplat.viewing.window import Window
 
     own = Session(session.scene, BUDGET)
-    window = Window(own, up_direction(own.scene.views), port=8931)
+    window = Window(own, up_direction(own.scene), port=8931)
     panel = Panel(window, tmp_path_factory.mktemp("saved"))
     try:
         with a_page(chromium) as page:

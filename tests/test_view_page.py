@@ -36,7 +36,7 @@ def session(household_story: Story, household_folder: Path) -> Session:
 def exported(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "room.html"
     scene = session.scene
-    up = up_direction(scene.views)
+    up = up_direction(scene)
     look = first_look(scene.views, session.shown.frame, up)
     write_page(path, page_of(session, ["red vase", "couch", "laptop"], look, up, "A <room>"))
     return path

@@ -42,6 +42,7 @@ class Registration:
     evidence: the weights (N, M), the view and mask behind each column, one embedding per column.
     scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
     looked at; None: unknown. up: the direction that is up in the photos (`boxes.upward`); None: they do not tell.
+    left_out: names of photos that were kept from it on purpose.
     """
 
     evidence: Evidence
@@ -49,6 +50,7 @@ class Registration:
     encoder: EncoderIdentity
     sampling: Sampling | None = None
     up: Float64[np.ndarray, " 3"] | None = None
+    left_out: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         count, masks = self.weights.shape
@@ -73,7 +75,7 @@ class Registration:
         indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
         weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
         evidence = replace(field.evidence, weights=weights)
-        return cls(evidence, field.scene, field.encoder, field.aggregator.sampling, field.up)
+        return cls(evidence, field.scene, field.encoder, field.aggregator.sampling, field.up, field.left_out)
 
     @property
     def weights(self) -> csr_array:
@@ -120,7 +122,7 @@ class Registration:
             self.evidence, self.scene, self.encoder, code,
             aggregated=aggregated, threads=threads, track=track,
         )  # fmt: skip
-        return replace(field, up=self.up)
+        return replace(field, up=self.up, left_out=self.left_out)
 
     def _check(self, how: Aggregator, gaussians: Gaussians | None) -> None:
         wanted = how.sampling
@@ -161,7 +163,8 @@ class Registration:
         if twice:
             raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
         evidence = _merge(self.evidence, other.evidence)
-        return replace(self, evidence=evidence, up=_between(self.up, other.up))
+        left_out = {*self.left_out, *other.left_out} - {*evidence.masks.view_names}
+        return replace(self, evidence=evidence, up=_between(self.up, other.up), left_out=tuple(sorted(left_out)))
 
 
 def register(

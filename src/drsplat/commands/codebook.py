@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .embed import ENCODER, ENCODER_HELP, add_device, image_encoder
-from .options import add_overwrite, count, count_or_all, new_output, tracker, whole, words
+from .options import add_overwrite, count, count_or_all, tracker, whole, words
+from .parts import COMPLETE, new_or_complete, parts_of, was_complete
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,25 +65,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..codes import save_codebook
+    from ..codes import load_codebook, save_codebook
     from ..errors import InputError
     from ..progress import Stopwatch, peak_memory_bytes
 
-    output = new_output(arguments.output, arguments.overwrite, ".safetensors")
+    output = new_or_complete(arguments.output, arguments.overwrite, ".safetensors")
     if (arguments.features is None) == (arguments.lvis is None):
         raise InputError("codebook train: give either FEATURES.npy or --lvis with --images")
     watch = Stopwatch()
-    parts = Path(f"{output}.parts")
+    parts = parts_of(output)
     rows, encoder, facts = _embedded(arguments, parts) if arguments.features is None else _given(arguments)
     watch.lap("embed")
     codebook, cosines = _trained(rows, encoder, arguments)
     watch.lap("train")
-    save_codebook(codebook, output, overwrite=arguments.overwrite)
+    complete = was_complete(output, arguments.overwrite, lambda: load_codebook(output).hash == codebook.hash)
+    if not complete:
+        save_codebook(codebook, output, overwrite=arguments.overwrite)
     del rows
     if arguments.features is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
         "codebook": str(output),
+        "was_complete": complete,
         "encoder": encoder.name,
         "dim": encoder.dim,
         "num_subvectors": codebook.num_subvectors,
@@ -114,7 +118,7 @@ def show(answer: dict[str, Any]) -> None:
     if "num_photos" in answer:
         facts["photos"] = f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
         facts["left out"] = counted(answer["num_left_out"], "patch", "patches")
-    show_facts(f"trained: {answer['codebook']}", facts)
+    show_facts(f"trained: {answer['codebook']}{COMPLETE if answer['was_complete'] else ''}", facts)
 
 
 def _embedded(arguments: argparse.Namespace, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:

@@ -164,6 +164,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         **code_facts(field.code),
         "scene": field.scene,
         "aggregator": field.aggregator.name,
+        "left_out": list(field.left_out),
         "num_views": None if evidence is None else len(evidence.masks.view_names),
         "num_masks": None if evidence is None else len(evidence.masks),
         "num_weights": None if evidence is None else int(evidence.weights.nnz),

@@ -6,7 +6,9 @@ import argparse
 from pathlib import Path
 
 from ..serving.access import is_loopback, names_of
-from .options import PORT
+from .options import PORT, length, up_to
+
+MOST_WORKERS = 256  # processes
 
 
 def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
@@ -20,6 +22,16 @@ def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
         help="file with the key that every request has to send: Authorization: Bearer KEY",
     )  # fmt: skip
     parser.add_argument("--open", action="store_true", help="allow another --host without a key, for anyone")
+
+
+def add_computing(parser: argparse.ArgumentParser, workers: int) -> None:
+    parser.add_argument(
+        "--workers", type=up_to(MOST_WORKERS), default=workers, metavar="N",
+        help=f"processes that compute, one request at a time each; others wait (default: {workers})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--timeout", type=length, default=30.0, metavar="SECONDS", help="longest time of a request (default: 30)"
+    )
 
 
 def checked_key(arguments: argparse.Namespace) -> str | None:

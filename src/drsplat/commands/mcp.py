@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from .listening import add_listening, checked_key, own_names
+from .listening import add_computing, add_listening, checked_key, own_names
 from .options import add_query_encoders
 
 SUMMARY = "let language models query the scenes of a folder (Model Context Protocol)"
@@ -24,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", help="folder of a scene, or folder of such folders")
     parser.add_argument("--http", action="store_true", help="serve streamable HTTP at /mcp instead of stdin and stdout")
     add_listening(parser, port=8766)
+    add_computing(parser, workers=1)
     add_query_encoders(parser)
 
 
@@ -31,23 +33,30 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..errors import InputError
     from ..serving.libraries import require
 
-    require("mcp", "mcp")
+    require("mcp", "mcp", "prometheus_client")
     if arguments.json and not arguments.http:
         raise InputError("--json goes with --http: stdout speaks the protocol")
     key = checked_key(arguments)
 
     from ..serving.catalog import Catalog, Sources
+    from ..serving.limits import Limits
+    from ..serving.metrics import Metrics
     from ..serving.speaking import over_http, over_stdio
     from ..serving.tools import make_server
+    from ..serving.workbench import Workbench
+    from ..serving.worker import Workplace
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
     catalog = Catalog(Path(arguments.folder), sources)
     catalog.check_sources()
-    server = make_server(catalog)
-    if arguments.http:
-        over_http(server, arguments.host, arguments.port, key, own_names(arguments))
-    else:
-        over_stdio(server)
+    limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
+    bench = Workbench(Workplace(arguments.folder, sources, limits), Metrics())
+    server = make_server(catalog, bench, limits)
+    with closing(bench):
+        if arguments.http:
+            over_http(server, arguments.host, arguments.port, key, own_names(arguments))
+        else:
+            over_stdio(server)
     return {"stopped": True}
 
 

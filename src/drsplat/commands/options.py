@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ..codes import Track
+    from ..errors import InputError
     from ..scene.views import View
 
 MOST = 2**31 - 1  # the kernels count with 32 bits
@@ -148,7 +149,13 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
     from ..errors import InputError
 
     if Path(path).exists() and not overwrite:
-        raise InputError(f"{path} exists already: pass --overwrite to replace it, or name another output")
+        raise exists_already(path)
     if suffix and Path(path).suffix.lower() != suffix:
         raise InputError(f"{path}: expected a name that ends in {suffix}")
     return Path(path)
+
+
+def exists_already(path: str | Path) -> InputError:
+    from ..errors import InputError
+
+    return InputError(f"{path} exists already: pass --overwrite to replace it, or name another output")

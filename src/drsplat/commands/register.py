@@ -16,12 +16,12 @@ from .options import (
     add_overwrite,
     count,
     count_or_all,
-    new_output,
     tracker,
     views_of,
     whole,
     words,
 )
+from .parts import COMPLETE, new_or_complete, parts_of, was_complete
 
 if TYPE_CHECKING:
     from ..codes import Codebook, CodeSpecification
@@ -123,14 +123,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.claiming import claimed_output
     from ..formats.field_folder import refuse_to_replace_others
 
-    output = new_output(arguments.output, arguments.overwrite)
+    output = new_or_complete(arguments.output, arguments.overwrite)
     refuse_to_replace_others(output)
     with claimed_output(output):
         return _registered(arguments, output)
 
 
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
-    from .. import register
+    from .. import load_field, register
     from ..evidence.aggregation import aggregator
     from ..progress import Stopwatch, peak_memory_bytes
 
@@ -139,21 +139,25 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     sampling = _sampling(arguments, how)
     gaussians, views, without, features, code = _read(arguments)
     watch.lap("read")
-    parts = Path(arguments.parts or f"{output}.parts")
+    parts = Path(arguments.parts or parts_of(output))
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
     registration = register(gaussians, views, features, sampling, parts=parts, **shared)
     watch.lap("register")
+    registration = replace(registration, left_out=tuple(sorted(without)))
     field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
     field = _with_words(field, arguments.features)
     watch.lap("code")
-    field.save(output, overwrite=arguments.overwrite)
+    complete = was_complete(output, arguments.overwrite, lambda: load_field(output).equals(field))
+    if not complete:
+        field.save(output, overwrite=arguments.overwrite)
     watch.lap("save")
     computed = len(_written(parts).items() - before.items())
     if arguments.parts is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
         "field": str(output),
+        "was_complete": complete,
         **_facts(registration, field),
         "num_views_reused": len(registration.masks.view_names) - computed,
         "left_out": sorted(without),
@@ -225,7 +229,7 @@ def show(answer: dict[str, Any]) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     registered = answer["num_registered"] / max(1, answer["num_gaussians"])
     show_facts(
-        f"registered: {answer['field']}",
+        f"registered: {answer['field']}{COMPLETE if answer['was_complete'] else ''}",
         {
             "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({registered:.1%})",
             "views": f"{said(answer['num_views'])}{reused}{out}",

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .listening import add_listening, checked_key, own_names
-from .options import add_query_encoders, length, up_to
+from .listening import add_computing, add_listening, checked_key, own_names
+from .options import add_query_encoders
 
 SUMMARY = "answer queries on the scenes of a folder over HTTP"
 EXAMPLES = """\
@@ -18,19 +18,12 @@ EXAMPLES = """\
 
 scenes is a folder with a field and its scene, or with one of these in each subfolder. /docs and /openapi.json describe
 all routes; docs/serve.md has examples."""
-MOST_WORKERS = 256  # processes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", help="folder of a scene, or folder of such folders")
     add_listening(parser, port=8765)
-    parser.add_argument(
-        "--workers", type=up_to(MOST_WORKERS), default=2, metavar="N",
-        help="processes that compute, one request at a time each; others wait (default: 2)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--timeout", type=length, default=30.0, metavar="SECONDS", help="longest time of a request (default: 30)"
-    )
+    add_computing(parser, workers=2)
     parser.add_argument(
         "--allow-origin", action="append", default=[], metavar="ORIGIN",
         help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be "

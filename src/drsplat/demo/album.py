@@ -18,6 +18,7 @@ from ..drawing.pictures import (
     zoomed,
 )
 from ..drawing.rendering import render
+from ..formats.replacing import saying_what_is_full
 from ..scene.views import View
 from ..terminal import counted
 from .story import Story, Verdict
@@ -27,7 +28,8 @@ OVERVIEW = "overview.png"
 
 def write_album(folder: Path, story: Story, *, overwrite: bool = False) -> list[Path]:
     """A PNG per answer in folder/answers and folder/overview.png; returns their paths, the overview first."""
-    (folder / "answers").mkdir(parents=True, exist_ok=True)
+    with saying_what_is_full(folder / "answers"):
+        (folder / "answers").mkdir(parents=True, exist_ok=True)
     paths, pictures = [folder / OVERVIEW], []
     found = [verdict.gaussian_ids for verdict in story.verdicts]
     views = best_views(story.gaussians, story.held_out + story.views, found)

@@ -15,6 +15,7 @@ from jaxtyping import Bool
 from PIL import Image
 
 from ..errors import InputError
+from ..formats.replacing import replacing, saying_what_is_full
 
 SCENE = "scene.compressed.ply"
 
@@ -37,13 +38,23 @@ class Household:
 def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
     """Copy the scene's files to `folder`, where a user finds them.
 
-    Raises: InputError: the folder has something in it and not `overwrite`.
+    Raises: InputError: the folder has something in it and not `overwrite`, or cannot be written to; the disk is full.
     """
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
         raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True to replace it")
     with as_file(files(__package__) / "scene") as shipped:
-        shutil.copytree(shipped, folder, dirs_exist_ok=True)
+        _copy(shipped, folder)
     return read_household(folder)
+
+
+def _copy(shipped: Path, folder: Path) -> None:
+    for file in sorted(shipped.rglob("*")):
+        if file.is_file():
+            place = folder / file.relative_to(shipped)
+            with saying_what_is_full(place.parent):
+                place.parent.mkdir(parents=True, exist_ok=True)
+            with file.open("rb") as given, replacing(place, overwrite=True) as taken:
+                shutil.copyfileobj(given, taken)
 
 
 def read_household(folder: Path) -> Household:

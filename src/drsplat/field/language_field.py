@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.metadata
+import json
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -62,7 +63,8 @@ class LanguageField:
     fingerprint of the N Gaussians. evidence: rows aligned with gaussian_ids, or None where it was not kept:
     all that the photos said, also what the aggregator left out. aggregator: how a row of it became a feature.
     contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
-    up: the unit direction that is up in the photos, in the world; None where they do not tell.
+    up: the unit direction that is up in the photos, in the world; None where they do not tell. left_out: names of
+    photos that were kept from it on purpose, such as labelled ones.
     objects: what belongs together, None where nobody has looked.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
@@ -79,6 +81,7 @@ class LanguageField:
     aggregator: AggregatorRecord = MEAN_RECORD
     contrast: WordList | None = None
     up: Float64[np.ndarray, " 3"] | None = None
+    left_out: tuple[str, ...] = ()
     objects: Objects | None = None
 
     def __repr__(self) -> str:
@@ -135,8 +138,10 @@ class LanguageField:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of the scene and of every number that the features are made of: ties files together."""
+        """Of the scene, the photos left out and every number that the features are made of: ties files together."""
         identity = f"{self.scene} {self.code.kind} {_named(self.encoder)}"
+        if self.left_out:
+            identity += f" without {json.dumps(self.left_out)}"
         digest = hashlib.blake2b(identity.encode(), digest_size=16)
         arrays = {"gaussian_ids": self.gaussian_ids} | self.code.tensors()
         for name in sorted(arrays):
@@ -304,6 +309,17 @@ class LanguageField:
 
         Raises: InputError: `path` exists and `overwrite` is false, or cannot be written.
         """
+        files = self._files()
+        write_folder(Path(path), self._manifest(list(files)), files, overwrite)
+
+    def equals(self, other: "LanguageField") -> bool:
+        """Whether both are saved as the same content."""
+        mine, theirs = self._files(), other._files()
+        return self._manifest(list(mine)) == other._manifest(list(theirs)) and all(
+            file.equals(theirs[name]) for name, file in mine.items()
+        )
+
+    def _files(self) -> dict[str, TensorFile]:
         tie = {"field": self.fingerprint}
         arrays = {"gaussian_ids": self.gaussian_ids} | self.code.tensors()
         files = {CODES: TensorFile(arrays, tie)}
@@ -316,7 +332,7 @@ class LanguageField:
             files[CONTRAST] = TensorFile({"embeddings": self.contrast.embeddings}, tie)
         if self.objects is not None:
             files[OBJECTS] = TensorFile(self.objects.tensors(), tie)
-        write_folder(Path(path), self._manifest(list(files)), files, overwrite)
+        return files
 
     def _manifest(self, files: list[str]) -> dict[str, object]:
         return {
@@ -332,6 +348,7 @@ class LanguageField:
             "code": self._code_json(),
             "aggregator": record_json(self.aggregator),
             "up": None if self.up is None else self.up.tolist(),
+            "left_out": list(self.left_out),
             "negatives": list(self.negatives.texts) if self.negatives else [],
             "contrast": list(self.contrast.texts) if self.contrast else [],
             "objects": None if self.objects is None else len(self.objects),

@@ -15,7 +15,7 @@ from ..evidence.aggregation import record_from_json
 from ..evidence.evidence import Evidence, evidence_from_tensors
 from ..formats.checksums import check_checksums, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
-from ..formats.json_files import as_vector
+from ..formats.json_files import as_vector, is_text, shown
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .language_field import (
@@ -81,6 +81,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             record_from_json(manifest.get("aggregator"), str(path)),
             _contrast(files.get(CONTRAST), manifest, code.dim),
             _up(manifest.get("up"), path),
+            _left_out(manifest.get("left_out", []), path),
             _objects(files.get(OBJECTS)),
         )
     except InputError as error:
@@ -113,6 +114,13 @@ def _compare(file: _File, evidence: Evidence | None) -> None:
 def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
     """Fields of older versions have none."""
     return None if document is None else as_vector(document, 3, f"{path}: up")
+
+
+def _left_out(document: object, path: Path) -> tuple[str, ...]:
+    """Fields of older versions do not say."""
+    if not isinstance(document, list) or not all(map(is_text, document)):
+        raise FormatError(f"{path}: left_out: expected a list of photos' names, got {shown(document)}")
+    return tuple(document)
 
 
 def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:

@@ -31,6 +31,13 @@ class TensorFile(NamedTuple):
     tensors: Mapping[str, np.ndarray]
     metadata: Mapping[str, str]
 
+    def equals(self, other: "TensorFile") -> bool:
+        """Whether both hold the same arrays, of the same types, under the same names."""
+        return (self.metadata, self.tensors.keys()) == (other.metadata, other.tensors.keys()) and all(
+            array.dtype == other.tensors[name].dtype and np.array_equal(array, other.tensors[name])
+            for name, array in self.tensors.items()
+        )
+
 
 def write_folder(
     path: Path, manifest: Mapping[str, object], files: Mapping[str, TensorFile], overwrite: bool = False

@@ -8,6 +8,8 @@ from jaxtyping import Float64
 
 from ..errors import InputError
 
+LITTLE = 0.05  # of a side: what rounding may change of a raster that shows the same
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -73,6 +75,10 @@ class View:
 
 
 def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether rasters (width, height) show the same: one is the other scaled, to a whole pixel either way."""
+    """Whether rasters (width, height) show the same: one is the other scaled, to a whole pixel either way.
+
+    Of a side of few pixels one is much: it may be a twentieth of it.
+    """
     (width, height), (wide, high) = sorted((one, other))  # rounding took place on the smaller one
-    return abs(height - high * width / wide) <= 1 or abs(width - wide * height / high) <= 1
+    down, across = abs(height - high * width / wide), abs(width - wide * height / high)
+    return down <= min(1, LITTLE * height) or across <= min(1, LITTLE * width)

@@ -1,4 +1,4 @@
-"""One function per route: an opened scene and a request -> what is sent back."""
+"""One function per route, and one for all tools: an opened scene and a request -> what is sent back."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from ..errors import InputError
 from ..query import Scene
+from .conversation import told
 from .limits import Limits
 from .models import (
     ClassCount,
@@ -33,6 +34,7 @@ from .requests import (
     Request,
     Segment,
     Select,
+    Tool,
     WhatIs,
     asks_something,
     cut_of,
@@ -143,6 +145,7 @@ ANSWERS: Mapping[str, Answering] = {
     "segment": Answering(Segment, segmented),
     "what-is": Answering(WhatIs, named),
     "picture": Answering(Picture, picture),
+    "tool": Answering(Tool, told),
 }
 
 

@@ -1,5 +1,7 @@
-"""What a language model can ask: each method is a tool, with short answers that it can reason on."""
+"""What a language model can ask of a scene: each method is a tool, with short answers that it can reason on."""
 
+import base64
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,23 +11,11 @@ from .. import query as engine
 from ..errors import InputError
 from ..query.regions import region
 from ..query.spatial import gap, standing_on
-from .catalog import Catalog
-from .models import (
-    UNITS,
-    Body,
-    Fingerprint,
-    Located,
-    Match,
-    SceneList,
-    Vector,
-    Word,
-    decimals_of,
-    matches_of,
-    measured,
-    rounded,
-    summarized,
-)
+from ..scene.boxes import BoxKind
+from .limits import Limits
+from .models import UNITS, Body, Fingerprint, Located, Match, Vector, Word, decimals_of, matches_of, measured, rounded
 from .pictures import png
+from .requests import Tool
 
 MOST_MATCHES, MOST_TEXT, PICTURE_SIDE, FEW = 20, 200, 768, 8
 
@@ -111,114 +101,100 @@ class Shown(Body):
     advice: str = ""
 
 
+class Pictured(Body):
+    """png: base64."""
+
+    shown: Shown
+    png: str
+
+
 @dataclass(frozen=True)
 class Conversation:
-    """The tools, over the scenes of a catalog. All raise DrSplatError with what to do next."""
+    """The tools, over an opened scene and its name. All raise DrSplatError with what to do next."""
 
-    catalog: Catalog
+    scene: engine.Scene
+    name: str
 
-    def list_scenes(self) -> SceneList:
-        scenes = [summarized(one) for one in self.catalog.summaries()]
-        advice = "" if scenes else "there is no scene: ask the user to add a folder with a field"
-        return SceneList(scenes=scenes, advice=advice)
-
-    def about_scene(self, scene: str) -> About:
-        name, opened = self._named(scene)
-        digits, names = decimals_of(opened), [view.name for view in opened.views]
-        up = None if opened.up is None else rounded(opened.up, 4)
-        low, high = opened.box
+    def about_scene(self) -> About:
+        digits, names = decimals_of(self.scene), [view.name for view in self.scene.views]
+        up = None if self.scene.up is None else rounded(self.scene.up, 4)
+        low, high = self.scene.box
         return About(
-            scene=name,
+            scene=self.name,
             low=rounded(low, digits),
             high=rounded(high, digits),
             up=up,
             num_photos=len(names),
             some_photos=names[:: max(1, len(names) // FEW)][:FEW],
-            field=opened.field.fingerprint,
+            field=self._field,
             advice="" if up else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
-    def locate(self, text: str, on: str | None, scene: str, top: int) -> Located:
-        opened = self._scene(scene)
-        answer = opened.ask(_text(text))
-        every = opened.locate(answer)
-        found = every if on is None else standing_on(opened, every, on)
+    def locate(self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright") -> Located:
+        answer = self.scene.ask(_text(text))
+        every = self.scene.locate(answer, box=box)
+        found = every if on is None else standing_on(self.scene, every, on)
         return Located(
             query=_query(text, on),
             num_matches=len(found),
-            matches=matches_of(found[:top], decimals_of(opened)),
+            matches=matches_of(found[:top], decimals_of(self.scene)),
             advice=_advice(text, every, found, on),
             measured=measured(answer),
-            field=opened.field.fingerprint,
+            field=self._field,
         )
 
-    def count(self, text: str, on: str | None, scene: str) -> Count:
-        opened = self._scene(scene)
-        every = opened.locate(_text(text))
-        counted = every if on is None else standing_on(opened, every, on)
-        digits = decimals_of(opened)
+    def count(self, text: str, on: str | None = None) -> Count:
+        every = self.scene.locate(_text(text))
+        counted = every if on is None else standing_on(self.scene, every, on)
+        digits = decimals_of(self.scene)
         return Count(
             query=_query(text, on),
             count=len(counted),
             of=len(every),
             centers=[rounded(match.center, digits) for match in counted[:MOST_MATCHES]],
-            field=opened.field.fingerprint,
+            field=self._field,
             advice=_advice(text, every, counted, on),
         )
 
-    def where_is(self, text: str, scene: str) -> Place:
-        opened = self._scene(scene)
-        found = opened.locate(_text(text))
+    def where_is(self, text: str) -> Place:
+        found = self.scene.locate(_text(text))
         if not found:
-            return Place(
-                query=text, best=None, others=0, best_view=None, field=opened.field.fingerprint, advice=_absent(text)
-            )
+            return Place(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
         return Place(
             query=text,
-            best=matches_of(found[:1], decimals_of(opened))[0],
+            best=matches_of(found[:1], decimals_of(self.scene))[0],
             others=len(found) - 1,
-            best_view=opened.best_view(found[0].gaussian_ids).name if opened.views else None,
-            field=opened.field.fingerprint,
+            best_view=self.scene.best_view(found[0].gaussian_ids).name if self.scene.views else None,
+            field=self._field,
         )
 
-    def how_far_apart(self, first: str, second: str, scene: str) -> Distance:
-        opened = self._scene(scene)
-        one, other = (self._best(opened, text) for text in (first, second))
+    def how_far_apart(self, first: str, second: str) -> Distance:
+        one, other = self._best(first), self._best(second)
         if np.intersect1d(one.gaussian_ids, other.gaussian_ids).size:
             raise InputError(
                 f"'{first}' and '{second}' mean the same place here: describe each more exactly, e.g. by colour"
             )
-        offset, digits = other.center - one.center, decimals_of(opened)
+        offset, digits = other.center - one.center, decimals_of(self.scene)
         return Distance(
             first=first,
             second=second,
             center_distance=round(float(np.linalg.norm(offset)), digits),
-            gap=round(gap(opened.gaussians, one, other), digits),
+            gap=round(gap(self.scene.gaussians, one, other), digits),
             offset=rounded(offset, digits),
             first_center=rounded(one.center, digits),
             second_center=rounded(other.center, digits),
-            field=opened.field.fingerprint,
+            field=self._field,
         )
 
-    def what_is_at(
-        self, place: tuple[float, float, float] | tuple[str, float, float], scene: str,
-        names: list[str] | None,
-    ) -> Here:  # fmt: skip
-        opened = self._scene(scene)
-        words = opened.what_is(place, _names(names))
-        point = _point(opened, place)
-        return Here(
-            point=rounded(point, decimals_of(opened)),
-            words=[Word(name=word.text, score=round(word.score, 4)) for word in words],
-            field=opened.field.fingerprint,
-        )
+    def what_is_at(self, point: Sequence[float], names: list[str] | None = None) -> Here:
+        return self._here((point[0], point[1], point[2]), names)
 
-    def describe_region(self, center: list[float], radius: float, scene: str, names: list[str] | None) -> Region:
-        opened = self._scene(scene)
-        if len(center) != 3:
-            raise InputError(f"center: expected [x, y, z], got {len(center)} numbers")
-        parts = region(opened, (center[0], center[1], center[2]), radius, _names(names))
-        digits = decimals_of(opened)
+    def what_is_at_pixel(self, view: str, x: float, y: float, names: list[str] | None = None) -> Here:
+        return self._here((view, x, y), names)
+
+    def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
+        parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
+        digits = decimals_of(self.scene)
         listed = [
             Part(
                 name=one.name,
@@ -229,20 +205,17 @@ class Conversation:
             for one in parts[:MOST_MATCHES]
         ]
         advice = "" if listed else "none of these words fits what is there: give other names, or a larger radius"
-        return Region(
-            center=rounded(center, digits), radius=radius, parts=listed, field=opened.field.fingerprint, advice=advice
-        )
+        return Region(center=rounded(center, digits), radius=radius, parts=listed, field=self._field, advice=advice)
 
-    def show(self, text: str | None, view: str | None, scene: str) -> tuple[Shown, bytes]:
-        opened = self._scene(scene)
+    def show(self, text: str | None = None, view: str | None = None) -> Pictured:
         ids, advice, count = None, "", 0
         if text:
-            found = opened.locate(_text(text))
+            found = self.scene.locate(_text(text))
             count = len(found)
             ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
             advice = "" if found else _absent(text)
-        chosen = opened.view(view) if view else opened.best_view(ids if count else None)
-        pixels = opened.picture(chosen, ids, max_side=PICTURE_SIDE)
+        chosen = self.scene.view(view) if view else self.scene.best_view(ids if count else None)
+        pixels = self.scene.picture(chosen, ids, max_side=PICTURE_SIDE)
         height, width = pixels.shape[:2]
         shown = Shown(
             view=chosen.name,
@@ -250,26 +223,49 @@ class Conversation:
             num_matches=count,
             width=width,
             height=height,
-            field=opened.field.fingerprint,
+            field=self._field,
             advice=advice,
         )
-        return shown, png(pixels)
+        return Pictured(shown=shown, png=base64.b64encode(png(pixels)).decode())
 
-    def _scene(self, name: str) -> engine.Scene:
-        return self._named(name)[1]
+    @property
+    def _field(self) -> str:
+        return self.scene.field.fingerprint
 
-    def _named(self, name: str) -> tuple[str, engine.Scene]:
-        chosen = name or self.catalog.only()
-        if not chosen:
-            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
-            raise InputError(f"name a scene; there are: {known}")
-        return chosen, self.catalog.scene(chosen)
+    def _here(self, place: tuple[float, float, float] | tuple[str, float, float], names: list[str] | None) -> Here:
+        words = self.scene.what_is(place, _names(names))
+        return Here(
+            point=rounded(_point(self.scene, place), decimals_of(self.scene)),
+            words=[Word(name=word.text, score=round(word.score, 4)) for word in words],
+            field=self._field,
+        )
 
-    def _best(self, scene: engine.Scene, text: str) -> engine.Match:
-        found = scene.locate(_text(text), top=1)
+    def _best(self, text: str) -> engine.Match:
+        found = self.scene.locate(_text(text), top=1)
         if not found:
             raise InputError(_absent(text))
         return found[0]
+
+
+_TOOLS: Mapping[str, Callable[..., Body]] = {
+    tool.__name__: tool
+    for tool in (
+        Conversation.about_scene,
+        Conversation.locate,
+        Conversation.count,
+        Conversation.where_is,
+        Conversation.how_far_apart,
+        Conversation.what_is_at,
+        Conversation.what_is_at_pixel,
+        Conversation.describe_region,
+        Conversation.show,
+    )
+}
+
+
+def told(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
+    """What a tool says of a scene."""
+    return _TOOLS[asked.tool](Conversation(scene, asked.name), **asked.arguments)
 
 
 def _query(text: str, on: str | None) -> str:

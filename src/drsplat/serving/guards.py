@@ -55,7 +55,7 @@ class DoorKeeper:
     def _is_let_in(self, path: str, headers: dict[bytes, bytes]) -> bool:
         if self.key is None or path in OPEN:
             return True
-        given = headers.get(b"x-api-key") or headers.get(b"authorization", b"").removeprefix(b"Bearer ")
+        given = headers.get(b"x-api-key") or _bearer(headers.get(b"authorization", b""))
         return is_secret(given, self.key)
 
     def _is_meant(self, host: bytes) -> bool:
@@ -97,8 +97,7 @@ class Guard(DoorKeeper):
             async with asyncio.timeout(self.limits.seconds):
                 await self.app(scope, body, answer)
         except TimeoutError:
-            text = f"no answer within {self.limits.seconds:g} s: ask for less, or later"
-            await answer.refuse(503, "timeout", text)
+            await answer.refuse(503, "timeout", self.limits.too_slow)
         finally:
             self.large -= body.is_large
 
@@ -125,6 +124,12 @@ class _Answer:
             headers.append((b"www-authenticate", b"Bearer"))
         await self({"type": "http.response.start", "status": status, "headers": headers})
         await self({"type": "http.response.body", "body": body})
+
+
+def _bearer(header: bytes) -> bytes:
+    """What an `Authorization` header of that scheme, in letters of either case, carries."""
+    scheme, _, token = header.partition(b" ")
+    return token.strip() if scheme.lower() == b"bearer" else b""
 
 
 def _without_body(send: Send) -> Send:

@@ -24,3 +24,8 @@ class Limits:
     workers: int = 2
     waiting: int = 128
     seconds: float = 30.0
+
+    @property
+    def too_slow(self) -> str:
+        """What is said to whoever waited so long."""
+        return f"no answer within {self.seconds:g} s: ask for less, or later"

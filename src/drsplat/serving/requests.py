@@ -2,7 +2,7 @@
 
 import base64
 import binascii
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
@@ -82,6 +82,14 @@ class Photo(Request):
 
     view: str
     max_side: int
+
+
+class Tool(Request):
+    """One of `Conversation`'s, about the scene that is called `name` here."""
+
+    tool: str
+    name: str
+    arguments: dict[str, Any]
 
 
 class Select(Query):

@@ -1,30 +1,33 @@
-"""The MCP server: the conversation's methods as tools of the protocol."""
+"""The MCP server: the conversation's methods as tools of the protocol, computed where those of HTTP are."""
 
+import asyncio
 import json
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from mcp.server import MCPServer
-from mcp.server.mcpserver import Image
 from mcp.server.mcpserver.exceptions import ToolError
-from mcp_types import CallToolResult, TextContent, ToolAnnotations
+from mcp_types import CallToolResult, ImageContent, TextContent, ToolAnnotations
 from pydantic import Field, ValidationError
 
 from .. import __version__
 from ..errors import DrSplatError
-from .catalog import Catalog, without_paths
-from .conversation import MOST_MATCHES, About, Conversation, Count, Distance, Here, Place, Region, Shown
-from .models import Located, SceneList
+from ..scene.boxes import BoxKind
+from .catalog import Catalog
+from .conversation import MOST_MATCHES, About, Count, Distance, Here, Pictured, Place, Region, Shown
+from .limits import Limits
+from .models import Body, Located, SceneList
 from .refusals import faults_of
+from .workbench import Job, Workbench
 
 INSTRUCTIONS = """\
 3D scenes that can be searched in words. Start with list_scenes. Name objects as people do ("red mug"); "mug, not red"
 excludes some. Positions are world coordinates [x, y, z] in scene units. An empty result is an answer: the scene has
 nothing like it, or another word for it. Check counts with show, which returns a picture."""
 
-T = TypeVar("T")
+T = TypeVar("T", bound=Body)
 Text = Annotated[str, Field(description="query in a few words, e.g. 'red mug'", max_length=200)]
-Scene = Annotated[str, Field(description="name from list_scenes; may be left out where there is only one")]
+SceneName = Annotated[str, Field(description="name from list_scenes; may be left out where there is only one")]
 Names = Annotated[
     list[str] | None, Field(description="words to choose from; may be left out for encoders that know a list")
 ]
@@ -64,8 +67,46 @@ def _terse(result: Any) -> Any:
     return result
 
 
-def make_server(catalog: Catalog) -> MCPServer:
-    """An MCP server over the scenes of a catalog; run it with `run("stdio")` or as streamable HTTP."""
+@dataclass(frozen=True, eq=False)
+class _Asking:
+    """How tools are computed: in a process of the workbench, and no longer than it may take."""
+
+    catalog: Catalog
+    bench: Workbench
+    limits: Limits
+
+    async def list_scenes(self) -> SceneList:
+        listed = SceneList.model_validate_json(await self._answer(Job("list")))
+        advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
+        return listed.model_copy(update={"advice": advice})
+
+    async def told(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
+        """What a tool of `Conversation` says of a scene; "" is the only one."""
+        name = scene or self.catalog.only()
+        if not name:
+            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
+            raise ToolError(f"name a scene; there are: {known}")
+        asked = {"tool": tool, "name": name, "arguments": arguments}
+        return model.model_validate_json(await self._answer(Job("tool", name, asked)))
+
+    async def _answer(self, job: Job) -> bytes:
+        try:
+            async with asyncio.timeout(self.limits.seconds):
+                reply = await self.bench.run(job)
+        except TimeoutError:
+            raise ToolError(self.limits.too_slow) from None
+        except DrSplatError as error:
+            raise ToolError(str(error)) from error
+        if reply.status != 200:
+            raise ToolError(json.loads(reply.body)["error"])
+        return reply.body
+
+
+def make_server(catalog: Catalog, bench: Workbench, limits: Limits) -> MCPServer:
+    """An MCP server over the scenes of a catalog; run it with `run("stdio")` or as streamable HTTP.
+
+    bench: of the same folder; whoever made it closes it.
+    """
     server = _Server(
         "drsplat",
         title="drsplat: scenes that answer words",
@@ -73,90 +114,97 @@ def make_server(catalog: Catalog) -> MCPServer:
         version=__version__,
         log_level="WARNING",
     )
-    talk = Conversation(catalog)
+    asking = _Asking(catalog, bench, limits)
+    _add_scenes(server, asking)
+    _add_matches(server, asking)
+    _add_places(server, asking)
+    _add_pictures(server, asking)
+    return server
 
-    def told(ask: Callable[[], T]) -> T:
-        try:
-            return ask()
-        except DrSplatError as error:
-            raise ToolError(without_paths(str(error), catalog.roots)) from error
 
+def _add_scenes(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="List scenes", annotations=READS)
-    def list_scenes() -> SceneList:
+    async def list_scenes() -> SceneList:
         """The scenes that can be searched, and how large they are."""
-        return told(talk.list_scenes)
+        return await asking.list_scenes()
 
     @server.tool(title="About a scene", annotations=READS)
-    def about_scene(scene: Scene = "") -> About:
+    async def about_scene(scene: SceneName = "") -> About:
         """How large a scene is, where it lies, which way is up, the unit of lengths, and some of its photos."""
-        return told(lambda: talk.about_scene(scene))
+        return await asking.told(About, "about_scene", scene)
 
+
+def _add_matches(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="Locate matches", annotations=READS)
-    def locate(
+    async def locate(
         text: Text,
         on: On = None,
-        scene: Scene = "",
+        scene: SceneName = "",
         top: Annotated[int, Field(ge=1, le=MOST_MATCHES, description="most matches to list")] = 5,
+        box: Annotated[
+            BoxKind, Field(description="upright: the third axis of boxes is up; free: along the match's own axes")
+        ] = "upright",
     ) -> Located:
         """All matches of a text, best first: centre, oriented box, score and supporting photos."""
-        return told(lambda: talk.locate(text, on, scene, top))
+        return await asking.told(Located, "locate", scene, text=text, on=on, top=top, box=box)
 
     @server.tool(title="Count matches", annotations=READS)
-    def count(text: Text, on: On = None, scene: Scene = "") -> Count:
+    async def count(text: Text, on: On = None, scene: SceneName = "") -> Count:
         """How many matches a text has, in the scene or standing on something."""
-        return told(lambda: talk.count(text, on, scene))
+        return await asking.told(Count, "count", scene, text=text, on=on)
 
     @server.tool(title="Where is it", annotations=READS)
-    def where_is(text: Text, scene: Scene = "") -> Place:
+    async def where_is(text: Text, scene: SceneName = "") -> Place:
         """The best match of a text: where it is, how large it is, and the photo that shows it best."""
-        return told(lambda: talk.where_is(text, scene))
+        return await asking.told(Place, "where_is", scene, text=text)
 
     @server.tool(title="How far apart", annotations=READS)
-    def how_far_apart(first: Text, second: Text, scene: Scene = "") -> Distance:
+    async def how_far_apart(first: Text, second: Text, scene: SceneName = "") -> Distance:
         """Distance between the best matches of two texts: centre to centre, and between their nearest parts."""
-        return told(lambda: talk.how_far_apart(first, second, scene))
+        return await asking.told(Distance, "how_far_apart", scene, first=first, second=second)
 
+
+def _add_places(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="What is at a point", annotations=READS)
-    def what_is_at(
+    async def what_is_at(
         point: Annotated[list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)],
-        scene: Scene = "",
+        scene: SceneName = "",
         names: Names = None,
     ) -> Here:
         """What is at a point of the scene: the best words for it."""
-        at = (point[0], point[1], point[2])
-        return told(lambda: talk.what_is_at(at, scene, names))
+        return await asking.told(Here, "what_is_at", scene, point=point, names=names)
 
     @server.tool(title="What is at a pixel", annotations=READS)
-    def what_is_at_pixel(
+    async def what_is_at_pixel(
         view: Annotated[str, Field(description="a photo's name, as where_is and show return")],
         x: Annotated[float, Field(description="pixels from the left of the photo")],
         y: Annotated[float, Field(description="pixels from the top")],
-        scene: Scene = "",
+        scene: SceneName = "",
         names: Names = None,
     ) -> Here:
         """What a pixel of a photo shows, and where that is in the scene."""
-        return told(lambda: talk.what_is_at((view, x, y), scene, names))
+        return await asking.told(Here, "what_is_at_pixel", scene, view=view, x=x, y=y, names=names)
 
     @server.tool(title="Describe a region", annotations=READS)
-    def describe_region(
+    async def describe_region(
         center: Annotated[list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)],
         radius: Annotated[float, Field(gt=0, description="scene units")],
-        scene: Scene = "",
+        scene: SceneName = "",
         names: Names = None,
     ) -> Region:
         """What lies within a radius of a point: names, how much of the region each is, and where."""
-        return told(lambda: talk.describe_region(center, radius, scene, names))
+        return await asking.told(Region, "describe_region", scene, center=center, radius=radius, names=names)
 
+
+def _add_pictures(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="Show a picture", annotations=READS)
-    def show(
+    async def show(
         text: Annotated[str | None, Field(description="kept in colour, the rest grey; left out: all as it is")] = None,
         view: Annotated[str | None, Field(description="a photo's name; left out: the best one")] = None,
-        scene: Scene = "",
+        scene: SceneName = "",
     ) -> Annotated[CallToolResult, Shown]:
         """A rendered picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
-        shown, data = told(lambda: talk.show(text, view, scene))
-        picture = Image(data=data, format="png").to_image_content()
-        content: Any = [TextContent(type="text", text=shown.model_dump_json()), picture]
-        return CallToolResult(content=content, structured_content=shown.model_dump())
-
-    return server
+        found = await asking.told(Pictured, "show", scene, text=text, view=view)
+        picture = ImageContent(type="image", data=found.png, mime_type="image/png")
+        content: Any = [TextContent(type="text", text=found.shown.model_dump_json()), picture]
+        return CallToolResult(content=content, structured_content=found.shown.model_dump())

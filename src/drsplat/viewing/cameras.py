@@ -6,32 +6,21 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import InputError
-from ..query import Match
+from ..query import Match, Scene
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 from .shown import RADIUS, Frame
 
 Vector = Float64[np.ndarray, " 3"]
-SNAP_COSINE = np.cos(np.radians(20))
 ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
 LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
 FOV_DEGREES = 55.0
 UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
 
 
-def up_direction(views: Sequence[View]) -> Vector:
-    """The mean of what the photos call up, along an axis of the world if it is within 20 degrees of one."""
-    if not views:
-        return np.array(UP_WITHOUT_VIEWS)
-    mean = -np.mean([view.cam_from_world[1, :3] for view in views], axis=0)
-    length = np.linalg.norm(mean)
-    if length < 1e-6:
-        return np.array(UP_WITHOUT_VIEWS)
-    up = np.asarray(mean / length)
-    axis = int(np.abs(up).argmax())
-    if abs(up[axis]) > SNAP_COSINE:
-        up = np.asarray(np.sign(up[axis]) * np.eye(3)[axis])
-    return up
+def up_direction(scene: Scene) -> Vector:
+    """What the scene calls up, as its boxes stand; where nothing tells, that of COLMAP's first camera."""
+    return np.array(UP_WITHOUT_VIEWS) if scene.up is None else scene.up
 
 
 def named_up(text: str) -> Vector:
