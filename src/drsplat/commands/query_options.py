@@ -27,6 +27,7 @@ def share(text: str) -> float:
     return number
 
 
+WITHOUT_SCENE = (".npy", ".json", ".csv")  # outputs that hold no Gaussians
 FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
 
 
@@ -152,7 +153,7 @@ def open_scene(arguments: argparse.Namespace) -> Scene:
         max_side=arguments.max_side,
     )
     drawn = arguments.picture is not None
-    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(".npy")):
+    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(WITHOUT_SCENE)):
         _ = scene.gaussians  # or the error that says what is missing, before any work
     if drawn:
         scene.best_view()
