@@ -9,6 +9,7 @@ import pytest
 from drsplat import load_field
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evidence.evidence import Evidence
+from drsplat.field import loading
 from drsplat.field.objects import ARRAYS, Objects
 from drsplat.formats.field_folder import read_manifest
 from drsplat.formats.tensors import map_tensors, write_tensors
@@ -200,12 +201,27 @@ def test_damage_is_told_when_they_are_first_used(tmp_path: Path) -> None:
         _ = field.objects
 
 
+def test_opening_a_field_does_not_read_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which may take longer than all else."""
+    with_objects()[0].save(tmp_path / "a.field")
+    read = []
+    monkeypatch.setattr(loading, "map_tensors", lambda path: read.append(path.name) or map_tensors(path))
+    field = load_field(tmp_path / "a.field")
+    field.scores(np.eye(8, dtype=np.float32)[0])
+    assert set(read) == {"codes.safetensors", "evidence.safetensors"}
+    assert field.objects is field.objects
+    assert read.count("objects.safetensors") == 1
+
+
 def test_a_file_of_another_field_is_refused(tmp_path: Path) -> None:
     field, _ = with_objects()
     field.save(tmp_path / "a.field")
     replace(field, scene="another").save(tmp_path / "b.field")
     (tmp_path / "a.field/objects.safetensors").write_bytes((tmp_path / "b.field/objects.safetensors").read_bytes())
     with pytest.raises(MismatchError, match="another field"):
+        load_field(tmp_path / "a.field").verify()
+    (tmp_path / "a.field/objects.safetensors").unlink()
+    with pytest.raises(FormatError, match="incomplete"):
         load_field(tmp_path / "a.field")
 
 
@@ -259,11 +275,11 @@ def test_files_with_arrays_of_another_shape_or_kind(name: str, tmp_path: Path) -
     array = np.array(tensors[name])
     for other in (array.astype(np.float16), array[None], array[: len(array) // 2]):
         write_tensors(path, {**tensors, name: other}, {"field": metadata["field"]}, overwrite=True)
-        with pytest.raises(FormatError, match="objects"):
-            load_field(tmp_path / "a.field")
+        with pytest.raises(FormatError, match=r"objects\.safetensors"):
+            _ = load_field(tmp_path / "a.field").objects
     write_tensors(path, {key: tensors[key] for key in tensors if key != name}, {"field": metadata["field"]}, True)
     with pytest.raises(FormatError, match=f"{name}: expected .* got nothing"):
-        load_field(tmp_path / "a.field")
+        load_field(tmp_path / "a.field").verify()
 
 
 def test_objects_of_another_field_are_refused(objects: Objects) -> None:

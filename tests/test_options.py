@@ -7,14 +7,16 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drsplat import cli
+from drsplat import cli, load_field, read_gaussians
 from drsplat.cli import make_parser
 from drsplat.commands.options import LARGEST, MOST, finite, length, whole, words
-from toy_capture import write_toy_capture
+from drsplat.objects.describing import describe
+from toy_capture import PER_THING, write_toy_capture
 
 NO_NUMBERS = [
     "",
@@ -43,6 +45,11 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     argv = ["register", "scene.ply", "capture", "--features", "capture/language_features"]
     argv += ["--encoder-name", "drsplat-words", "-o", "room.field"]
     subprocess.run([sys.executable, "-m", "drsplat", *argv], cwd=folder, check=True)
+    field, gaussians = load_field(folder / "room.field"), read_gaussians(folder / "scene.ply")
+    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
+    roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
+    objects = describe(field, gaussians, node_of, roots, things, np.ones(2, np.float32))
+    field.with_objects(objects).save(folder / "room.field", overwrite=True)
     return folder
 
 
@@ -132,6 +139,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             str(out / "a.field"),
             "--overwrite",
         ],
+        "objects": [field, *asked],
         "select": [field, "red mug", *asked],
         "locate": [field, "red mug", *asked],
         "segment": [field, "--classes", "red mug,blue plate", *asked],

@@ -27,6 +27,7 @@ def share(text: str) -> float:
     return number
 
 
+WITHOUT_SCENE = (".npy", ".json", ".csv")  # outputs that hold no Gaussians
 FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
 
 
@@ -146,7 +147,7 @@ def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
     """That scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
     scene = open_scene(arguments)
     drawn = arguments.picture is not None
-    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(".npy")):
+    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(WITHOUT_SCENE)):
         _ = scene.gaussians  # or the error that says what is missing, before any work
     if drawn:
         scene.best_view()

@@ -62,7 +62,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             f"to {VERSION}: upgrade, or register again"
         )
     check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
-    files = {name: _tied(path, name, manifest) for name in _names(manifest)}
+    files = {name: _tied(path, name, manifest) for name in _names(manifest) if name != OBJECTS}
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
@@ -82,13 +82,16 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             _contrast(files.get(CONTRAST), manifest, code.dim),
             _up(manifest.get("up"), path),
             _left_out(manifest.get("left_out", []), path),
-            _objects(files.get(OBJECTS)),
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
-    return field.compared_by(
-        {name: partial(_compare, file, evidence if name == EVIDENCE else None) for name, file in files.items()}
-    )
+    checks = {name: partial(_compare, file, evidence if name == EVIDENCE else None) for name, file in files.items()}
+    if OBJECTS not in _names(manifest):
+        return field.compared_by(checks)
+    if not (path / OBJECTS).exists():
+        raise FormatError(f"{path}: incomplete: there is no {OBJECTS}. {CURE}")
+    masks = None if evidence is None else len(evidence.masks)
+    return field.compared_by(checks | {OBJECTS: partial(_read_objects, path, manifest, masks)})
 
 
 class _File(NamedTuple):
@@ -100,7 +103,7 @@ class _File(NamedTuple):
     is_summed: bool
 
 
-def _compare(file: _File, evidence: Evidence | None) -> None:
+def _compare(file: _File, evidence: Evidence | None, _: StoredField | None = None) -> None:
     try:
         check_checksums(file.tensors, file.metadata, str(file.path), file.is_summed)
         if evidence is not None:
@@ -205,12 +208,17 @@ def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> Word
     return WordList(tuple(texts), embeddings)
 
 
-def _objects(file: _File | None) -> Objects | None:
-    """Raises: FormatError: arrays that are not as `Objects` has them."""
-    if file is None:
-        return None
+def _read_objects(path: Path, manifest: dict[str, object], masks: int | None, field: StoredField) -> None:
+    """Whoever does not ask for objects does not wait for them.
+
+    Raises: as `load_field`.
+    """
+    file = _tied(path, OBJECTS, manifest)
     check_tensors(file.tensors, ARRAYS, str(file.path))
     try:
-        return Objects(**{name: file.tensors[name] for name in ARRAYS})
+        objects = Objects(**{name: file.tensors[name] for name in ARRAYS})
+        objects.check_field(len(field), field.encoder.dim, masks)
     except InputError as error:
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
+    _compare(file, None)
+    field.__dict__["objects"] = objects

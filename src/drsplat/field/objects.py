@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 
 from ..errors import InputError
 from ..terminal import counted
@@ -107,6 +107,20 @@ class Objects:
         inside = np.full(self.num_nodes, -1, np.int32)
         inside[self._checked(node)] = 0
         return np.flatnonzero(self._by_row(self._handed_down(inside), np.int32(-1)) == 0)
+
+    def counts(self, rows: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " T"]:
+        """Per node how many of some rows belong to it or to a node below it."""
+        nodes = self.node_of[rows]
+        counts: list[int] = np.bincount(nodes[nodes >= 0], minlength=self.num_nodes).tolist()
+        for node, parent in enumerate(self.parents.tolist()):
+            if parent >= 0:
+                counts[parent] += counts[node]
+        return np.array(counts, np.int64)
+
+    @cached_property
+    def sizes(self) -> Int64[np.ndarray, " T"]:
+        """Rows of each node."""
+        return self.counts(np.arange(len(self.node_of)))
 
     def above(self, node: int) -> int | None:
         """The node that this one is a part or member of. Raises: InputError: no such node."""

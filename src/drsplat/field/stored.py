@@ -31,9 +31,9 @@ class StoredField(LanguageField):
     evidence = _guarded("evidence", EVIDENCE)  # type: ignore[assignment]
     negatives = _guarded("negatives", NEGATIVES)  # type: ignore[assignment]
     contrast = _guarded("contrast", CONTRAST)  # type: ignore[assignment]
-    objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]
+    objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]  # read as a whole when first used
 
-    def compared_by(self, checks: Mapping[str, Callable[[], None]]) -> "StoredField":
+    def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
         """This field, with what is to be done once before a file's arrays are used."""
         self.__dict__["_checks"] = dict(checks)
         return self
@@ -46,5 +46,5 @@ class StoredField(LanguageField):
     def _compare(self, file: str) -> None:
         checks = self.__dict__.get("_checks", {})
         if file in checks:
-            checks[file]()
+            checks[file](self)
             checks.pop(file, None)

@@ -51,17 +51,29 @@ def write_folder(
     Raises: InputError: `path` exists and `overwrite` is false or it is not such a folder, or it has
     no folder to be in; the disk is full.
     """
-    if path.exists() or path.is_symlink():
-        if not overwrite:
-            raise InputError(f"{path} exists already: pass overwrite=True to replace it")
-        refuse_to_replace_others(path)
-    refuse_missing_parent(path)
-    sweep(path.parent)
-    with saying_what_is_full(path), _new_folder(path) as temporary:
+    with replacing_folder(path, overwrite, MANIFEST) as temporary:
         for name, file in files.items():
             write_tensors(temporary / name, file.tensors, file.metadata)
         with replacing(temporary / MANIFEST) as out:
             out.write((json.dumps(sealed(manifest), indent=2) + "\n").encode())
+
+
+@contextmanager
+def replacing_folder(path: Path, overwrite: bool, mark: str) -> Iterator[Path]:
+    """A new folder beside `path` that takes its name when the block ends well, or else vanishes.
+
+    mark: the file that a folder has to hold to be ours to replace. Killed: as `write_folder`.
+
+    Raises: InputError: as `write_folder`.
+    """
+    if path.exists() or path.is_symlink():
+        if not overwrite:
+            raise InputError(f"{path} exists already: pass overwrite=True to replace it")
+        refuse_to_replace_others(path, mark)
+    refuse_missing_parent(path)
+    sweep(path.parent)
+    with saying_what_is_full(path), _new_folder(path) as temporary:
+        yield temporary
         _take_place(temporary, path)
         sync_folder(path.parent)
 
@@ -80,10 +92,10 @@ def _new_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def refuse_to_replace_others(path: Path) -> None:
+def refuse_to_replace_others(path: Path, mark: str = MANIFEST) -> None:
     """Raises: InputError: something is at `path` that is not such a folder."""
-    if (path.exists() or path.is_symlink()) and not (path / MANIFEST).is_file():
-        raise InputError(f"{path} exists and has no {MANIFEST}: it is not ours to replace")
+    if (path.exists() or path.is_symlink()) and not (path / mark).is_file():
+        raise InputError(f"{path} exists and has no {mark}: it is not ours to replace")
 
 
 def read_manifest(path: Path) -> dict[str, object]:

@@ -101,6 +101,6 @@ class _Clusters:
             part = slice(begin, begin + BLOCK)
             own = self.embeddings[self.weights.indices[part]]
             found[part] = np.einsum("ed,ekd->ek", own, centers[self.rows[part]])
-        there: np.ndarray = centers.any(axis=2)
+        there = np.asarray(centers.any(axis=2))
         found[~there[self.rows]] = -1
         return found

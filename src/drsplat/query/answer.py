@@ -71,6 +71,7 @@ class Match:
     center, axes, extent: oriented box; row a of `axes` is the unit direction of full length extent[a].
     Upright: the third axis is up, the first the longer of the others. Free: longest first. score: mean value of its
     Gaussians weighted by opacity. support: the masks that contribute most, none where the field kept no evidence.
+    object_id: the number of the object that it is, None where it is none. label: the name that people gave it.
     """
 
     center: Float64[np.ndarray, " 3"]
@@ -79,6 +80,8 @@ class Match:
     score: float
     gaussian_ids: Int64[np.ndarray, " m"]
     support: tuple[Explanation, ...] = ()
+    object_id: int | None = None
+    label: str | None = None
 
     def __repr__(self) -> str:
         place = ", ".join(f"{x:.4g}" for x in self.center)

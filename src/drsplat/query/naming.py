@@ -23,6 +23,23 @@ def own_vocabulary(encoder: Encoder) -> tuple[str, ...] | None:
     return None
 
 
+def object_names(encoder: Encoder, field: LanguageField, nodes: Sequence[int]) -> list[str | None]:
+    """The best word for each of some nodes; None where none fits, and for all where the encoder takes any words.
+
+    A word has to exceed the threshold of an encoder that has one. Raises: MismatchError: another encoder.
+    """
+    texts, objects = own_vocabulary(encoder), field.objects
+    if not texts or objects is None:
+        return [None] * len(nodes)
+    field.check_encoder(encoder.identity)
+    vectors, least = np.asarray(encoder.encode_texts(texts), np.float32), getattr(encoder, "threshold", -1.0)
+    names: list[str | None] = []
+    for node in nodes:
+        scores = (objects.descriptors_of(node) @ vectors.T).max(axis=0, initial=-1)
+        names.append(texts[scores.argmax()] if scores.max() > least else None)
+    return names
+
+
 def best_names(
     encoder: Encoder,
     field: LanguageField,

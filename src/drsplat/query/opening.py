@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
+from ..field.labels import LabelFile
 from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
 from ..formats.scenes import read_gaussians
@@ -124,6 +125,7 @@ def open_scene(
         lambda: encoder_for(field, vocabulary, encoder, device, load),
         name=files.name,
         threads=threads,
+        labels=LabelFile.beside(files.field),
     )
 
 

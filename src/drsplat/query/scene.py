@@ -11,9 +11,11 @@ from jaxtyping import Float32, Float64, Int32, Integer
 from ..drawing.pictures import OtherPixels, as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..drawing.rendering import render
 from ..encoders import Encoder
-from ..errors import InputError
+from ..errors import InputError, MissingExtraError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
+from ..field.labels import Label, LabelFile, Matched, matched
+from ..field.objects import Objects
 from ..kernels import SplatArrays, splat_arrays
 from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
@@ -22,10 +24,11 @@ from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
 from .encoding import encoder_for
 from .measuring import Background, Measuring
-from .naming import best_names
+from .naming import best_names, object_names
+from .objects import match_of, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
-from .search import feature_at, gaussian_at
+from .search import feature_at, gaussian_at, seen_at
 from .support import supporting_masks
 from .tasks import locate, segment
 from .views import view_named
@@ -62,6 +65,7 @@ class Scene:
 
     gaussians: None where only selections are wanted. views, encoder: themselves, or what makes them when they
     are first needed; encoder None: the built-in one that the field names. threads: of one query, 0 for all cores.
+    labels: the file of names that people give to objects, None where there is none to keep them in.
 
     Raises: MismatchError: the field is of another scene.
     """
@@ -75,9 +79,11 @@ class Scene:
         *,
         name: str = "scene",
         threads: int = 0,
+        labels: LabelFile | None = None,
     ) -> None:
         if gaussians is not None:
             field.check_scene(gaussians)
+        self._label_file = labels
         self.field, self.name, self.threads = field, name, threads
         self._gaussians, self._views = gaussians, views
         self.background = Background(field, _source(field, encoder), threads)
@@ -123,6 +129,63 @@ class Scene:
         """Lowest and highest corner of the box of the middle 98 % of the Gaussians, along the world's axes."""
         low, high = np.quantile(self.gaussians.positions, (0.01, 0.99), axis=0)
         return low, high
+
+    @property
+    def objects(self) -> list[Match]:
+        """All objects, number 0 with the largest mass first; their score says how far the photos agree on them.
+
+        Raises: InputError: the field has none.
+        """
+        labels = self.labels.by_node
+        return [
+            match_of(self.field, node, labels[node].name if node in labels else None)
+            for node in objects_of(self.field).things.tolist()
+        ]
+
+    def object_names(self) -> list[str | None]:
+        """The best word for each object, None where none is known; the encoder has to know a list of words."""
+        nodes = objects_of(self.field).things.tolist()
+        try:
+            return object_names(self.encoder, self.field, nodes)
+        except (InputError, MissingExtraError):  # nobody embeds words here
+            return [None] * len(nodes)
+
+    def object_ids(self) -> Int32[np.ndarray, " n"]:
+        """Per Gaussian of the scene the number of its object, -1 for none. Raises: InputError: the field has none."""
+        ids = np.full(self.field.num_gaussians, -1, np.int32)
+        ids[self.field.gaussian_ids] = objects_of(self.field).thing_of()
+        return ids
+
+    @cached_property
+    def labels(self) -> Matched:
+        """The names that people gave, by node, and those that name nothing here.
+
+        Raises: FormatError: their file is damaged.
+        """
+        return matched(() if self._label_file is None else self._label_file.read(), self.field)
+
+    def label(self, node: int, name: str) -> None:
+        """Name a node as people call it, in place of the name that it had; kept beside the field.
+
+        Raises: InputError: no such node, no objects, an empty name, or nowhere to keep it.
+        """
+        if self._label_file is None:
+            raise InputError("this scene was not opened from a field on disk: there is nowhere to keep a name")
+        named = match_of(self.field, node)
+        new = Label.of(name, self.field.scene, named.gaussian_ids, named.center)
+        former = [self.labels.by_node[node]] if node in self.labels.by_node else []
+        self.labels = matched(self._label_file.add(new, former), self.field)
+
+    def object_at(self, place: Place) -> list[int]:
+        """The nodes of what is at a Gaussian, a point or a click, smallest first: parts, thing, groups.
+
+        Raises: InputError: nothing with a feature there, or nothing that belongs to an object.
+        """
+        objects = objects_of(self.field)
+        path = objects.path(self._row_at(place, objects))
+        if not path:
+            raise InputError("what is there belongs to no object")
+        return path
 
     def view(self, name: str) -> View:
         """Raises: InputError: there is none of that name."""
@@ -263,11 +326,26 @@ class Scene:
         return best_views(self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
 
     def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
-        row = self.field.rows_of(np.array([gaussian_id]))
-        if row[0] < 0:
-            raise InputError(f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it")
-        feature: np.ndarray = self.field.feature(row)[0]
+        feature: np.ndarray = self.field.feature(np.array([self._row(gaussian_id)]))[0]
         return feature
+
+    def _row(self, gaussian_id: int) -> int:
+        row = int(self.field.rows_of(np.array([gaussian_id]))[0])
+        if row < 0:
+            raise InputError(f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it")
+        return row
+
+    def _row_at(self, place: Place, objects: Objects) -> int:
+        """Of a click that of the heaviest Gaussian of the object that is most seen there."""
+        if isinstance(place, int | np.integer):
+            return self._row(int(place))
+        if not isinstance(place[0], str):
+            return self._row(self.nearest(place))  # type: ignore[arg-type]
+        xy = (float(place[1]), float(place[2]))
+        rows, weights = seen_at(self.field, self.gaussians, self.view(place[0]), xy, threads=self.threads)
+        numbers = objects.thing_of()[rows]
+        most = np.bincount(numbers + 1, weights).argmax() - 1
+        return int(rows[np.where(numbers == most, weights, -1).argmax()])
 
     def _support(self, match: Match, answer: Answer) -> tuple[Explanation, ...]:
         if self.field.evidence is None or answer.vector is None:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 
 from ..encoders import Encoder
 from ..errors import InputError
@@ -93,6 +93,17 @@ def gaussian_at(
 
     Arguments and Raises: as `feature_at`.
     """
+    rows, weights = seen_at(field, gaussians, view, xy, threads=threads)
+    return int(field.gaussian_ids[rows[weights.argmax()]])
+
+
+def seen_at(
+    field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
+) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+    """Rows of the field that a pixel of a view shows, one or more, and their blending weights there.
+
+    Arguments and Raises: as `feature_at`.
+    """
     field.check_scene(gaussians)
     if not np.isfinite(xy).all():
         raise InputError(f"expected a pixel of two finite numbers, got {xy}")
@@ -104,9 +115,9 @@ def gaussian_at(
     pixel = np.full((view.height, view.width), -1, np.int32)
     pixel[row, column] = 0
     seen = view_weights(splat_arrays(gaussians), view, pixel, topk=None, threads=threads)
-    known = field.rows_of(seen.gaussian_ids) >= 0
-    if not known.any():
+    rows = field.rows_of(seen.gaussian_ids)
+    if not (rows >= 0).any():
         raise InputError(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"
         )
-    return int(seen.gaussian_ids[known][seen.weights[known].argmax()])
+    return rows[rows >= 0], seen.weights[rows >= 0]

@@ -1,0 +1,122 @@
+"""drsplat objects: a field and its scene -> what is in it, with or without words."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from .object_outputs import check, listing, save
+from .options import add_capture_options, add_overwrite, add_query_encoders, tracker, whole, words
+from .query_options import FIELD_HELP, open_scene
+
+if TYPE_CHECKING:
+    from ..query import Scene
+
+SUMMARY = "list the objects of a scene, without any word for them: where they are, how large, in which photos"
+EXAMPLES = """\
+  drsplat objects room.field --scene scene.ply
+  drsplat objects room.field --scene scene.ply --picture objects.jpg --views capture
+  drsplat objects room.field --scene scene.ply --save ids.npy
+  drsplat objects room.field --scene scene.ply --save cut_out
+  drsplat objects room.field --label "my mug" --id 7
+
+The first time they are found, which takes the scene, and kept in the field. ids.npy has one int32 per Gaussian of the
+scene, its object or -1. objects.ply is the scene with that as a column object_id; a folder gets a PLY of each object;
+.json and .csv get the table, with boxes. Names that are given with --label are kept in NAME.labels.json beside
+NAME.field: they outlive the field, and queries for such a name select exactly this object."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("field", help=FIELD_HELP)
+    parser.add_argument("--scene", help="scene that was registered; needed to find objects, for PLYs and for --picture")
+    parser.add_argument(
+        "--again", action="store_true", help="find objects anew, though the field has some; labels stay"
+    )
+    parser.add_argument("--label", type=words, metavar="NAME", help="name to give to the object --id")
+    parser.add_argument("--id", type=whole, metavar="NUMBER", help="number of the object that --label names")
+    output = parser.add_argument_group("output")
+    output.add_argument(
+        "--save", metavar="OUT",
+        help="OUT.npy: object of each Gaussian, int32; OUT.ply: scene with a column object_id; OUT.json, OUT.csv: "
+        "table with boxes; another name: folder of a PLY of each object",
+    )  # fmt: skip
+    output.add_argument(
+        "--picture", metavar="OUT.jpg",
+        help="write a sheet: each object cut out of the photo that shows it best, the 60 largest",
+    )  # fmt: skip
+    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture")
+    add_overwrite(output)
+    add_query_encoders(parser)
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..query.objects import objects_of
+
+    check(arguments)
+    scene = _with_objects(arguments)
+    if arguments.label is not None:
+        scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
+    listed = listing(scene)
+    if arguments.save:
+        save(arguments.save, scene, listed, arguments.overwrite)
+    if arguments.picture:
+        _draw(arguments, scene, listed)
+    return {
+        "field": arguments.field,
+        "num_objects": len(listed),
+        "num_registered": len(scene.field),
+        "num_in_objects": sum(one["num_gaussians"] for one in listed),
+        "objects": listed,
+        "labels_of_none": [label.name for label in scene.labels.orphans],
+        "saved": arguments.save,
+        "picture": arguments.picture,
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+    from .tables import said, show_table
+
+    inside, every = said(answer["num_in_objects"]), counted(answer["num_registered"], "Gaussian")
+    title = f"{counted(answer['num_objects'], 'object')}, {inside} of {every} in them; lengths in scene units"
+    columns = ("object", "name", "Gaussians", "centre", "extent", "photos", "sure")
+    show_table(title, columns, [_row(one) for one in answer["objects"]])
+    if not answer["objects"]:
+        print("No two masks of different photos agree: more photos, or larger masks, may help.")
+    for name in answer["labels_of_none"]:
+        print(f"the label '{name}' names nothing in this field; it is kept")
+    for output in (answer["saved"], answer["picture"]):
+        if output:
+            print(f"written to {output}")
+
+
+def _row(one: dict[str, Any]) -> tuple[str, ...]:
+    places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
+    name = one["label"] or one["name"] or ""
+    return str(one["id"]), name, f"{one['num_gaussians']:,}", *places, str(one["num_views"]), f"{one['sure']:.2f}"
+
+
+def _with_objects(arguments: argparse.Namespace) -> Scene:
+    """The scene of a field that has objects; where it has none they are found, and kept in it."""
+    from ..formats.claiming import claimed_output
+    from ..query.opening import scene_files
+
+    scene = open_scene(arguments)
+    if scene.field.objects is not None and not arguments.again:
+        return scene
+    path, gaussians = scene_files(arguments.field).field, scene.gaussians
+    from ..objects.finding import find_objects  # type: ignore[import-not-found]
+
+    with claimed_output(path):
+        found = find_objects(scene.field, gaussians, threads=arguments.threads, track=tracker(arguments))
+        scene.field.with_objects(found).save(path, overwrite=True)
+    return open_scene(arguments)
+
+
+def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, Any]]) -> None:
+    from ..drawing.pictures import write_picture
+    from ..query.sheets import object_sheet
+
+    titles = [" ".join([str(one["id"]), one["label"] or one["name"] or ""]) for one in listed]
+    write_picture(arguments.picture, object_sheet(scene, scene.objects, titles), arguments.overwrite)

@@ -1,0 +1,200 @@
+"""Names that people gave to objects, kept beside a field: NAME.labels.json of NAME.field.
+
+Outside of the folder, so that they outlive the field: of one that is made anew they name what overlaps most.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64, Integer
+
+from ..errors import FormatError, InputError
+from ..formats.claiming import claimed_output
+from ..formats.json_files import as_count, as_vector, is_text, read_json
+from ..formats.replacing import replacing
+from .language_field import LanguageField
+from .loading import MAX_GAUSSIANS
+from .objects import THING
+
+FORMAT, VERSION = "drsplat labels", 1
+LONGEST = 200  # characters of a name
+SAME = 0.5  # IoU of Gaussians from which a label names a node
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """name: as a person gave it. scene: fingerprint of the Gaussians that are meant.
+
+    spans: which of its rows: from the first number of a pair to before the second, ascending. center: of the named
+    object's box, in the world: for people who look for what has gone.
+
+    Raises: InputError: a name that is empty, too long or cannot be written, or no rows.
+    """
+
+    name: str
+    scene: str
+    spans: Int64[np.ndarray, "s 2"]
+    center: Float64[np.ndarray, " 3"]
+
+    @classmethod
+    def of(
+        cls, name: str, scene: str, gaussian_ids: Integer[np.ndarray, " m"], center: Float64[np.ndarray, " 3"]
+    ) -> "Label":
+        """Of ascending rows of the scene."""
+        ids = gaussian_ids.astype(np.int64)
+        begins = np.flatnonzero(np.diff(ids, prepend=-2) != 1)
+        lasts = np.append(begins[1:], len(ids)) - 1
+        return cls(name.strip(), scene, np.stack([ids[begins], ids[lasts] + 1], axis=1).reshape(-1, 2), center)
+
+    def __post_init__(self) -> None:
+        if not is_text(self.name) or not self.name.strip() or len(self.name) > LONGEST:
+            raise InputError(f"a name: expected a text of 1 to {LONGEST} characters, got {self.name!a:.80}")
+        ends = self.spans.ravel()
+        if not len(ends) or ends[0] < 0 or not (ends[1:] > ends[:-1]).all():
+            raise InputError(f"label '{self.name}': expected ascending rows of a scene, one or more")
+
+    def __len__(self) -> int:
+        """How many Gaussians it names."""
+        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+
+    def is_of(self, field: LanguageField) -> bool:
+        """Whether it names Gaussians of the field's scene."""
+        return self.scene == field.scene and int(self.spans[-1, 1]) <= field.num_gaussians
+
+    def gaussian_ids(self, field: LanguageField) -> Int64[np.ndarray, " m"]:
+        """Rows of the field's scene, ascending; none where it is of another one."""
+        if not self.is_of(field):
+            return np.empty(0, np.int64)
+        return np.concatenate([np.arange(begin, end) for begin, end in self.spans.tolist()])
+
+    def means(self, text: str) -> bool:
+        """Whether a text says this name, in whatever case."""
+        return self.name.strip().casefold() == text.strip().casefold()
+
+
+@dataclass(frozen=True)
+class LabelFile:
+    """The labels beside a field. Every change is whole or not at all, and one writer's at a time."""
+
+    path: Path
+
+    @classmethod
+    def beside(cls, field: str | os.PathLike[str]) -> "LabelFile":
+        """Of the field in a folder NAME.field: NAME.labels.json."""
+        folder = Path(field)
+        name = folder.stem if folder.suffix == ".field" else folder.name
+        return cls(folder.with_name(f"{name}.labels.json"))
+
+    def read(self) -> tuple[Label, ...]:
+        """All of them, of whatever scene; () where there is no file.
+
+        Raises: FormatError: the file is damaged, or written by a newer version.
+        """
+        if not self.path.exists():
+            return ()
+        document = read_json(self.path)
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise FormatError(f"{self.path}: expected '{FORMAT}'. {_CURE}")
+        if document.get("version") != VERSION:
+            raise FormatError(f"{self.path}: version {document.get('version')!a:.20}; this drsplat reads {VERSION}")
+        labels = document.get("labels")
+        if not isinstance(labels, list):
+            raise FormatError(f"{self.path}: expected a list of labels. {_CURE}")
+        return tuple(_label(entry, f"{self.path}: label {number}") for number, entry in enumerate(labels))
+
+    def add(self, label: Label, instead: Sequence[Label] = ()) -> tuple[Label, ...]:
+        """Keep a label, in place of those that it corrects; returns all there are now.
+
+        Raises: InputError: another process writes the file, or it cannot be written. FormatError: as `read`.
+        """
+        with claimed_output(self.path):
+            kept = [one for one in self.read() if not any(_same(one, other) for other in instead)]
+            labels = (*kept, label)
+            text = json.dumps(_document(labels), ensure_ascii=False, separators=(",", ":"))
+            with replacing(self.path, overwrite=True) as file:
+                file.write(f"{text}\n".encode())
+        return labels
+
+
+_CURE = "Restore the file from a copy, or remove it to lose these names"
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """by_node: the label of each node that has one. orphans: labels that name nothing in this field, never dropped."""
+
+    by_node: dict[int, Label]
+    orphans: tuple[Label, ...]
+
+
+def matched(labels: Sequence[Label], field: LanguageField) -> Matched:
+    """Each label with the node that shares most Gaussians with it, from an IoU of 0.5 on.
+
+    A node has one label and a label one node, the largest overlaps first; of equal ones a thing comes before its
+    only part or group. Labels of other scenes are orphans, and all are where the field has no objects.
+    """
+    found = [
+        (-iou, not is_thing, number, node)
+        for number, label in enumerate(labels)
+        for node, iou, is_thing in _overlaps(label, field)
+    ]
+    nodes: dict[int, int] = {}
+    for _, _, number, node in sorted(found):
+        if number not in nodes and node not in nodes.values():
+            nodes[number] = node
+    orphans = tuple(label for number, label in enumerate(labels) if number not in nodes)
+    return Matched({node: labels[number] for number, node in nodes.items()}, orphans)
+
+
+def _overlaps(label: Label, field: LanguageField) -> list[tuple[int, float, bool]]:
+    objects = field.objects
+    if objects is None or not label.is_of(field):
+        return []
+    rows = field.rows_of(label.gaussian_ids(field))
+    common = objects.counts(rows[rows >= 0])
+    ious = common / np.maximum(objects.sizes + len(label) - common, 1)
+    return [
+        (int(node), float(ious[node]), bool(objects.levels[node] == THING)) for node in np.flatnonzero(ious >= SAME)
+    ]
+
+
+def _same(one: Label, other: Label) -> bool:
+    return (one.name, one.scene) == (other.name, other.scene) and np.array_equal(one.spans, other.spans)
+
+
+def _document(labels: Sequence[Label]) -> dict[str, object]:
+    entries = [
+        {
+            "name": label.name,
+            "scene": label.scene,
+            "center": label.center.tolist(),
+            "runs": np.diff(label.spans.ravel(), prepend=0).tolist(),
+        }
+        for label in labels
+    ]
+    return {"format": FORMAT, "version": VERSION, "labels": entries}
+
+
+def _label(entry: object, where: str) -> Label:
+    if not isinstance(entry, dict):
+        raise FormatError(f"{where}: expected an object. {_CURE}")
+    name, scene, runs = (entry.get(key) for key in ("name", "scene", "runs"))
+    if not isinstance(name, str) or not isinstance(scene, str) or not isinstance(runs, list):
+        raise FormatError(f"{where}: expected a name, the fingerprint of a scene and runs. {_CURE}")
+    center = as_vector(entry.get("center"), 3, f"{where}: center")
+    try:
+        return Label(name, scene, _spans(runs, where), center)
+    except InputError as error:
+        raise FormatError(f"{where}: {error}. {_CURE}") from error
+
+
+def _spans(runs: list[object], where: str) -> Int64[np.ndarray, "s 2"]:
+    """Of lengths in turns: rows that are left out, rows that are in it, and so on."""
+    lengths = [as_count(run, f"{where}: runs") for run in runs]
+    if len(lengths) % 2 or any(not 0 <= length <= MAX_GAUSSIANS for length in lengths):
+        raise FormatError(f"{where}: expected pairs of lengths: rows left out, rows in it. {_CURE}")
+    return np.cumsum(np.array(lengths, np.int64)).reshape(-1, 2)

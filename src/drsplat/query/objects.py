@@ -1,0 +1,57 @@
+"""The objects of a scene as matches, and as nodes of the forest that they stand in."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..errors import InputError
+from ..evidence.evidence import Explanation
+from ..field import LanguageField
+from ..field.objects import Objects
+from .answer import Match
+
+SUPPORT = 3  # masks listed for an object
+
+
+def objects_of(field: LanguageField) -> Objects:
+    """Raises: InputError: the field has none."""
+    if field.objects is None:
+        raise InputError("nobody has looked for objects in this field: `drsplat objects FIELD --scene SCENE` does")
+    return field.objects
+
+
+def match_of(field: LanguageField, node: int, label: str | None = None) -> Match:
+    """A node as a match: its own box, and how far the photos agree on it as its score.
+
+    Raises: InputError: the field has no objects, or no such node.
+    """
+    objects = objects_of(field)
+    rows = objects.rows(node)
+    number = int(objects.number_of[node])
+    return Match(
+        objects.centers[node],
+        objects.axes[node],
+        objects.extents[node],
+        float(objects.sure[node]),
+        field.gaussian_ids[rows].astype(np.int64),
+        tuple(support_of(field, node))[:SUPPORT],
+        number if number >= 0 and objects.things[number] == node else None,
+        label,
+    )
+
+
+def support_of(field: LanguageField, node: int) -> Iterable[Explanation]:
+    """The masks that speak for a node, the largest share first; none where the field kept no evidence."""
+    if field.evidence is None:
+        return
+    masks = field.evidence.masks
+    for mask, share in zip(*objects_of(field).masks_of(node), strict=True):
+        yield Explanation(masks.view_names[masks.views[mask]], int(masks.ids[mask]), float(share))
+
+
+def photos_of(field: LanguageField, node: int) -> list[str]:
+    """Names of the photos that show a node, those that show most of it first, by its masks."""
+    shown: dict[str, float] = {}
+    for mask in support_of(field, node):
+        shown[mask.view_name] = shown.get(mask.view_name, 0.0) + mask.share
+    return sorted(shown, key=lambda name: -shown[name])

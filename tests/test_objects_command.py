@@ -1,0 +1,218 @@
+"""`drsplat objects`, and the same in Python: what is listed, written, drawn and named."""
+
+import csv
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from command_line import Capture, answer_of, error_of, text_of
+from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
+from drsplat.errors import InputError
+from drsplat.formats.cameras_json import write_cameras_json
+from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
+from scenes import look_at_view
+
+EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """scene.ply, capture/ and a.field with objects, as `drsplat register` leaves them."""
+    gaussians = known_scene()
+    field = known_field(gaussians)
+    thick = np.full_like(gaussians.scales, 0.02)  # so that photos show more than dots
+    write_gaussians(tmp_path / "scene.ply", replace(gaussians, scales=thick))
+    field.with_objects(described(field, read_gaussians(tmp_path / "scene.ply"))).save(tmp_path / "a.field")
+    (tmp_path / "capture/images").mkdir(parents=True)
+    views = [replace(look_at_view(eye, (1.5, 0, 0)), name=name) for eye, name in zip(EYES, VIEWS, strict=True)]
+    write_cameras_json(tmp_path / "capture/cameras.json", views)
+    for view in views:
+        Image.new("RGB", (view.width, view.height), (90, 140, 200)).save(tmp_path / "capture/images" / view.name)
+    return tmp_path
+
+
+def asked(room: Path, *more: object) -> tuple[object, ...]:
+    return ("objects", room / "a.field", "--scene", room / "scene.ply", *more)
+
+
+def test_the_list(room: Path, capsys: Capture) -> None:
+    told = answer_of(capsys, *asked(room))
+    assert told["num_objects"] == 3
+    assert told["num_in_objects"] == 3 * EACH - 10
+    assert [one["id"] for one in told["objects"]] == [0, 1, 2]
+    for one, center in zip(told["objects"], CENTERS, strict=True):
+        np.testing.assert_allclose(one["center"], center, atol=0.03)
+        np.testing.assert_allclose(one["extent"], (0.46, 0.26, 0.17), rtol=0.05)
+        assert np.shape(one["axes"]) == (3, 3)
+        assert one["num_views"] == 3
+        assert sorted(one["views"]) == list(VIEWS)
+        assert one["label"] is one["name"] is None  # nobody embeds words for this field
+    assert told["objects"][0]["sure"] == pytest.approx(0.8)
+    assert told["objects"][0]["mass"] == pytest.approx(EACH, rel=1e-4)
+
+
+def test_the_list_needs_no_scene_once_it_is_kept(room: Path, capsys: Capture) -> None:
+    assert answer_of(capsys, "objects", room / "a.field") == answer_of(capsys, *asked(room))
+
+
+def test_the_table(room: Path, capsys: Capture) -> None:
+    text = text_of(capsys, *asked(room))
+    assert text.startswith("3 objects, 1,490 of 1,490 Gaussians in them")
+    assert "0.80" in text
+
+
+def test_ids_of_every_gaussian(room: Path, capsys: Capture) -> None:
+    answer_of(capsys, *asked(room, "--save", room / "ids.npy"))
+    ids = np.load(room / "ids.npy")
+    assert ids.dtype == np.int32
+    np.testing.assert_array_equal(ids, [*np.repeat([0, 1, 2], [EACH, EACH, EACH - 10]), *[-1] * 10])
+
+
+def test_a_scene_with_a_column(room: Path, capsys: Capture) -> None:
+    answer_of(capsys, *asked(room, "--save", room / "objects.ply"))
+    saved = read_gaussians(room / "objects.ply")
+    assert saved.fingerprint == read_gaussians(room / "scene.ply").fingerprint
+    np.testing.assert_array_equal(saved.extra["object_id"], open_scene(room / "a.field").object_ids())
+
+
+def test_a_folder_of_objects(room: Path, capsys: Capture) -> None:
+    told = answer_of(capsys, *asked(room, "--save", room / "cut"))
+    assert sorted(path.name for path in (room / "cut").iterdir()) == [
+        "object_0000.ply", "object_0001.ply", "object_0002.ply", "objects.json",
+    ]  # fmt: skip
+    assert len(read_gaussians(room / "cut/object_0002.ply")) == EACH - 10
+    assert json.loads((room / "cut/objects.json").read_text())["objects"] == told["objects"]
+    assert "exists already" in error_of(capsys, *asked(room, "--save", room / "cut"))
+    answer_of(capsys, *asked(room, "--save", room / "cut", "--overwrite"))
+    (room / "mine").mkdir()
+    assert "not ours to replace" in error_of(capsys, *asked(room, "--save", room / "mine", "--overwrite"))
+
+
+def test_tables(room: Path, capsys: Capture) -> None:
+    told = answer_of(capsys, *asked(room, "--save", room / "o.json"))
+    document = json.loads((room / "o.json").read_text())
+    assert document["objects"] == told["objects"]
+    assert document["field"] == load_field(room / "a.field").fingerprint
+    answer_of(capsys, *asked(room, "--save", room / "o.csv", "--label", 'a "red", mug', "--id", 1))
+    with open(room / "o.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["label"] for row in rows] == ["", 'a "red", mug', ""]
+    assert float(rows[2]["center_0"]) == told["objects"][2]["center"][0]
+    assert float(rows[0]["axes_8"]) == pytest.approx(1)
+    assert rows[0]["views"].split(";") == told["objects"][0]["views"]
+
+
+def test_the_sheet_shows_each_object_cut_out(room: Path, capsys: Capture) -> None:
+    answer_of(capsys, *asked(room, "--views", room / "capture", "--picture", room / "sheet.png"))
+    sheet = np.asarray(Image.open(room / "sheet.png").convert("RGB"))
+    assert sheet.shape[1] > 3 * 320
+    tiles = [sheet[14:254, 14 + n * 334 : 334 + n * 334].astype(int) for n in range(3)]
+    for tile in tiles:
+        lit = np.abs(tile - (90, 140, 200)).max(axis=2) < 12  # the object's place in the photo
+        dark = np.abs(tile - np.multiply(0.3, (90, 140, 200))).max(axis=2) < 12
+        assert 0.05 < lit.mean() < 0.9
+        assert dark.mean() > 0.1
+        assert np.abs(np.argwhere(lit).mean(axis=0) - (120, 160)).max() < 30  # in the middle
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--save", "x.txt"), "ends in .npy, .ply, .json or .csv"),
+        (("--save", "nowhere/x.npy"), "there is no folder"),
+        (("--picture", "x.gif"), ".png or .jpg"),
+        (("--picture", "x.jpg"), "--views CAPTURE"),
+        (("--label", "mug"), "--id N"),
+        (("--id", "1"), "--label NAME"),
+        (("--label", "mug", "--id", "3"), "there is no object 3: there are 0 to 2"),
+        (("--label", "  ", "--id", "1"), "expected a text"),
+    ],
+)
+def test_bad_input(
+    more: tuple[str, ...], said: str, room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(room)
+    assert said in error_of(capsys, *asked(room, *more))
+    assert not list(room.glob("x.*"))
+
+
+def test_a_field_without_objects_needs_the_scene(room: Path, capsys: Capture) -> None:
+    load_field(room / "a.field").with_objects(None).save(room / "b.field")
+    assert "pass --scene SCENE" in error_of(capsys, "objects", room / "b.field")
+    with pytest.raises(InputError, match="nobody has looked"):
+        _ = open_scene(room / "b.field").objects
+
+
+def test_they_are_found_once_and_kept(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    load_field(room / "a.field").with_objects(None).save(room / "b.field")
+    calls = []
+
+    def find_objects(field, gaussians, *, threads=0, track=None):
+        calls.append(threads)
+        return described(field, gaussians, threads)
+
+    found = ModuleType("drsplat.objects.finding")
+    found.find_objects = find_objects  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "drsplat.objects.finding", found)
+    argv = ("objects", room / "b.field", "--scene", room / "scene.ply", "--threads", 1)
+    told = answer_of(capsys, *argv)
+    assert told["objects"] == answer_of(capsys, *asked(room))["objects"]
+    assert answer_of(capsys, *argv)["objects"] == told["objects"]
+    assert calls == [1]
+    answer_of(capsys, *argv, "--again")
+    assert calls == [1, 1]
+    assert load_field(room / "b.field").fingerprint == load_field(room / "a.field").fingerprint
+
+
+def test_nothing_belongs_together(room: Path, capsys: Capture) -> None:
+    field = load_field(room / "a.field")
+    assert field.objects is not None
+    none = {name: array[:0] for name, array in field.objects.tensors().items()}
+    none |= {"node_of": np.full(len(field), -1, np.int32)}
+    none |= {name: np.zeros(1, np.int64) for name in ("mask_starts", "descriptor_starts")}
+    field.with_objects(type(field.objects)(**none)).save(room / "b.field")
+    argv = ("objects", room / "b.field", "--scene", room / "scene.ply")
+    told = answer_of(capsys, *argv, "--save", room / "ids.npy")
+    assert told["num_objects"] == 0
+    assert told["objects"] == []
+    assert (np.load(room / "ids.npy") == -1).all()
+    assert text_of(capsys, *argv).startswith("0 objects, 0 of 1,490")
+    assert "this field has none" in error_of(capsys, *argv, "--label", "mug", "--id", 0)
+    assert "no object" in error_of(capsys, *argv, "--views", room / "capture", "--picture", room / "a.png")
+
+
+def test_what_is_at_a_place(room: Path) -> None:
+    scene = open_scene(room / "a.field", scene=room / "scene.ply", views=room / "capture")
+    assert scene.object_at(0) == [0, 2, 5]
+    assert scene.object_at(EACH) == [3, 5]
+    assert scene.object_at(CENTERS[2]) == [4]
+    view = scene.views[0]
+    seen = view.K @ (view.cam_from_world[:3] @ [*CENTERS[1], 1.0])
+    assert scene.object_at((view.name, seen[0] / seen[2], seen[1] / seen[2])) == [3, 5]
+    with pytest.raises(InputError, match="no feature"):
+        scene.object_at(3 * EACH - 1)
+    with pytest.raises(InputError, match="nothing with a feature"):
+        scene.object_at((50.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="no Gaussian at pixel"):
+        scene.object_at((view.name, 1.0, 1.0))
+    assert scene.field.objects is not None
+    lonely = replace(scene.field.objects, node_of=np.full(len(scene.field), -1, np.int32))
+    with pytest.raises(InputError, match="belongs to no object"):
+        Scene(scene.field.with_objects(lonely), scene.gaussians).object_at(0)
+
+
+def test_objects_are_matches(room: Path) -> None:
+    scene = open_scene(room / "a.field")
+    matches = scene.objects
+    assert [match.object_id for match in matches] == [0, 1, 2]
+    np.testing.assert_array_equal(matches[2].gaussian_ids, np.arange(2 * EACH, 3 * EACH - 10))
+    assert [one.mask_id for one in matches[1].support] == [1, 4, 8]
+    assert sum(one.share for one in matches[1].support) == pytest.approx(1)
+    assert replace(scene.field, evidence=None).objects is not None
+    assert Scene(replace(scene.field, evidence=None)).objects[0].support == ()
