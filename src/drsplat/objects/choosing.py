@@ -47,7 +47,7 @@ def best_nodes(parents: Int32[np.ndarray, " t"], worth: Float64[np.ndarray, " t"
         own[node] = worth[node] >= max(below[node], 0.0)
         if parent >= 0:
             below[parent] += worth[node] if own[node] else below[node]
-    return own & ~_below(parents, own)
+    return np.asarray(own & ~_below(parents, own))
 
 
 def _below(parents: Int32[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
@@ -68,7 +68,7 @@ def _parts(
     found = best_nodes(parents, np.where(within, worth, NONE))
     owner = _owners(parents, things)
     several = np.bincount(owner[found], minlength=len(parents)) > 1
-    return found & several[owner]
+    return np.asarray(found & several[owner])
 
 
 def _owners(parents: Int32[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> np.ndarray:
@@ -89,7 +89,7 @@ def _groups(forest: Forest, things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, 
         if parent >= 0 and holds[node]:
             branches[parent] += 1
     total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
-    return (branches > 1) & (forest.masses <= MOST * total)
+    return np.asarray((branches > 1) & (forest.masses <= MOST * total))
 
 
 def _compressed(forest: Forest, rows: int, chosen: dict[int, Bool[np.ndarray, " t"]]) -> Chosen:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64, Integer
 
 from ..errors import InputError
 from ..evidence.evidence import Explanation
@@ -19,7 +19,7 @@ class Answer:
     with the threshold. scores: cosines.
 
     measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
-    encoder or default.
+    encoder or default; object or label, where exactly what belongs together is meant.
     """
 
     field: LanguageField
@@ -36,6 +36,13 @@ class Answer:
         if values.shape != (len(field),):
             raise InputError(f"expected {len(field)} values, one per row of the field; got shape {values.shape}")
         return cls(field, None, values, COSINE, threshold, GIVEN, values)
+
+    @classmethod
+    def of_rows(cls, field: LanguageField, rows: Integer[np.ndarray, " s"], rule: str) -> "Answer":
+        """Exactly some rows of the field: 1 there, 0 elsewhere."""
+        values = np.zeros(len(field), np.float32)
+        values[rows] = 1
+        return cls(field, None, values, COSINE, 0.5, rule, values)
 
     def __repr__(self) -> str:
         selected = f"{int((self.values > self.threshold).sum()):,} of {counted(len(self.field), 'Gaussian')}"

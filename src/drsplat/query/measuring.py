@@ -17,6 +17,7 @@ from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RE
 from .query import Cut
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
 from .thresholds import default_threshold, peak_score, share_threshold
+from .wholes import by_object
 from .word_list import list_vectors
 
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
@@ -139,9 +140,9 @@ class Measuring:
             return answer
         background = self.background
         rivals = rival_scores(self._field, background.encoder, wanted, unwanted, threads=background.threads)
-        left = without(scores, rivals)
-        values = np.where(left == LOWEST, np.float32(0), answer.values)
-        return replace(answer, values=left if answer.measure == COSINE else values, scores=left)
+        left = without(by_object(self._field, scores), by_object(self._field, rivals)) == LOWEST
+        values = np.where(left, np.float32(answer.lowest), answer.values)
+        return replace(answer, values=values, scores=np.where(left, np.float32(LOWEST), scores))
 
     def _of_words(self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]) -> Answer:
         kept = self.background.kept_contrast
@@ -151,8 +152,9 @@ class Measuring:
         values = None if self.cut.measures_relevancy else self._contrasted(query, scores)
         if values is None:
             return self._measured(query, scores, (None, AUTO))
-        default = self._list_threshold(scores, values), LIST
-        return self._cut(query, scores, self._whole(scores, values), default)
+        of_wholes, values = by_object(self._field, scores), by_object(self._field, values)
+        default = self._list_threshold(of_wholes, values), LIST
+        return self._cut(query, scores, self._whole(of_wholes, values), RELEVANCY, default)
 
     def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
         """As relevancies have it, or the highest where cosines are too low for this scene."""
@@ -179,18 +181,18 @@ class Measuring:
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
     ) -> Answer:
         if not self.cut.measures_relevancy:
-            return self._cut(query, scores, None, default)
-        values = relevancy_from_scores(scores, self._negatives.maxima)
-        return self._cut(query, scores, values, (RELEVANCY_THRESHOLD, DEFAULT))
+            return self._cut(query, scores, by_object(self._field, scores), COSINE, default)
+        values = by_object(self._field, relevancy_from_scores(scores, self._negatives.maxima))
+        return self._cut(query, scores, values, RELEVANCY, (RELEVANCY_THRESHOLD, DEFAULT))
 
     def _cut(
         self,
         query: Float32[np.ndarray, " D"],
         scores: Float32[np.ndarray, " r"],
-        relevancy: Float32[np.ndarray, " r"] | None,
+        values: Float32[np.ndarray, " r"],
+        measure: str,
         default: _Default,
     ) -> Answer:
-        values, measure = (scores, COSINE) if relevancy is None else (relevancy, RELEVANCY)
         threshold, rule = self._threshold(values, default)
         return Answer(self._field, query, values, measure, threshold, rule, scores)
 

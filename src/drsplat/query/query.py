@@ -34,6 +34,11 @@ class Cut:
             raise InputError("threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number")
 
     @property
+    def is_default(self) -> bool:
+        """Whether nothing is said of how to measure and to cut."""
+        return self.threshold is None and self.top_share is None and not self.measures_relevancy
+
+    @property
     def measures_relevancy(self) -> bool:
         return self.relevancy or self.negatives is not None
 
@@ -44,7 +49,8 @@ class Query(Cut):
 
     text: "mug, not red" leaves out what "red mug" fits as well; exclude: more such words. vector: (D,), of the
     encoder's space. image: RGB of a thing, best cut out on black, as masks are. point: world coordinates; what is
-    there. click: a view's name and a pixel of it, the centre of the first one at (0.5, 0.5).
+    there. click: a view's name and a pixel of it, the centre of the first one at (0.5, 0.5). Both find the object that
+    is there; with a cut of their own, or where the field has no objects, all that is like it.
 
     Raises: InputError: not one of the five, or parts that exclude each other.
     """

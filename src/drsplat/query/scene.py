@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +22,11 @@ from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 from .answer import Answer, Match
-from .defaults import MIN_GAUSSIANS
+from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
 from .encoding import encoder_for
 from .measuring import Background, Measuring
 from .naming import best_names, object_names
-from .objects import match_of, objects_of
+from .objects import match_of, objects_of, support_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import feature_at, gaussian_at, seen_at
@@ -200,13 +201,16 @@ class Scene:
         query = Query(query) if isinstance(query, str) else query
         measuring = Measuring(self.background, query, query.exclude)
         if query.text is not None:
-            return measuring.of_text(query.text)
+            named = self._labelled(query.text) if query.is_default and not query.exclude else None
+            return measuring.of_text(query.text) if named is None else named
         if query.image is not None:
             return measuring.of_image(query.image)
         if query.vector is not None:
             return measuring.of_vector(query.vector)
         place = query.click if query.point is None else query.point
         assert place is not None
+        if query.is_default and self.field.objects is not None:
+            return self._thing_at(place, measuring)
         return measuring.of_vector(self.feature_of(place))
 
     def locate(
@@ -227,7 +231,10 @@ class Scene:
         answer = query if isinstance(query, Answer) else self.ask(query)
         up = self.up if box == "upright" else None
         matches = locate(answer, self.gaussians, min_gaussians=min_gaussians, up=up)[:top]
-        return [replace(match, support=self._support(match, answer)) for match in matches]
+        return [
+            replace(match, support=self._support(match, answer), label=self._label_of(match.object_id))
+            for match in matches
+        ]
 
     def segment(self, classes: Sequence[str], cut: Cut | None = None) -> Segmentation:
         """The best of several texts for each Gaussian, where it is above its threshold.
@@ -329,6 +336,31 @@ class Scene:
         feature: np.ndarray = self.field.feature(np.array([self._row(gaussian_id)]))[0]
         return feature
 
+    def _label_of(self, number: int | None) -> str | None:
+        if number is None:
+            return None
+        label = self.labels.by_node.get(objects_of(self.field).thing(number))
+        return None if label is None else label.name
+
+    def _labelled(self, text: str) -> Answer | None:
+        """Exactly what people have given this name; None where they have not."""
+        wanted = text.strip().casefold()
+        nodes = [node for node, label in self.labels.by_node.items() if label.name.casefold() == wanted]
+        return self._of_nodes(nodes, LABEL) if nodes else None
+
+    def _thing_at(self, place: Place, measuring: Measuring) -> Answer:
+        """The object at a place, and what is like it where that is none."""
+        objects = objects_of(self.field)
+        row = self._row_at(place, objects)
+        number = int(objects.thing_of()[row])
+        if number < 0:
+            return measuring.of_vector(self.field.feature(np.array([row]))[0])
+        return self._of_nodes([objects.thing(number)], OBJECT)
+
+    def _of_nodes(self, nodes: Sequence[int], rule: str) -> Answer:
+        objects = objects_of(self.field)
+        return Answer.of_rows(self.field, np.concatenate([objects.rows(node) for node in nodes]), rule)
+
     def _row(self, gaussian_id: int) -> int:
         row = int(self.field.rows_of(np.array([gaussian_id]))[0])
         if row < 0:
@@ -348,6 +380,9 @@ class Scene:
         return int(rows[np.where(numbers == most, weights, -1).argmax()])
 
     def _support(self, match: Match, answer: Answer) -> tuple[Explanation, ...]:
+        if answer.vector is None and match.object_id is not None:
+            node = objects_of(self.field).thing(match.object_id)
+            return tuple(islice(support_of(self.field, node), SUPPORT))
         if self.field.evidence is None or answer.vector is None:
             return ()
         return tuple(supporting_masks(self.field, match.gaussian_ids, answer.vector, top=SUPPORT))

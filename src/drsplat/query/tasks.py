@@ -30,10 +30,10 @@ def locate(
 ) -> list[Match]:
     """The places that an answer's Gaussians make, best score first; nothing found is [].
 
-    Selected Gaussians nearer than `link_distance` (scene units) belong together; None takes three times
-    the median distance to the 8th neighbour within the selection. Groups with fewer than `min_gaussians`
-    Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in the air.
-    up: a unit direction that boxes stand upright along; None: free, as the thing lies.
+    What is selected of an object of the field is one place. Loose Gaussians nearer than `link_distance` (scene units)
+    belong together; None takes three times the median distance to the 8th neighbour among them. Places with
+    fewer than `min_gaussians` Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in
+    the air. up: a unit direction that boxes stand upright along; None: free, as the thing lies.
 
     Raises: MismatchError: the answer is of another scene.
     Source: Dr. Splat Sec. B "Open-vocabulary 3D object localization".
@@ -43,14 +43,28 @@ def locate(
     if len(ids) < max(min_gaussians, 2):
         return []
     by_id = answer.field.dense(answer.values)
-    groups = _components(gaussians.means[ids].astype(np.float64), link_distance)
-    order = np.argsort(groups, kind="stable")
-    members = np.split(ids[order], np.flatnonzero(np.diff(groups[order])) + 1)
+    places = _places(answer, gaussians, link_distance)
+    order = np.argsort(places, kind="stable")
+    members = np.split(ids[order], np.flatnonzero(np.diff(places[order])) + 1)
     solid = gaussians.opacities >= HAZE
     found = [
-        _match(gaussians, by_id, group, up) for group in members if np.count_nonzero(solid[group]) >= min_gaussians
+        _match(gaussians, by_id, group, up, int(place))
+        for place, group in zip(np.unique(places), members, strict=True)
+        if np.count_nonzero(solid[group]) >= min_gaussians
     ]
     return sorted(found, key=lambda match: (-match.score, int(match.gaussian_ids[0])))
+
+
+def _places(answer: Answer, gaussians: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:
+    """Of each selected Gaussian the number of its object; loose ones that hang together share one below 0."""
+    objects, ids = answer.field.objects, answer.gaussian_ids
+    places = np.full(len(ids), -1, np.int64)
+    if objects is not None:
+        places[:] = objects.thing_of()[answer.values > answer.threshold]
+    (loose,) = np.nonzero(places < 0)
+    if len(loose) > 1:
+        places[loose] = -1 - _components(gaussians.means[ids[loose]].astype(np.float64), link_distance)
+    return places
 
 
 def segment(
@@ -136,8 +150,9 @@ def _match(
     scores: Float32[np.ndarray, " n"],
     ids: Int64[np.ndarray, " m"],
     up: Float64[np.ndarray, " 3"] | None,
+    place: int,
 ) -> Match:
     mass = gaussians.opacities[ids].astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
     score = float(mass @ scores[ids].astype(np.float64))
-    return Match(*box_of(gaussians, ids, up), score, ids)
+    return Match(*box_of(gaussians, ids, up), score, ids, object_id=place if place >= 0 else None)

@@ -41,7 +41,7 @@ def export_page(
     session = Session(scene, min(max_gaussians or MOST, MOST), words)
     if bool(queries) != session.is_askable:
         raise InputError(NO_FIELD if queries else "a page holds answers: give it queries, as in 'red mug; lamp'")
-    up = up_direction(scene.views) if up is None else up
+    up = up_direction(scene) if up is None else up
     page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title)
     write_page(path, page, overwrite=overwrite)
     return page
