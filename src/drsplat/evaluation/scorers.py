@@ -15,6 +15,8 @@ from ..field import LanguageField, relevancy_from_scores
 from ..formats.npy import map_npy
 from ..query import Scene
 from ..query.search import CHUNK, NEGATIVES, embed_query
+from ..query.thresholds import CUT
+from ..query.wholes import by_object, cut_of
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
@@ -29,12 +31,12 @@ Scores = Float32[np.ndarray, " N"]
 class Scorer:
     """A method on one scene.
 
-    scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in
-    tables. threshold: the fixed one, chosen without the scenes that are scored. least: the encoder's own,
-    below which its scores say that nothing is meant; None where it has none. sweep: thresholds
-    that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of
-    the photos that it was made from, None where nobody knows. several: the scores of a few texts at
-    once, where that takes less time. answer: what `drsplat select` compares for a text, and with which threshold.
+    scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in tables. threshold:
+    the fixed one, chosen without the scenes that are scored. least: the encoder's own, below which its scores say that
+    nothing is meant; None where it has none. cut: of the way to the peak, where the automatic threshold lies. sweep:
+    thresholds that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of the photos
+    that it was made from, None where nobody knows. several: the scores of a few texts at once, where that takes less
+    time. answer: what `drsplat select` compares for a text, and with which threshold.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Scorer:
     least: float | None = None
     several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
     answer: Callable[[str], tuple[Scores, float]] | None = None
+    cut: float = CUT
 
     def each(self, texts: Sequence[str]) -> Iterator[Scores]:
         """The scores of each text in turn."""
@@ -58,7 +61,7 @@ class Scorer:
 
 
 def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0) -> Scorer:
-    """Cosines of the field. threshold: the encoder's own where it has one, else 0.5.
+    """Cosines of the field; of one with objects, means over these. threshold: the encoder's own, or 0.5 without one.
 
     Raises: MismatchError: another encoder than the field's.
     """
@@ -67,7 +70,7 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
     def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
         queries = np.stack([embed_query(encoder, known, text) for text in texts])
         found = known.scores(queries, threads=threads)
-        return np.stack([known.dense(one, fill=float("nan")) for one in found])
+        return np.stack([known.dense(by_object(known, one), fill=float("nan")) for one in found])
 
     def scores(text: str) -> Scores:
         one: Scores = several([text])[0]
@@ -84,6 +87,7 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
     return Scorer(
         name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
         _answer(known, encoder, threads),
+        cut_of(known),
     )  # fmt: skip
 
 

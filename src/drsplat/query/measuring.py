@@ -16,8 +16,8 @@ from .contrast import Contrast, contrast, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .query import Cut
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
-from .thresholds import default_threshold, peak_score, share_threshold
-from .wholes import by_object
+from .thresholds import default_threshold, peak_score, share_threshold, threshold_above
+from .wholes import by_object, cut_of
 from .word_list import list_vectors
 
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
@@ -153,13 +153,18 @@ class Measuring:
         if values is None:
             return self._measured(query, scores, (None, AUTO))
         of_wholes, values = by_object(self._field, scores), by_object(self._field, values)
-        default = self._list_threshold(of_wholes, values), LIST
+        default = self._list_threshold(scores, values), LIST
         return self._cut(query, scores, self._whole(of_wholes, values), RELEVANCY, default)
 
     def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
-        """As relevancies have it, or the highest where cosines are too low for this scene."""
-        low = len(scores) > 0 and peak_score(scores) <= self.background.least_peak
-        return float(values.max()) if low else relevancy_threshold(values)
+        """As relevancies have it, or the highest where cosines are too low for this scene.
+
+        Of objects, those that are far below the best are left out: a piece of the floor that is as brown as the table.
+        """
+        if len(scores) and peak_score(scores) <= self.background.least_peak:
+            return float(values.max())
+        least = relevancy_threshold(values)
+        return least if self._field.objects is None else threshold_above(values, least, cut_of(self._field))
 
     def _contrasted(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
@@ -203,7 +208,7 @@ class Measuring:
         if given.threshold is not None and given.threshold != AUTO:
             return float(given.threshold), GIVEN
         cut, rule = default
-        return default_threshold(values, cut) if cut is None or rule == ENCODER else cut, rule
+        return default_threshold(values, cut, cut_of(self._field)) if cut is None or rule == ENCODER else cut, rule
 
     @cached_property
     def _negatives(self) -> Negatives:

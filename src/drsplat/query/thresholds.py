@@ -11,6 +11,7 @@ from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
 CUT = 0.6  # of the way to the peak: from the median, or from 0
+CUT_OF_OBJECTS = 0.8  # the same where values are of whole objects: these are further apart
 
 Scores = Float[np.ndarray, " r"]
 
@@ -24,27 +25,27 @@ def peak_score(scores: Scores, peak: int = PEAK) -> float:
     return _largest(scores, min(peak, len(scores)))
 
 
-def automatic_threshold(scores: Scores, *, peak: int = PEAK) -> float:
-    """`CUT` of the way from the median to the peak, the highest score where the peak is no higher than the median.
+def automatic_threshold(scores: Scores, cut: float = CUT, *, peak: int = PEAK) -> float:
+    """`cut` of the way from the median to the peak, the highest score where the peak is no higher than the median.
 
     Raises: InputError: no scores, or some that are not finite.
     """
     middle, height = _median(scores), peak_score(scores, peak)
-    return float(middle + CUT * (height - middle)) if height > middle else float(scores.max())
+    return float(middle + cut * (height - middle)) if height > middle else float(scores.max())
 
 
-def default_threshold(cosines: Scores, least: float | None) -> float:
+def default_threshold(cosines: Scores, least: float | None, cut: float = CUT) -> float:
     """Where nothing but cosines is known: by `least`, the encoder's own threshold, or without one automatic."""
-    return automatic_threshold(cosines) if least is None else threshold_above(cosines, least)
+    return automatic_threshold(cosines, cut) if least is None else threshold_above(cosines, least, cut)
 
 
-def threshold_above(scores: Scores, least: float, *, peak: int = PEAK) -> float:
-    """`least`, an encoder's own threshold, or `CUT` of the peak where that is higher.
+def threshold_above(scores: Scores, least: float, cut: float = CUT, *, peak: int = PEAK) -> float:
+    """`least`, an encoder's own threshold, or `cut` of the peak where that is higher.
 
     For scores of which 0 means "as well as not": what answers half of a query ("red", of "red mug") is left out
     where something answers all of it. No scores: `least`.
     """
-    return max(least, CUT * peak_score(scores, peak)) if len(scores) else least
+    return max(least, cut * peak_score(scores, peak)) if len(scores) else least
 
 
 def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = PEAK) -> float:

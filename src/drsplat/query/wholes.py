@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..field import LanguageField
+from .thresholds import CUT, CUT_OF_OBJECTS
 
 
 def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
@@ -19,3 +20,8 @@ def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float3
     sums = np.bincount(numbers, values, minlength=1)
     means = (sums / np.maximum(counts, 1)).astype(np.float32)
     return np.where(numbers > 0, means[numbers], values)
+
+
+def cut_of(field: LanguageField) -> float:
+    """Of the way to the peak, where a query's values are cut."""
+    return CUT if field.objects is None else CUT_OF_OBJECTS
