@@ -19,6 +19,7 @@ from drsplat import (
 from drsplat.codes import CodeSpecification
 from drsplat.evaluation.scorers import Scorer, cosine_scorer
 from drsplat.evidence.aggregation import Sampling
+from drsplat.objects.finding import find_objects
 
 from .aggregators import MEASURED
 from .masks import features_of
@@ -27,6 +28,8 @@ from .scenes import BenchScene
 from .scoring import Methods
 
 DEFAULT = Sampling()
+OBJECTS = "objects"
+"""The mean, answered in whole objects."""
 
 
 class Registered:
@@ -78,5 +81,9 @@ class Workshop:
             seen = {view: registered.features[view.name] for view in registered.views}
             gaussians = registered.gaussians
             return rendered_scorer(name, gaussians, seen, self.encoder, self.threads)
-        field = registered.field(name, self.codebook, self.threads)
+        if name == OBJECTS:
+            field = registered.field("mean", self.codebook, self.threads)
+            field = field.with_objects(find_objects(field, registered.gaussians, threads=self.threads))
+        else:
+            field = registered.field(name, self.codebook, self.threads)
         return cosine_scorer(field, self.encoder, name, threads=self.threads)

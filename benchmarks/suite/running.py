@@ -18,14 +18,14 @@ from drsplat.formats.replacing import replacing
 from drsplat.models.graph import GraphSegmenter
 
 from .aggregators import MEASURED
-from .methods import Workshop
+from .methods import OBJECTS, Workshop
 from .rendered import STEPS
 from .scenes import LABEL_SET, BenchScene, about, read_scene
 from .scoring import SWEEP, scored
 
 FORMAT, VERSION = "drsplat benchmark", 2
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-METHODS = (*MEASURED, *STEPS)
+METHODS = (*MEASURED, OBJECTS, *STEPS)
 
 
 @dataclass(frozen=True)

@@ -141,12 +141,15 @@ std::vector<Border> first_borders(const Regions &all, const std::vector<Edge> &e
   return borders;
 }
 
-void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, uint32_t dim, int threads) {
+// At first the border of two rows is all that there is of them.
+void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, uint32_t dim, bool first,
+           int threads) {
   over_rows(borders.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
     for (uint64_t e = begin; e < end; e++) {
       Border &border = borders[e];
       if (border.score != kUnknown) continue;
-      const Agreement whole = agreement(all, border.a, border.b, rule.soft);
+      const Agreement along_it{border.shared, border.seen};
+      const Agreement whole = first ? along_it : agreement(all, border.a, border.b, rule.soft);
       const double along = pulled(border.shared, border.seen, rule), over = pulled(whole.shared, whole.seen, rule);
       const double unlike = rule.unlike * distance(all, border.a, border.b, dim, rule.unit);
       border.score = (float)(rule.local * along + (1 - rule.local) * over - unlike);
@@ -240,17 +243,26 @@ Regions merged(const Regions &all, const Groups &groups, const Votes &votes, int
 
 // Borders between the new regions; those of the same two are one.
 std::vector<Border> merged_borders(const std::vector<Border> &borders, const std::vector<int32_t> &numbers,
-                                   const Groups &groups) {
-  std::vector<Border> left;
-  left.reserve(borders.size());
+                                   const Groups &groups, int threads) {
+  const auto low = [&](const Border &border) { return std::min(numbers[border.a], numbers[border.b]); };
+  std::vector<size_t> at(groups.begins.size());  // counted by the lower number, then sorted by the higher one
+  for (const Border &border : borders)
+    if (numbers[border.a] != numbers[border.b]) at[(size_t)low(border) + 1]++;
+  std::partial_sum(at.begin(), at.end(), at.begin());
+  std::vector<Border> left(at.back());
+  std::vector<size_t> next(at.begin(), at.end() - 1);
   for (const Border &border : borders) {
     const int32_t a = numbers[border.a], b = numbers[border.b];
+    if (a == b) continue;
     const bool same = groups.alone((size_t)a) && groups.alone((size_t)b);
-    if (a != b)
-      left.push_back({std::min(a, b), std::max(a, b), border.shared, border.seen, same ? border.score : kUnknown});
+    left[next[(size_t)low(border)]++] = {std::min(a, b), std::max(a, b), border.shared, border.seen,
+                                         same ? border.score : kUnknown};
   }
-  std::stable_sort(left.begin(), left.end(),
-                   [](const Border &x, const Border &y) { return x.a != y.a ? x.a < y.a : x.b < y.b; });
+  over_rows(at.size() - 1, kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t n = begin; n < end; n++)
+      std::stable_sort(left.begin() + (ptrdiff_t)at[n], left.begin() + (ptrdiff_t)at[n + 1],
+                       [](const Border &x, const Border &y) { return x.b < y.b; });
+  });
   size_t kept = 0;
   for (size_t i = 0; i < left.size(); i++) {
     if (kept && left[kept - 1].a == left[i].a && left[kept - 1].b == left[i].b)
@@ -349,7 +361,7 @@ Forest agglomerate(const Votes &votes, std::vector<Edge> edges, const std::vecto
   Growing growing(votes, rule);
   for (size_t t = 0; t < thresholds.size(); t++)
     for (int round = 0; round < rule.rounds && !borders.empty(); round++) {
-      score(regions, borders, rule, votes.dim, threads);
+      score(regions, borders, rule, votes.dim, regions.count() == (int32_t)votes.rows, threads);
       std::vector<int32_t> numbers((size_t)regions.count());
       const int32_t before = regions.count();
       const int32_t count = joined(before, borders, thresholds[t], rule.tolerance, numbers);
@@ -357,7 +369,7 @@ Forest agglomerate(const Votes &votes, std::vector<Edge> edges, const std::vecto
       const Groups groups = grouped(numbers, count);
       Regions next = merged(regions, groups, votes, threads);
       growing.add(regions, next, groups, thresholds[t]);
-      borders = merged_borders(borders, numbers, groups);
+      borders = merged_borders(borders, numbers, groups, threads);
       regions = std::move(next);
       if (before - count < kFew * before && t + 1 < thresholds.size()) break;
     }

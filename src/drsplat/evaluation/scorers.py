@@ -69,8 +69,8 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
 
     def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
         queries = np.stack([embed_query(encoder, known, text) for text in texts])
-        found = known.scores(queries, threads=threads)
-        return np.stack([known.dense(by_object(known, one), fill=float("nan")) for one in found])
+        pairs = zip(known.scores(queries, threads=threads), queries, strict=True)
+        return np.stack([known.dense(by_object(known, one, query), fill=float("nan")) for one, query in pairs])
 
     def scores(text: str) -> Scores:
         one: Scores = several([text])[0]

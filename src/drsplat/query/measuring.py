@@ -186,7 +186,7 @@ class Measuring:
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
     ) -> Answer:
         if not self.cut.measures_relevancy:
-            return self._cut(query, scores, by_object(self._field, scores), COSINE, default)
+            return self._cut(query, scores, by_object(self._field, scores, query), COSINE, default)
         values = by_object(self._field, relevancy_from_scores(scores, self._negatives.maxima))
         return self._cut(query, scores, values, RELEVANCY, (RELEVANCY_THRESHOLD, DEFAULT))
 
