@@ -189,8 +189,7 @@ def register(
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = _views_with_features(views, features)
-    for doubt in doubts(gaussians, [view for view, _ in chosen]):
-        warn(doubt, DrSplatWarning, stacklevel=2)
+    _tell_doubts(gaussians, [view for view, _ in chosen])
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
         splats = splat_arrays(gaussians, sampling.near)
@@ -230,6 +229,11 @@ def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatu
             stacklevel=4,
         )
     return chosen
+
+
+def _tell_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
+    for doubt in doubts(gaussians, views):
+        warn(doubt, DrSplatWarning, stacklevel=4)
 
 
 def _refuse_shared_features(chosen: Sequence[tuple[View, str]]) -> None:

@@ -16,7 +16,6 @@ from .options import (
     add_overwrite,
     count,
     count_or_all,
-    new_output,
     tracker,
     views_of,
     whole,
@@ -120,12 +119,9 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..formats.claiming import claimed_output
-    from ..formats.field_folder import refuse_to_replace_others
+    from ..formats.field_folder import claimed_field
 
-    output = new_output(arguments.output, arguments.overwrite)
-    refuse_to_replace_others(output)
-    with claimed_output(output):
+    with claimed_field(Path(arguments.output), arguments.overwrite) as output:
         return _registered(arguments, output)
 
 
