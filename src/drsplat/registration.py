@@ -117,9 +117,8 @@ class Registration:
         aggregated = how(self.evidence, gaussians, threads=threads)
         aggregated = replace(aggregated, record=how.record(self.sampling))
         field = build_field(
-            self.evidence, self.scene, self.encoder, code,
-            aggregated=aggregated, threads=threads, track=track,
-        )  # fmt: skip
+            self.evidence, self.scene, self.encoder, code, aggregated=aggregated, threads=threads, track=track
+        )
         return replace(field, up=self.up)
 
     def _check(self, how: Aggregator, gaussians: Gaussians | None) -> None:

@@ -51,9 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_course(parser)
     group = parser.add_argument_group("capture")
     group.add_argument(
-        "--images", metavar="DIR",
-        help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)",
-    )  # fmt: skip
+        "--images", metavar="DIR", help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)"
+    )
     group.add_argument(
         "--points", metavar="FILE",
         help="PLY of points to start from, in the frame of the capture's camera file (default: those of the capture, "

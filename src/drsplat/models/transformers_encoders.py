@@ -184,9 +184,8 @@ class TransformersEncoder:
             text = texts[int(np.argmax(lengths))]
             raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
         padded = self._tokenizer(
-            texts, padding="max_length" if fixed else True, max_length=most if fixed else None,
-            return_tensors="pt",
-        )  # fmt: skip
+            texts, padding="max_length" if fixed else True, max_length=most if fixed else None, return_tensors="pt"
+        )
         names = ["input_ids"] if fixed else ["input_ids", "attention_mask"]
         return {name: padded[name] for name in names}
 

@@ -201,9 +201,8 @@ class Conversation:
         )
 
     def what_is_at(
-        self, place: tuple[float, float, float] | tuple[str, float, float], scene: str,
-        names: list[str] | None,
-    ) -> Here:  # fmt: skip
+        self, place: tuple[float, float, float] | tuple[str, float, float], scene: str, names: list[str] | None
+    ) -> Here:
         opened = self._scene(scene)
         words = opened.what_is(place, _names(names))
         point = _point(opened, place)

@@ -55,9 +55,8 @@ def train(
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
     """
     job = Job(
-        views, settings or TrainingSettings(), output_dir, points, overwrite, save_at,
-        checkpoint_every, threads, report,
-    )  # fmt: skip
+        views, settings or TrainingSettings(), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
+    )
     training: Training = (loop if chosen_device(device) == "cpu" else _cuda()).train(job)
     return training
 
