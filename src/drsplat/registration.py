@@ -175,13 +175,12 @@ def register(
 ) -> Registration:
     """Register the masks of every view onto the Gaussians.
 
-    features: by view name, with or without suffix; views without features are left out with a warning.
-    Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
-    on them too. For maps made on what `load_image` returned, pass views with distortion None.
-    sampling: which contributors of a pixel count; some aggregators want their own (`Aggregator.sampling`).
-    parts: folder for each view's finished columns; a run that finds them there does not redo them, so
-    a killed run loses at most one view. None uses a temporary folder.
-    track: shows progress.
+    features: by view name, with or without suffix; views without features are left out with a warning. Their maps lie
+    on the photos as stored, as LangSplat's do: where a view has a distortion it is undone on them too. For maps made on
+    what `load_image` returned, pass views with distortion None. sampling: which contributors of a pixel count; some
+    aggregators want their own (`Aggregator.sampling`). parts: folder for each view's finished columns; a run that finds
+    them there does not redo them, so a killed run loses at most one view. None uses a temporary folder. track: shows
+    progress.
 
     Warns: DrSplatWarning: views without features; units that make no sense (`units.doubts`).
     Raises: InputError: no view has features, two embedding sizes.

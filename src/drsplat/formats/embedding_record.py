@@ -89,8 +89,7 @@ def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = 
     Where the folder's settings are others, nothing in it counts as finished. With `overwrite`
     nothing does either, and features without a record are taken over.
 
-    Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a
-    damaged record.
+    Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a damaged record.
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise InputError(f"{folder} is no folder: name one for the features, or a new one")

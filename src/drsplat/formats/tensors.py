@@ -37,8 +37,7 @@ def write_tensors(
 ) -> None:
     """Write named arrays and text metadata, whole or not at all, with their checksums.
 
-    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite`
-    is false.
+    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite` is false.
     """
     arrays = {name: np.asarray(array) for name, array in tensors.items()}
     for name, array in arrays.items():

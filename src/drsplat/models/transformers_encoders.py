@@ -59,9 +59,8 @@ Oquab et al. 2024; the preprocessor_config.json that each was published with.
 class TransformersEncoder:
     """Images and texts to unit vectors. Made by `loading.load_encoder`.
 
-    identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what
-    precision images are computed; texts always in float32. batch: images in one pass. The last
-    TEXTS_KEPT texts are remembered.
+    identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what precision images
+    are computed; texts always in float32. batch: images in one pass. The last TEXTS_KEPT texts are remembered.
     """
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
