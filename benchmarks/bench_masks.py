@@ -108,9 +108,8 @@ def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
     spread = float(logits.std())
     none = PointMaskSettings(points_per_side=points, crop_layers=crop_layers, min_predicted_iou=2.0)
     half = replace(
-        none, min_predicted_iou=float(np.median(iou)), stability_offset=spread / 100,
-        min_stability=0.5, mask_score=-1.0,
-    )  # fmt: skip
+        none, min_predicted_iou=float(np.median(iou)), stability_offset=spread / 100, min_stability=0.5, mask_score=-1.0
+    )
     what = f"{points}x{points} points, {crop_layers} crop layers"
     for name, settings in (("no mask passes", none), ("half pass", half)):
         segmenter = PointSegmenter(predictor, settings)

@@ -199,9 +199,7 @@ def mapped(args: argparse.Namespace) -> dict[str, object]:
                     start = time.perf_counter()
                     field.scores(query, threads=args.threads)
                     warm.append(time.perf_counter() - start)
-            row = {
-                "load_ms": 1e3 * min(loads), "first_ms": 1e3 * min(firsts), "warm_ms": 1e3 * min(warm),
-            }  # fmt: skip
+            row = {"load_ms": 1e3 * min(loads), "first_ms": 1e3 * min(firsts), "warm_ms": 1e3 * min(warm)}
             print(
                 f"\n{points:,} points, mapped: loaded and checked in {row['load_ms']:.0f} ms, first query "
                 f"{row['first_ms']:.1f} ms, "

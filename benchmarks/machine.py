@@ -12,9 +12,9 @@ import numpy as np
 
 
 def arguments(doc: str | None, *places: str, **defaults: object) -> argparse.Namespace:
-    """Paths, and --name VALUE for each default, of its type: of a list several, of a type none; False is a switch.
+    """Paths, and --name VALUE for each default, of its type; says what all this runs on.
 
-    Says what all this runs on.
+    Of a list it takes several, of a tuple one or none, of a type one or none; False is a switch.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for place in places:
@@ -25,6 +25,8 @@ def arguments(doc: str | None, *places: str, **defaults: object) -> argparse.Nam
             how = {"type": type(default[0]), "default": default, "nargs": "*"}
         elif isinstance(default, type):
             how = {"type": default}
+        elif isinstance(default, tuple):
+            how = {"choices": default}
         elif default is False:
             how = {"action": "store_true"}
         parser.add_argument(f"--{name.replace('_', '-')}", **how)

@@ -12,14 +12,13 @@ Features: those of a packed scene, registered with the masks of `graph` and the 
 words. More codes on more features, without the paper's rivals: study_codes.py.
 """
 
-import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from drawn_embeddings import unit
-from machine import describe, interleaved
+from machine import arguments, describe, interleaved
 from study_codes import mini_words, quality, scene_case
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
@@ -162,18 +161,10 @@ def show_codes(rows: list[dict[str, object]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--points", type=int, default=1_000_000)
-    parser.add_argument("--dim", type=int, default=512)
-    parser.add_argument("--repeats", type=int, default=100)
-    parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--scene", type=Path, default=SCENE, help="folder of world.packing")
-    parser.add_argument("--skip", choices=("search", "codes"))
-    parser.add_argument("--output", default="study_pq.json")
-    parser.add_argument("--chart", help="Fig. S4 as SVG")
-    args = parser.parse_args()
-
-    print(describe())
+    args = arguments(
+        __doc__, points=1_000_000, dim=512, repeats=100, threads=0, scene=SCENE, skip=("search", "codes"),
+        output="study_pq.json", chart=str,
+    )  # fmt: skip
     report: dict[str, object] = {"machine": describe(), "points": args.points, "repeats": args.repeats}
     if args.skip != "search":
         times = search_times(args.points, args.dim, args.repeats, args.threads)

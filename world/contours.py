@@ -26,10 +26,7 @@ def _outline(piece: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
     entered: set[tuple[int, int, int]] = set()
     while (x, y, heading) not in entered:
         entered.add((x, y, heading))
-        step = next(
-            k % 8 for k in range(heading, heading + 8)
-            if padded[y + _AROUND[k % 8][1], x + _AROUND[k % 8][0]]
-        )  # fmt: skip
+        step = next(k % 8 for k in range(heading, heading + 8) if padded[y + _AROUND[k % 8][1], x + _AROUND[k % 8][0]])
         trail.append((x - 1, y - 1))
         turns.append(step)
         x, y = x + _AROUND[step][0], y + _AROUND[step][1]

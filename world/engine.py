@@ -1,8 +1,7 @@
 """The world in Mitsuba 3: meshes, materials, light and cameras.
 
-Dev-time only: `pip install mitsuba==3.9.1`. Fast with LLVM 15 or later (Debian: `apt-get install
-libllvm19`); the older ones of some systems crash in it, so that without one we take scalar_rgb,
-which is slow.
+Dev-time only: `pip install mitsuba==3.9.1`. Fast with LLVM 15 or later (Debian: `apt-get install libllvm19`); the older
+ones of some systems crash in it, so that without one we take scalar_rgb, which is slow.
 """
 
 import importlib

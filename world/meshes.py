@@ -202,8 +202,7 @@ def extrude(outline: Curve, height: float) -> Mesh:
     lower, upper = np.hstack([ring, flat]), np.hstack([ring, top])
     closed = np.vstack([ring, ring[:1]])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    walls = np.stack([np.hstack([closed, np.zeros((n + 1, 1))]),
-                      np.hstack([closed, np.full((n + 1, 1), height)])])  # fmt: skip
+    walls = np.stack([np.hstack([closed, np.zeros((n + 1, 1))]), np.hstack([closed, np.full((n + 1, 1), height)])])
     u, v = np.meshgrid(along, [0.0, height])
     return joined(
         Mesh(lower, caps[:, ::-1].astype(np.int32), ring.copy()),

@@ -30,13 +30,10 @@ def main() -> None:
     start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
     work = arguments.work or Path(f"{arguments.output}.parts")
     tasks = [
-        Task(
-            folder, masks, tuple(arguments.methods), work, arguments.every,
-            threads_for(arguments.jobs),
-        )
+        Task(folder, masks, tuple(arguments.methods), work, arguments.every, threads_for(arguments.jobs))
         for folder in scenes
         for masks in arguments.masks
-    ]  # fmt: skip
+    ]
     records = run(tasks, arguments.jobs)
     write_results(arguments.output, results_of(scenes, arguments.every, records))
     print(f"{arguments.output}: {len(records)} records in {time.perf_counter() - start:.0f} s")

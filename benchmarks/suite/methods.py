@@ -57,8 +57,7 @@ class Registered:
 class Workshop:
     """Everything that the methods of one scene and one kind of masks share.
 
-    All aggregators have one codebook, that of the mean: differences between them are then not those of
-    k-means.
+    All aggregators have one codebook, that of the mean: differences between them are then not those of k-means.
     """
 
     def __init__(self, scene: BenchScene, masks: str, encoder: MiniEncoder, threads: int) -> None:

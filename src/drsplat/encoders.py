@@ -14,9 +14,8 @@ from .errors import InputError
 class EncoderIdentity:
     """Two embeddings can be compared only if their identities match.
 
-    name: for people, e.g. "ViT-B-16/laion2b_s34b_b88k". dim: D. weights: hash of the weights, or ""
-    where it is not known. preprocessing: how images are scaled and normalised, or "" where it is not
-    known, as with files of LangSplat.
+    name: for people, e.g. "ViT-B-16/laion2b_s34b_b88k". dim: D. weights: hash of the weights, or "" where it is not
+    known. preprocessing: how images are scaled and normalised, or "" where it is not known, as with files of LangSplat.
 
     Raises: InputError: a text with half of a surrogate pair, which JSON can hold and no other file or answer.
     """

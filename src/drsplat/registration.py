@@ -119,9 +119,8 @@ class Registration:
         aggregated = how(self.evidence, gaussians, threads=threads)
         aggregated = replace(aggregated, record=how.record(self.sampling))
         field = build_field(
-            self.evidence, self.scene, self.encoder, code,
-            aggregated=aggregated, threads=threads, track=track,
-        )  # fmt: skip
+            self.evidence, self.scene, self.encoder, code, aggregated=aggregated, threads=threads, track=track
+        )
         return replace(field, up=self.up, left_out=self.left_out)
 
     def _check(self, how: Aggregator, gaussians: Gaussians | None) -> None:
@@ -179,21 +178,19 @@ def register(
 ) -> Registration:
     """Register the masks of every view onto the Gaussians.
 
-    features: by view name, with or without suffix; views without features are left out with a warning.
-    Their maps lie on the photos as stored, as LangSplat's do: where a view has a distortion it is undone
-    on them too. For maps made on what `load_image` returned, pass views with distortion None.
-    sampling: which contributors of a pixel count; some aggregators want their own (`Aggregator.sampling`).
-    parts: folder for each view's finished columns; a run that finds them there does not redo them, so
-    a killed run loses at most one view. None uses a temporary folder.
-    track: shows progress.
+    features: by view name, with or without suffix; views without features are left out with a warning. Their maps lie
+    on the photos as stored, as LangSplat's do: where a view has a distortion it is undone on them too. For maps made on
+    what `load_image` returned, pass views with distortion None. sampling: which contributors of a pixel count; some
+    aggregators want their own (`Aggregator.sampling`). parts: folder for each view's finished columns; a run that finds
+    them there does not redo them, so a killed run loses at most one view. None uses a temporary folder. track: shows
+    progress.
 
     Warns: DrSplatWarning: views without features; units that make no sense (`units.doubts`).
     Raises: InputError: no view has features, two embedding sizes.
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = _views_with_features(views, features)
-    for doubt in doubts(gaussians, [view for view, _ in chosen]):
-        warn(doubt, DrSplatWarning, stacklevel=2)
+    _tell_doubts(gaussians, [view for view, _ in chosen])
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
         splats = splat_arrays(gaussians, sampling.near)
@@ -233,6 +230,11 @@ def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatu
             stacklevel=4,
         )
     return chosen
+
+
+def _tell_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
+    for doubt in doubts(gaussians, views):
+        warn(doubt, DrSplatWarning, stacklevel=4)
 
 
 def _refuse_shared_features(chosen: Sequence[tuple[View, str]]) -> None:

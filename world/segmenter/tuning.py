@@ -1,8 +1,7 @@
 """Learn the rule of `graph`: python -m world.segmenter.tuning SCENE... --output rule.safetensors
 
-The rule merges the photos of made scenes; every pair that it meets on the way, with whether both regions
-show the same thing, is learned from together with all pairs of earlier rounds. The threshold is then the
-one of the best mean IoU.
+The rule merges the photos of made scenes; every pair that it meets on the way, with whether both regions show the same
+thing, is learned from together with all pairs of earlier rounds. The threshold is then the one of the best mean IoU.
 """
 
 import argparse

@@ -127,9 +127,8 @@ def teapot(rng: Rng, split: Split) -> Thing:
     plain_look = plain("ceramic", shade)
     look = clothes.maybe_patterned(shade, "ceramic", 0.12, 0.35)
     return build(
-        "teapot", shade, "ceramic",
-        (look, body), (plain_look, joined(lid.moved(z=height - 0.001), knob, tube, handle)),
-    )  # fmt: skip
+        "teapot", shade, "ceramic", (look, body), (plain_look, joined(lid.moved(z=height - 0.001), knob, tube, handle))
+    )
 
 
 def _cutlery_shade(rng: Rng) -> tuple[Color, str, Look]:
@@ -200,9 +199,8 @@ def knife(rng: Rng, split: Split) -> Thing:
     look = plain("wood" if wooden else "plastic", shade)
     rivets = [cylinder(0.003, 0.0162).moved(-grip * s, 0, -0.0008) for s in (0.25, 0.7)]
     return build(
-        "knife", shade, "wood" if wooden else "plastic",
-        (look, handle), (plain("metal", STEEL), joined(steel, *rivets)),
-    )  # fmt: skip
+        "knife", shade, "wood" if wooden else "plastic", (look, handle), (plain("metal", STEEL), joined(steel, *rivets))
+    )
 
 
 def pot(rng: Rng, split: Split) -> Thing:

@@ -37,8 +37,7 @@ class Codebook:
 
     coarse: None (plain), or centroids of whole features, whose codes are of what they leave over.
 
-    Raises: InputError: shapes disagree, or values are not finite. MismatchError: another dimension
-    than the encoder's.
+    Raises: InputError: shapes disagree, or values are not finite. MismatchError: another dimension than the encoder's.
     """
 
     centroids: Float32[np.ndarray, "L c d"]
@@ -164,8 +163,7 @@ class Codebook:
     def check(self, codes: Codes) -> None:
         """Refuse codes that this codebook cannot have made.
 
-        Raises: InputError: another number of sub-vectors, coarse ids missing, superfluous or out of
-        range.
+        Raises: InputError: another number of sub-vectors, coarse ids missing, superfluous or out of range.
         """
         if codes.codes.ndim != 2 or codes.codes.shape[1] != self.num_subvectors:
             raise InputError(f"expected codes (n, {self.num_subvectors}), got {codes.codes.shape}")

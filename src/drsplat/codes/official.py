@@ -16,8 +16,7 @@ from .files import load_codebook
 def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) -> Codebook:
     """A codebook from a FAISS index: IndexPQ, or the IndexIVFPQ that Dr. Splat's authors publish.
 
-    Raises: FormatError: another kind of file, or damaged. MismatchError: another dimension than the
-    encoder's.
+    Raises: FormatError: another kind of file, or damaged. MismatchError: another dimension than the encoder's.
     """
     quantizer = read_faiss_quantizer(path)
     try:

@@ -34,17 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "features", nargs="?", metavar="FEATURES.npy", help="embeddings (N, D) to train on, instead of --lvis"
     )  # fmt: skip
-    parser.add_argument(
-        "--output", "-o", required=True, metavar="FILE", help=".safetensors to write the codebook to"
-    )  # fmt: skip
+    parser.add_argument("--output", "-o", required=True, metavar="FILE", help=".safetensors to write the codebook to")
     add_overwrite(parser)
     source = parser.add_argument_group("source")
     source.add_argument(
         "--lvis", metavar="FILE", help="file of annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
     )  # fmt: skip
-    source.add_argument(
-        "--images", metavar="DIR", help="folder of their photos, e.g. that of train2017 and val2017"
-    )  # fmt: skip
+    source.add_argument("--images", metavar="DIR", help="folder of their photos, e.g. that of train2017 and val2017")
     source.add_argument(
         "--encoder-name", type=words, metavar="NAME",
         help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"

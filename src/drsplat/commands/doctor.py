@@ -47,6 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """It has no options of its own."""
 
 
+CACHED = {
+    True: "in the local cache", False: "not in the local cache, downloaded at first use",
+    None: "huggingface_hub is not installed",
+}  # fmt: skip
+
+
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..models.devices import has_fast_bfloat16
 
@@ -84,7 +90,7 @@ def show(answer: dict[str, Any]) -> None:
     show_table("Packages", ("name", "version", "for"), rows)
     print("Models")  # lines, because a table would cut their ids, which people copy
     for name, of in answer["models"].items():
-        print(f"  {name}: {of['for']}; {_cached_said(of['cached'])}")
+        print(f"  {name}: {of['for']}; {CACHED[of['cached']]}")
     print("\nWhat can run")
     for name, ability in answer["can"].items():
         print(f"  {'yes' if ability['ready'] else 'NO '} {name}")
@@ -190,14 +196,6 @@ def _models() -> dict[str, dict[str, Any]]:
 
     known = _is_installed("huggingface_hub")
     return {name: {"for": use, "cached": cached_in_full(name) if known else None} for name, use in MODELS.items()}
-
-
-def _cached_said(cached: bool | None) -> str:
-    return {
-        True: "in the local cache",
-        False: "not in the local cache, downloaded at first use",
-        None: "huggingface_hub is not installed",
-    }[cached]
 
 
 def _is_installed(name: str) -> bool:

@@ -34,9 +34,8 @@ MOST_POINTS = 1024  # on a side
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
-        "--output", "-o", metavar="DIR",
-        help="folder for the features (default: CAPTURE/language_features)",
-    )  # fmt: skip
+        "--output", "-o", metavar="DIR", help="folder for the features (default: CAPTURE/language_features)"
+    )
     parser.add_argument(
         "--langsplat", action="store_true",
         help="write LangSplat's <photo>_s.npy and <photo>_f.npy, for other programs: the same, some hundred times as "

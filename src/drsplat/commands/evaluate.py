@@ -52,9 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="measure relevancy against object, things, stuff, texture (default: cosine)",
     )  # fmt: skip
     parser.add_argument(
-        "--threshold", type=finite, metavar="T",
-        help="fixed threshold (default: the encoder's own, else 0.5)",
-    )  # fmt: skip
+        "--threshold", type=finite, metavar="T", help="fixed threshold (default: the encoder's own, else 0.5)"
+    )
     parser.add_argument(
         "--automatic", action="store_true", help="score with a threshold per query as well, chosen from its scores"
     )

@@ -98,9 +98,8 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     """--images, --dataparser-transforms, --max-side: how the photos of a capture are read."""
     group = parser.add_argument_group("capture")
     group.add_argument(
-        "--images", metavar="DIR",
-        help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)",
-    )  # fmt: skip
+        "--images", metavar="DIR", help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)"
+    )
     group.add_argument(
         "--dataparser-transforms", metavar="FILE",
         help="nerfstudio's dataparser_transforms.json, for scenes that it trained (default: the one in CAPTURE)",
@@ -125,9 +124,8 @@ def add_query_encoders(parser: argparse.ArgumentParser) -> None:
         "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (default: none; fields of the built-in words encoder need none)",
     )  # fmt: skip
     parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
-        help="device for --encoder (default: auto)",
-    )  # fmt: skip
+        "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto", help="device for --encoder (default: auto)"
+    )
     parser.add_argument(
         "--vocabulary", metavar="FILE",
         help="texts and their vectors from the encoder that embedded the masks, instead of the encoder itself: JSON "

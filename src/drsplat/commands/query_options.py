@@ -35,9 +35,8 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     """What is looked for, who embeds it, and where its scores are cut."""
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
-        "text", nargs="?", type=words,
-        help="query in words; 'mug, not red' excludes what 'red mug' fits as well",
-    )  # fmt: skip
+        "text", nargs="?", type=words, help="query in words; 'mug, not red' excludes what 'red mug' fits as well"
+    )
     parser.add_argument(
         "--exclude", type=words, action="append", default=[], metavar="WORDS",
         help="words to exclude, as ', not WORDS' in the text does; may be repeated",

@@ -120,12 +120,9 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..formats.claiming import claimed_output
-    from ..formats.field_folder import refuse_to_replace_others
+    from ..formats.field_folder import claimed_field
 
-    output = new_or_complete(arguments.output, arguments.overwrite)
-    refuse_to_replace_others(output)
-    with claimed_output(output):
+    with claimed_field(new_or_complete(arguments.output, arguments.overwrite), True) as output:
         return _registered(arguments, output)
 
 

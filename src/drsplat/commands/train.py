@@ -23,6 +23,7 @@ EXAMPLES = """\
 A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the same command is given again, without
 --overwrite; a finished one goes on with more --iterations."""
 DIVISORS = (1, 2, 4, 8)
+STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
 MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
@@ -51,9 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_course(parser)
     group = parser.add_argument_group("capture")
     group.add_argument(
-        "--images", metavar="DIR",
-        help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)",
-    )  # fmt: skip
+        "--images", metavar="DIR", help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)"
+    )
     group.add_argument(
         "--points", metavar="FILE",
         help="PLY of points to start from, in the frame of the capture's camera file (default: those of the capture, "
@@ -164,18 +164,13 @@ def show(answer: dict[str, Any]) -> None:
             "held out": tested,
             "trained on": f"PSNR {answer['psnr_train']:.2f} dB",
             "Gaussians": said(answer["num_gaussians"]),
-            "started from": _start_said(answer["start"]),
+            "started from": " and ".join(f"{n:,} {STARTS[kind]} points" for kind, n in answer["start"].items() if n),
             "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}",
             "time": f"{seconds:.1f} s on {answer['device']}, {1000 * seconds / count:.1f} ms an iteration",
             "stages, ms": ", ".join(f"{name} {1000 * spent / count:.1f}" for name, spent in stages),
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
-
-
-def _start_said(start: dict[str, int]) -> str:
-    named = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
-    return " and ".join(f"{count:,} {named[kind]} points" for kind, count in start.items() if count)
 
 
 def _settings(arguments: argparse.Namespace) -> TrainingSettings:

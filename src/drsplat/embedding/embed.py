@@ -121,8 +121,7 @@ def _record_words(folder: Path, encoder: ImageEncoder) -> None:
 def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
     """Who made the embeddings of a folder that `embed` wrote; None where others wrote it.
 
-    Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are
-    in it.
+    Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are in it.
     """
     settings = read_settings(Path(folder))
     if settings is None:

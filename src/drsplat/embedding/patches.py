@@ -119,8 +119,7 @@ def embed_patches(
 ) -> EmbeddedPatches:
     """Embed the patches photo by photo into a file in `folder`, which is mapped, not loaded.
 
-    A run that finds there what an earlier one of the same patches and encoder has done goes on with
-    the next photo.
+    A run that finds there what an earlier one of the same patches and encoder has done goes on with the next photo.
 
     Raises: as `patches`. InputError: no patch is large enough.
     """

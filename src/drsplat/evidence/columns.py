@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32
 from scipy.sparse import csr_array
 
 from ..errors import FormatError, MismatchError
@@ -48,9 +48,7 @@ class ColumnMaker:
 
         Raises: MismatchError: the map has another shape than the photo.
         """
-        _refuse_another_shape(view, features)
-        stored = features.resized(view.width, view.height).mask_ids
-        mask_ids = undistort_ids(view, stored)
+        mask_ids = _mask_ids(view, features)
         key = _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
         path = self.folder / part_name(view.name)
         if not _is_finished(path, key):
@@ -71,13 +69,15 @@ class ColumnMaker:
         return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
 
 
-def _refuse_another_shape(view: View, features: ViewFeatures) -> None:
+def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
+    """On the view's raster, its lens undone."""
     height, width = features.mask_ids.shape
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
             f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
             "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
         )
+    return undistort_ids(view, features.resized(view.width, view.height).mask_ids)
 
 
 def part_name(view_name: str) -> str:

@@ -62,9 +62,8 @@ def read_views(
 
     Warns: DrSplatWarning: several camera files (which one was read); photos that are missing
     (COLMAP, cameras.json: the views stay, without image_path; transforms.json: they are left out).
-    Raises: InputError: nothing to read, no such folder. FormatError: a damaged file, a name that
-    leaves the image folder or occurs twice, an unsupported lens. MismatchError: photos of another
-    shape.
+    Raises: InputError: nothing to read, no such folder. FormatError: a damaged file, a name that leaves the image
+    folder or occurs twice, an unsupported lens. MismatchError: photos of another shape.
     """
     if max_side is not None and max_side < 1:
         raise InputError(f"max_side: expected at least 1 pixel, got {max_side}")

@@ -47,8 +47,7 @@ def read_colmap(model: Path) -> list[View]:
 def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     """The sparse points of a COLMAP capture: world positions and RGB colours, in file order.
 
-    Raises: InputError: the capture has no points3D file. FormatError: it is damaged, or a point is
-    not finite.
+    Raises: InputError: the capture has no points3D file. FormatError: it is damaged, or a point is not finite.
     """
     folder = next((f for f in map(Path(capture).joinpath, MODEL_FOLDERS) if has_points(f)), None)
     if folder is None:

@@ -63,7 +63,7 @@ def write_compact(
     height, width = planes.shape[1:]
     if not 0 < height * width <= MOST_PIXELS:
         raise InputError(f"mask_ids: expected 1 to {MOST_PIXELS:,} pixels, got {width}x{height}")
-    levels = [_first_alike(planes, index) for index in range(len(planes))]
+    levels = [next(i for i, one in enumerate(planes) if np.array_equal(one, plane)) for plane in planes]
     kept = sorted(set(levels))
     dtype = _dtype(len(embeddings))
     squeeze = zstandard.ZstdCompressor(level=_STRENGTH, write_content_size=False).compress
@@ -100,10 +100,6 @@ def read_compact(path: Path) -> CompactFile:
 def _dtype(num_embeddings: int) -> np.dtype[np.unsignedinteger]:
     """Of ids, which count from 1; 0 is none."""
     return np.dtype("<u2" if num_embeddings < _WIDE else "<u4")
-
-
-def _first_alike(planes: np.ndarray, index: int) -> int:
-    return next(i for i in range(index + 1) if np.array_equal(planes[i], planes[index]))
 
 
 def _counts(text: str | None, where: str) -> tuple[int, ...]:

@@ -34,8 +34,7 @@ def is_compressed(header: Header) -> bool:
 def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     """Gaussians of a compressed PLY; further properties of `vertex` are kept in `extra`.
 
-    Raises: FormatError: properties missing, elements whose counts do not fit, or rows that are no
-    Gaussians.
+    Raises: FormatError: properties missing, elements whose counts do not fit, or rows that are no Gaussians.
     """
     _require(header, "vertex", PACKED, "u4")
     _require(header, "chunk", (*POSITION_BOUNDS, *SCALE_BOUNDS), "f4")

@@ -89,15 +89,14 @@ def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = 
     Where the folder's settings are others, nothing in it counts as finished. With `overwrite`
     nothing does either, and features without a record are taken over.
 
-    Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a
-    damaged record.
+    Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a damaged record.
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise InputError(f"{folder} is no folder: name one for the features, or a new one")
     path, settings = folder / FILE_NAME, _as_json(settings)
     if path.is_file() and not overwrite:
         before, finished = _read(path)
-        changes = _differences(before, settings)
+        changes = tuple(_changed(before, settings))
         record = EmbeddingRecord(folder, settings, {} if changes else finished, changes)
         if changes:
             record.write()
@@ -222,12 +221,8 @@ def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
     return plain
 
 
-def _differences(before: object, now: object, name: str = "") -> tuple[str, ...]:
+def _changed(before: object, now: object, name: str = "") -> Iterator[str]:
     """Each setting that differs, what it was and what it is."""
-    return tuple(_changed(before, now, name))
-
-
-def _changed(before: object, now: object, name: str) -> Iterator[str]:
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(key for key in now if key not in before)]:
             yield from _changed(before.get(key), now.get(key), f"{name}.{key}" if name else key)

@@ -18,6 +18,7 @@ import numpy as np
 from ..contents import open_file
 from ..errors import FormatError, InputError
 from .checksums import sealed
+from .claiming import claimed_output
 from .json_files import parsed
 from .replacing import lock, refuse_missing_parent, replacing, saying_what_is_full, sweep, sync_folder, temporary_beside
 from .tensors import write_tensors
@@ -90,6 +91,19 @@ def _new_folder(path: Path) -> Iterator[Path]:
     finally:
         os.close(descriptor)
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def claimed_field(path: Path, overwrite: bool) -> Iterator[Path]:
+    """A folder that a field is to be written to, before the work for it: no other process has it meanwhile.
+
+    Raises: InputError: it exists and `overwrite` is false or it is not such a folder; as `claimed_output`.
+    """
+    if path.exists() and not overwrite:
+        raise InputError(f"{path} exists already: pass overwrite=True to replace it, or name another output")
+    refuse_to_replace_others(path)
+    with claimed_output(path):
+        yield path
 
 
 def refuse_to_replace_others(path: Path, mark: str = MANIFEST) -> None:

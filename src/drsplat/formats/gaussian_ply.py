@@ -1,9 +1,8 @@
 """3DGS PLY as INRIA's trainer, nerfstudio, gsplat and SuperSplat write it.
 
-The file holds values before their activation: `scale_0..2` are logarithms, `opacity` a logit,
-`rot_0..3` (w, x, y, z) not normalised, `f_dc_0..2` the constant SH coefficient and `f_rest_*` the
-others channel by channel (all of red, then green, then blue). Axes are the training frame's.
-Properties are found by name, in any order and of any scalar type.
+The file holds values before their activation: `scale_0..2` are logarithms, `opacity` a logit, `rot_0..3` (w, x, y, z)
+not normalised, `f_dc_0..2` the constant SH coefficient and `f_rest_*` the others channel by channel (all of red, then
+green, then blue). Axes are the training frame's. Properties are found by name, in any order and of any scalar type.
 
 Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models.
 """

@@ -14,8 +14,7 @@ from ..errors import FormatError, InputError
 def read_json(path: Path) -> object:
     """The document in `path`.
 
-    Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, nested too deep,
-    or as `parsed` says.
+    Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, nested too deep, or as `parsed` says.
     """
     try:
         return parsed(file_text(path))

@@ -194,14 +194,11 @@ def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Float64[
 
 def _fill_further(sh: Float32[np.ndarray, "n k 3"], rest: np.ndarray, header: _Header) -> None:
     """The coefficients beyond the constant one that a row has."""
-    values = _from_bytes(header)[rest] if header.level == 2 else rest
+    lowest, highest = header.low or HARMONIC_BOUNDS[0], header.high or HARMONIC_BOUNDS[1]
+    of_bytes = (lowest + (highest - lowest) * (np.arange(256) / 255)).astype(np.float32)
+    values = of_bytes[rest] if header.level == 2 else rest
     for start, low, high in BANDS:
         end = start + 3 * (high - low)
         if rest.shape[1] >= end:
             by_channel = values[:, start:end].reshape(-1, 3, high - low)
             sh[:, low:high] = by_channel.transpose(0, 2, 1)
-
-
-def _from_bytes(header: _Header) -> Float32[np.ndarray, " 256"]:
-    low, high = header.low or HARMONIC_BOUNDS[0], header.high or HARMONIC_BOUNDS[1]
-    return (low + (high - low) * (np.arange(256) / 255)).astype(np.float32)

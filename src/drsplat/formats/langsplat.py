@@ -50,13 +50,11 @@ class LevelFeatures(ViewFeatures):
 class FeatureFolder(Mapping[str, ViewFeatures]):
     """Photos' features by name, read when asked for. Made by `read_features`.
 
-    Keys are paths of photos relative to the folder, without suffix. Looking up takes the name of a
-    view as well: "cam0/0001.jpg" finds "cam0/0001", else "0001" (LangSplat writes all features into
-    one folder, where photos of one name in several folders cannot be told apart; `key` says what is
-    found).
+    Keys are paths of photos relative to the folder, without suffix. Looking up takes the name of a view as well:
+    "cam0/0001.jpg" finds "cam0/0001", else "0001" (LangSplat writes all features into one folder, where photos of one
+    name in several folders cannot be told apart; `key` says what is found).
 
-    level: index into LEVELS. encoder: who made the embeddings, where the folder or the caller knows.
-    dim: their D.
+    level: index into LEVELS. encoder: who made the embeddings, where the folder or the caller knows. dim: their D.
     """
 
     def __init__(self, directory: Path, level: int, encoder: EncoderIdentity | None = None) -> None:
@@ -165,13 +163,11 @@ def write_features(
 ) -> None:
     """Write one photo's features as LangSplat does: `<stem>_f.npy`, then `<stem>_s.npy`.
 
-    The maps come last, so a photo that is listed is complete. mask_ids: (4, H, W) in the order
-    of LEVELS, or one (H, W). Folders in the stem are made. form: "compact" writes the same as one file
-    `<stem>.features.safetensors`, which only drsplat reads, some hundredth of the size. Files of the
-    other form are replaced as well.
+    The maps come last, so a photo that is listed is complete. mask_ids: (4, H, W) in the order of LEVELS, or one (H,
+    W). Folders in the stem are made. form: "compact" writes the same as one file `<stem>.features.safetensors`, which
+    only drsplat reads, some hundredth of the size. Files of the other form are replaced as well.
 
-    Raises: InputError: wrong shapes, an id without a row, a stem that leaves the folder, existing
-    files, another form.
+    Raises: InputError: wrong shapes, an id without a row, a stem that leaves the folder, existing files, another form.
     """
     if form not in ("compact", "langsplat"):
         raise InputError(f"form: expected 'compact' or 'langsplat', got {form!r}")

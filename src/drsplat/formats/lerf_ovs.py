@@ -31,8 +31,7 @@ T = TypeVar("T")
 class LabelledFrame:
     """What people drew on one photo.
 
-    name: the photo's, without suffix. polygons, boxes: by category, one or more of each; boxes are
-    (x1, y1, x2, y2).
+    name: the photo's, without suffix. polygons, boxes: by category, one or more of each; boxes are (x1, y1, x2, y2).
     """
 
     name: str
@@ -67,8 +66,7 @@ def read_lerf_labels(folder: Path) -> list[LabelledFrame]:
 def read_lerf_frame(path: Path) -> LabelledFrame:
     """One file of labels.
 
-    Raises: InputError: there is no such file. FormatError: damaged; the message names file, object
-    and field.
+    Raises: InputError: there is no such file. FormatError: damaged; the message names file, object and field.
     """
     document = read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("info"), dict):

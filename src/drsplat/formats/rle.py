@@ -36,9 +36,8 @@ def decode_runs(counts: Int64[np.ndarray, " n"], height: int, width: int, where:
 def unpack_counts(text: str, where: str) -> Int64[np.ndarray, " n"]:
     """Run lengths from COCO's compressed text.
 
-    A number is a row of characters, each 48 plus five bits, lowest first; 32 says that more follow,
-    and the fifth bit of the last is the sign. From the fourth on, a number is the difference from
-    the length two before.
+    A number is a row of characters, each 48 plus five bits, lowest first; 32 says that more follow, and the fifth bit
+    of the last is the sign. From the fourth on, a number is the difference from the length two before.
 
     Raises: FormatError: other characters, a number that does not end or is too long.
     """

@@ -63,8 +63,7 @@ def scene_file(scene: Path, ending: str) -> Path:
 def read_scannet_labels(path: Path) -> LabelledCloud:
     """The vertices of a `_vh_clean_2.labels.ply`.
 
-    Raises: InputError: there is no such file. FormatError: damaged, no `label`, positions that are
-    not finite.
+    Raises: InputError: there is no such file. FormatError: damaged, no `label`, positions that are not finite.
     """
     rows = _vertices(path)
     if "label" not in (rows.dtype.names or ()):
@@ -80,8 +79,7 @@ def read_scannet_labels(path: Path) -> LabelledCloud:
 def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
     """The object of each vertex, from `.segs.json` and `.aggregation.json`.
 
-    Raises: InputError: there is no such file. FormatError: damaged; the message names the group and
-    the field.
+    Raises: InputError: there is no such file. FormatError: damaged; the message names the group and the field.
     """
     of_vertex = _segment_ids(segments)
     document = read_json(aggregation)

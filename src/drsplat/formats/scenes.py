@@ -39,9 +39,8 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     memory. A scene far from zero for its size is counted from a local origin (`placing.local_origin`).
 
     Warns: DrSplatWarning: such a scene in a file of float32 positions, which have lost precision already.
-    Raises: InputError: nothing at `path`. FormatError: a format that is not known, a damaged or
-    truncated file, or rows that are no Gaussians; the message says how many, which is the first,
-    and the cure.
+    Raises: InputError: nothing at `path`. FormatError: a format that is not known, a damaged or truncated file, or rows
+    that are no Gaussians; the message says how many, which is the first, and the cure.
     """
     path = scene_file(Path(path))
     try:

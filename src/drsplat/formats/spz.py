@@ -5,11 +5,10 @@ u8 as byte / 16 - 10, rotations, SH coefficients u8 as byte / 128 - 1 with chann
 Rotations are (x, y, z) as 3 x u8 with w >= 0 left out (version 2), or the smallest three of (x, y,
 z, w) as sign and 9 bits each with the index of the largest on top (3 and 4).
 
-Axes: SPZ stores RUB (x right, y up, z back), a PLY's are RDF (x right, y down, z front), and what
-drsplat holds is always RDF: reading negates y and z of the positions, of the rotation axes, and of
-the SH coefficients that are odd in them. A file that names its axes (extension 0xADBE0003) is
-believed. Files that `gsply` writes hold the PLY's axes and do not say so: they come out turned by
-180 degrees about x, as in every reader that follows the specification.
+Axes: SPZ stores RUB (x right, y up, z back), a PLY's are RDF (x right, y down, z front), and what drsplat holds is
+always RDF: reading negates y and z of the positions, of the rotation axes, and of the SH coefficients that are odd in
+them. A file that names its axes (extension 0xADBE0003) is believed. Files that `gsply` writes hold the PLY's axes and
+do not say so: they come out turned by 180 degrees about x, as in every reader that follows the specification.
 
 Source: github.com/nianticlabs/spz, README "File Format" and extensions/README.
 """

@@ -1,9 +1,8 @@
 """Decompression that cannot be made to explode.
 
-A size is believed only while it is plausible for the bytes that are there: at most 1 MiB plus 100
-times their number. (Real scenes compress 1 to 3 times, and five times if all their SH are zero;
-gzip can reach 1,030 and zstd far more, on zeros only.) Nothing is ever decompressed beyond that
-size.
+A size is believed only while it is plausible for the bytes that are there: at most 1 MiB plus 100 times their number.
+(Real scenes compress 1 to 3 times, and five times if all their SH are zero; gzip can reach 1,030 and zstd far more, on
+zeros only.) Nothing is ever decompressed beyond that size.
 
 Source: RFC 1952 (gzip), RFC 8878 (zstd).
 """
@@ -36,8 +35,7 @@ def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[byt
 
     A `buffer` that is not gzip is taken as the payload itself.
 
-    Raises: FormatError: no whole gzip stream, an implausible size, or a payload shorter than it
-    says.
+    Raises: FormatError: no whole gzip stream, an implausible size, or a payload shorter than it says.
     """
     if bytes(buffer[:2]) != GZIP_MAGIC:
         size = payload_bytes(bytes(buffer[:start_bytes]))

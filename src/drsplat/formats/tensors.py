@@ -37,15 +37,14 @@ def write_tensors(
 ) -> None:
     """Write named arrays and text metadata, whole or not at all, with their checksums.
 
-    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite`
-    is false.
+    Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite` is false.
     """
     arrays = {name: np.asarray(array) for name, array in tensors.items()}
     for name, array in arrays.items():
         if array.dtype not in _NAMES:
             raise InputError(f"tensor '{name}': safetensors has no name for {array.dtype}")
     # Those of whole cache lines, which then begin at one, then the widest: so all are aligned to their items.
-    order = sorted(arrays, key=lambda name: (_misfit(arrays[name]), name))
+    order = sorted(arrays, key=lambda name: (arrays[name].nbytes % LINE != 0, -arrays[name].dtype.itemsize, name))
     header: dict[str, object] = {"__metadata__": dict(metadata)} if metadata else {}
     offset = 0
     for name in order:
@@ -58,10 +57,6 @@ def write_tensors(
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
             file.write(raw_bytes(arrays[name]))
-
-
-def _misfit(array: np.ndarray) -> tuple[bool, int]:
-    return array.nbytes % LINE != 0, -array.dtype.itemsize
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -31,12 +31,11 @@ Entry = Mapping[str, object]
 def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     """The views of a transforms.json whose photos exist, with photos, in the order of the file.
 
-    transform_matrix is camera-to-world in OpenGL axes (+y up, -z forward). Intrinsics (fl_x, fl_y,
-    cx, cy or camera_angle_x; w, h or the photo's size; k1, k2, p1, p2; camera_model) are of the
-    frame, else of the file. file_path is relative to the file, with or without suffix; with
-    `images` it is looked for there, less a leading "images/". Names of views are less that folder,
-    too. Absolute paths are taken as they are; where nothing is there any more, as paths below the
-    folder that all of them share.
+    transform_matrix is camera-to-world in OpenGL axes (+y up, -z forward). Intrinsics (fl_x, fl_y, cx, cy or
+    camera_angle_x; w, h or the photo's size; k1, k2, p1, p2; camera_model) are of the frame, else of the file.
+    file_path is relative to the file, with or without suffix; with `images` it is looked for there, less a leading
+    "images/". Names of views are less that folder, too. Absolute paths are taken as they are; where nothing is there
+    any more, as paths below the folder that all of them share.
 
     Warns: DrSplatWarning: frames without photo are left out; the warning names them.
     Raises: FormatError: a damaged file, a pose that is not rigid, a lens that no pinhole stands

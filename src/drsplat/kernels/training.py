@@ -154,8 +154,7 @@ def adam_step(
 
     constant_rate: of harmonics (N, K, 3), the rate of the constant term, K = 0.
 
-    Raises: InputError: arrays that are not contiguous float32 of one shape; a constant_rate for
-    anything but harmonics.
+    Raises: InputError: arrays that are not contiguous float32 of one shape; a constant_rate for anything but harmonics.
     Source: Kingma & Ba 2015, Algorithm 1.
     """
     arrays = (parameter, gradient, first_moment, second_moment)

@@ -130,9 +130,8 @@ def paint(masks: Masks) -> Int32[np.ndarray, "h w"]:
 def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
     """The four maps of a photo, ids counted on from level to level: default, small, medium, large.
 
-    Masks of `large` alone serve as all four levels, with the same ids. A mask that later ones paint
-    over completely is left out: no pixel would refer to its row, and it need not be embedded
-    (LangSplat's own files keep such rows).
+    Masks of `large` alone serve as all four levels, with the same ids. A mask that later ones paint over completely is
+    left out: no pixel would refer to its row, and it need not be embedded (LangSplat's own files keep such rows).
 
     Raises: InputError: other levels than these, levels of different sizes.
     Source: LangSplat preprocess.py; Dr. Splat preprocessing.py (one level in all four).

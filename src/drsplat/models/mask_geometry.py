@@ -77,9 +77,8 @@ def without_small_regions(
 ) -> tuple[Box, Bool[np.ndarray, "_ _"], bool]:
     """A mask with its holes below min_region pixels filled, then its islands below it removed.
 
-    The largest island stays whatever its size: this rule drops no mask. The last says whether
-    there was anything small, be it that island alone. Regions touch at sides or corners; small
-    background at the image's edge is a hole too.
+    The largest island stays whatever its size: this rule drops no mask. The last says whether there was anything small,
+    be it that island alone. Regions touch at sides or corners; small background at the image's edge is a hole too.
     Source: segment-anything utils/amg.py, remove_small_regions.
     """
     if min_region == 0:

@@ -83,9 +83,8 @@ class PointPredictor(Protocol):
     ) -> Iterator[Found]:
         """Masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
-        Those of other outputs than settings.outputs, of a predicted IoU that is not above
-        min_predicted_iou or of a stability below min_stability may be left out: they are dropped
-        anyway.
+        Those of other outputs than settings.outputs, of a predicted IoU that is not above min_predicted_iou or of a
+        stability below min_stability may be left out: they are dropped anyway.
         """
         ...
 

@@ -13,9 +13,7 @@ from ..formats.json_files import read_json, shown
 from .libraries import INSTALL, model_class, models_library
 from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
-_WANTED = [
-    "*.json", "merges.txt", "vocab.txt", "*.model", WEIGHTS, "model-*-of-*.safetensors",
-]  # fmt: skip
+_WANTED = ["*.json", "merges.txt", "vocab.txt", "*.model", WEIGHTS, "model-*-of-*.safetensors"]
 _VOCABULARIES = ("tokenizer.json", "vocab.json", "vocab.txt", "*.model")
 _ID = re.compile(r"[A-Za-z0-9][\w.-]*(/[\w.-]+)?")
 
@@ -109,9 +107,8 @@ def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = (), **ma
     kind = model_class(class_name)
     with model_errors(folder, class_name):
         model, report = kind.from_pretrained(
-            None if made else str(folder), use_safetensors=True, local_files_only=True,
-            output_loading_info=True, **made,
-        )  # fmt: skip
+            None if made else str(folder), use_safetensors=True, local_files_only=True, output_loading_info=True, **made
+        )
     missing = sorted(name for name in report["missing_keys"] if not name.endswith(unused))
     if missing:
         raise FormatError(

@@ -59,9 +59,8 @@ Oquab et al. 2024; the preprocessor_config.json that each was published with.
 class TransformersEncoder:
     """Images and texts to unit vectors. Made by `loading.load_encoder`.
 
-    identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what
-    precision images are computed; texts always in float32. batch: images in one pass. The last
-    TEXTS_KEPT texts are remembered.
+    identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what precision images
+    are computed; texts always in float32. batch: images in one pass. The last TEXTS_KEPT texts are remembered.
     """
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
@@ -184,9 +183,8 @@ class TransformersEncoder:
             text = texts[int(np.argmax(lengths))]
             raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
         padded = self._tokenizer(
-            texts, padding="max_length" if fixed else True, max_length=most if fixed else None,
-            return_tensors="pt",
-        )  # fmt: skip
+            texts, padding="max_length" if fixed else True, max_length=most if fixed else None, return_tensors="pt"
+        )
         names = ["input_ids"] if fixed else ["input_ids", "attention_mask"]
         return {name: padded[name] for name in names}
 

@@ -1,9 +1,8 @@
 """An encoder that knows words and nothing else: for the demo, for tests, for trying things out.
 
-Every word has a fixed random direction. A text is the sum of its words, so that texts are similar by
-the share of words that they have in common: "red mug" is at cosine 0.5 of "blue mug", at 0.71 of
-"mug" and near 0 of "elephant". It has never seen an image. Photos need the embeddings of an
-image-text model such as CLIP.
+Every word has a fixed random direction. A text is the sum of its words, so that texts are similar by the share of words
+that they have in common: "red mug" is at cosine 0.5 of "blue mug", at 0.71 of "mug" and near 0 of "elephant". It has
+never seen an image. Photos need the embeddings of an image-text model such as CLIP.
 """
 
 import hashlib

@@ -23,9 +23,8 @@ TRANSMITTANCE_BAND = 1e-3
 class Contributors(NamedTuple):
     """Every (pixel, Gaussian) pair with its blending weight: pixel by pixel, front to back.
 
-    pixels: row * width + column, ascending. depths: camera z of the Gaussian.
-    transmittance: what is left behind the last contributor. unsure: pixels where float32 rounding
-    may change the contributors or their order.
+    pixels: row * width + column, ascending. depths: camera z of the Gaussian. transmittance: what is left behind the
+    last contributor. unsure: pixels where float32 rounding may change the contributors or their order.
     """
 
     pixels: Int[np.ndarray, " e"]

@@ -20,12 +20,11 @@ SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour =
 class Gaussians:
     """N anisotropic 3D Gaussians. The row order is their identity and is never changed.
 
-    means: positions relative to `origin`, scene units. quats: rotations, (w, x, y, z), unit norm.
-    scales: standard deviations along the local axes, scene units, > 0. opacities: in [0, 1].
-    sh: spherical-harmonic colour coefficients, degree 0-3 (1, 4, 9 or 16 per channel), RGB last.
-    extra: further per-Gaussian columns of the file it came from, by name, each of length N.
-    origin: in the coordinates of the world, which are those of views and answers; zero unless the scene is far
-    from zero for its size (`placing.local_origin`).
+    means: positions relative to `origin`, scene units. quats: rotations, (w, x, y, z), unit norm. scales: standard
+    deviations along the local axes, scene units, > 0. opacities: in [0, 1]. sh: spherical-harmonic colour coefficients,
+    degree 0-3 (1, 4, 9 or 16 per channel), RGB last. extra: further per-Gaussian columns of the file it came from, by
+    name, each of length N. origin: in the coordinates of the world, which are those of views and answers; zero unless
+    the scene is far from zero for its size (`placing.local_origin`).
 
     Raises: InputError: shapes disagree, or an origin that is not finite.
     """

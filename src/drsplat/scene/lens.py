@@ -1,8 +1,7 @@
 """Where a pixel of the undistorted pinhole lies on the photo, and back.
 
 Coefficients act on normalised coordinates (x/z, y/z), so they are the same for every raster size.
-Source: the OpenCV camera model with k1, k2, p1, p2; COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV are
-special cases of it.
+Source: the OpenCV camera model with k1, k2, p1, p2; COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV are special cases of it.
 """
 
 import math

@@ -58,10 +58,9 @@ def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> U
 def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
     """The photo of a view as RGB, resized to (view.height, view.width) and undistorted.
 
-    The raster is taken as stored: an EXIF orientation is not applied, because poses and intrinsics
-    of COLMAP, nerfstudio and 3DGS are of the stored raster. Transparency is composited on black,
-    the default background of 3DGS. Undistortion keeps K and size: what lies outside the photo is
-    black. 16-bit photos lose their low byte.
+    The raster is taken as stored: an EXIF orientation is not applied, because poses and intrinsics of COLMAP,
+    nerfstudio and 3DGS are of the stored raster. Transparency is composited on black, the default background of 3DGS.
+    Undistortion keeps K and size: what lies outside the photo is black. 16-bit photos lose their low byte.
 
     Raises: InputError: the view has no photo. FormatError: the file is damaged, truncated, of
     another kind, or decodes to more pixels than a photo has.

@@ -66,7 +66,7 @@ class View:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
-    def limited(self, max_side: float | None) -> "View":
+    def limited(self, max_side: float | int | None) -> "View":
         """With a longer side of so many pixels at most, and the same aspect ratio; None: as it is."""
         scale = (max_side or np.inf) / max(self.width, self.height)
         if scale >= 1:

@@ -21,19 +21,14 @@ from .run import Run
 from .schedules import same_until
 
 VERSION = "2"
-_ROWS = {
-    "means": "n axis", "log_scales": "n axis", "quats": "n four", "logits": "n",
-    "sh": "n coefficient axis",
-}  # fmt: skip
+_ROWS = {"means": "n axis", "log_scales": "n axis", "quats": "n four", "logits": "n", "sh": "n coefficient axis"}
 EXPECTED = {
     f"{group}.{name}": ("float32", dimensions)
     for group in ("parameters", "first", "second")
     for name, dimensions in _ROWS.items()
 } | {"order.pending": ("int64", "pending")}
 OF_DENSITY = {f"density.{name}": ("float32", "n") for name in ("pull", "times_seen", "radii")}
-TEXTS = (
-    "iteration", "iterations", "rng", "seconds", "stage_seconds", "history", "start", "settings", "capture",
-)  # fmt: skip
+TEXTS = ("iteration", "iterations", "rng", "seconds", "stage_seconds", "history", "start", "settings", "capture")
 
 
 def capture_fingerprint(views: Sequence[View], points: SparsePoints | None) -> str:

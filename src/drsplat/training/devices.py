@@ -47,17 +47,15 @@ def train(
     Warns: DrSplatWarning: few points could be triangulated, poses that do not fit the photos, held-out
     photos far below those trained on.
 
-    Raises: InputError: views without photos, fewer than two to train on, all cameras in one place,
-    points that are not finite or too few, a folder that holds something else or that another process
-    trains in, a full disk. MismatchError: the folder holds a run of other settings or inputs. FormatError: a
-    damaged photo. MissingExtraError: device "cuda" without gsplat or a GPU. DrSplatError: the
-    optimisation diverged.
+    Raises: InputError: views without photos, fewer than two to train on, all cameras in one place, points that are not
+    finite or too few, a folder that holds something else or that another process trains in, a full disk. MismatchError:
+    the folder holds a run of other settings or inputs. FormatError: a damaged photo. MissingExtraError: device "cuda"
+    without gsplat or a GPU. DrSplatError: the optimisation diverged.
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
     """
     job = Job(
-        views, settings or TrainingSettings(), output_dir, points, overwrite, save_at,
-        checkpoint_every, threads, report,
-    )  # fmt: skip
+        views, settings or TrainingSettings(), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
+    )
     training: Training = (loop if chosen_device(device) == "cpu" else _cuda()).train(job)
     return training
 

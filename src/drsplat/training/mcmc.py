@@ -1,8 +1,7 @@
 """A budget of Gaussians that wander, die and come back where they are needed.
 
-Source: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024): Eq. 8 (noise),
-Eq. 9 (opacity and covariance of Gaussians that share a place), Sec. 3 (relocation, growth by 5 %,
-regularisers).
+Source: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024): Eq. 8 (noise), Eq. 9 (opacity and
+covariance of Gaussians that share a place), Sec. 3 (relocation, growth by 5 %, regularisers).
 """
 
 from collections.abc import Mapping
@@ -123,8 +122,7 @@ def shared_place(
 def _line_integral(opacity: Float64[np.ndarray, " n"], sharing: int) -> Float64[np.ndarray, " n"]:
     """Of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
 
-    Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is
-    C(N, k+1).
+    Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is C(N, k+1).
     """
     terms = [comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)]
     total: np.ndarray = np.sum(terms, axis=0)

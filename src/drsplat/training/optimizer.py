@@ -51,10 +51,7 @@ class Optimizer:
             rate, constant = getattr(rates, name), None
             if name == "sh":
                 rate, constant = rates.sh_rest, rates.sh
-            adam_step(
-                parameter, gradient, first, second, rate, step,
-                constant_rate=constant, threads=threads,
-            )  # fmt: skip
+            adam_step(parameter, gradient, first, second, rate, step, constant_rate=constant, threads=threads)
 
     def keep(self, rows: Rows) -> None:
         """Only these Gaussians remain, in this order."""

@@ -22,10 +22,9 @@ NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # 
 class TrainingSettings:
     """Hyper-parameters; the defaults are those of the original method.
 
-    Iteration numbers are absolute, as in the original: a run of 7,000 is the first 7,000 of the
-    same schedule, densifies to its end and leaves the positions' rate where it is by then; only an
-    opacity reset that the run is too short to recover from is left out.
-    Lengths marked "extents" are in units of `scene_extent`.
+    Iteration numbers are absolute, as in the original: a run of 7,000 is the first 7,000 of the same schedule,
+    densifies to its end and leaves the positions' rate where it is by then; only an opacity reset that the run is too
+    short to recover from is left out. Lengths marked "extents" are in units of `scene_extent`.
 
     Raises: InputError: a value out of its range.
     """

@@ -64,9 +64,8 @@ def page_of(
     features = session.colors[shown.ids]
     words, best = _words(scene, session.words)
     return Page(
-        title or scene.name, shown, answers, *look, up, features, words,
-        None if best is None else best[shown.ids],
-    )  # fmt: skip
+        title or scene.name, shown, answers, *look, up, features, words, None if best is None else best[shown.ids]
+    )
 
 
 def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageAnswer:

@@ -120,12 +120,10 @@ def _header(page: Page) -> dict[str, Any]:
         "fov": FOV_DEGREES,
         "background": BACKGROUND,
         "heat": painting.HEAT.tolist(),
-        "look": {
-            "dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH,
-        },
+        "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
         "words": list(page.words)[:MOST_WORDS],
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
-    }  # fmt: skip
+    }
 
 
 def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:

@@ -124,9 +124,8 @@ class Window:
         frame, scene = self.session.shown.frame, self.server.scene
         corners = frame.shown(match.center + (CORNERS * match.extent) @ match.axes)
         box = scene.add_line_segments(
-            f"/found/{name}/box", corners[EDGES].astype(np.float32), color,
-            thickness=2.0, thickness_units="screen",
-        )  # fmt: skip
+            f"/found/{name}/box", corners[EDGES].astype(np.float32), color, thickness=2.0, thickness_units="screen"
+        )
         top = corners[(corners @ self.up).argmax()]
         middle = frame.shown(match.center)
         above = middle + ((top - middle) @ self.up) * self.up

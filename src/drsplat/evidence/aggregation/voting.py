@@ -40,8 +40,7 @@ class ModeVoting:
     ) -> Int32[np.ndarray, " r"]:
         """For each row the row whose feature it takes: mostly its own; -1 where it gets none.
 
-        gaussians: those of the rows. receivers: rows that may take another's feature, or
-        get one though they have none.
+        gaussians: those of the rows. receivers: rows that may take another's feature, or get one though they have none.
         """
         trust = reliability(evidence, threads)
         donors = np.where(trust > 0, np.arange(len(trust)), -1).astype(np.int32)

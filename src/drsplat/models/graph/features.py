@@ -4,19 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from .regions import LAB_STEPS
-from .statistics import (
-    AREA,
-    AROUND,
-    BINS,
-    FRAME,
-    HISTOGRAM,
-    LENGTH,
-    MEAN,
-    SQUARE,
-    STEP,
-    STEP_CHROMA,
-    TEXTURE,
-)  # fmt: skip
+from .statistics import AREA, AROUND, BINS, FRAME, HISTOGRAM, LENGTH, MEAN, SQUARE, STEP, STEP_CHROMA, TEXTURE
 
 _NOISE = 1.0  # CIELAB units that even flat colours differ by
 

@@ -16,9 +16,8 @@ from .statistics import RegionGraph, region_graph
 
 @dataclass(frozen=True)
 class GraphSettings:
-    """Of the masks that stay: least_area in pixels of an image of 640x480, least_width in pixels, both
-    before larger images are scaled back. threshold: likelihood above which regions merge, None for the
-    learned one.
+    """Of the masks that stay: least_area in pixels of an image of 640x480, least_width in pixels, both before larger
+    images are scaled back. threshold: likelihood above which regions merge, None for the learned one.
 
     Raises: InputError: a number out of its range.
     """

@@ -22,10 +22,9 @@ _ROWS = {word: row for row, word in enumerate(WORDS)}
 class MiniEncoder:
     """Knows the things, colours and materials of `lexicon`, and nothing else.
 
-    A text is the sum of its words. nouns: what queries are contrasted with. least_share: of the cosine that
-    these reach in a scene, what a query has to reach there too: "blue mug" fits a red one better than any
-    other name does, but not well. threshold: the fixed cosine that finds most in
-    rooms of the training split; queries follow the scene instead.
+    A text is the sum of its words. nouns: what queries are contrasted with. least_share: of the cosine that these reach
+    in a scene, what a query has to reach there too: "blue mug" fits a red one better than any other name does, but not
+    well. threshold: the fixed cosine that finds most in rooms of the training split; queries follow the scene instead.
     """
 
     name = "drsplat-mini"

@@ -8,9 +8,7 @@ NAMES = (
     "picture", "plant", "plate", "pot", "shelf", "sofa", "spoon", "stacking toy", "stool", "table",
     "teapot", "teddy bear", "toy car", "toy duck", "vase",
 )  # fmt: skip
-COLORS = (
-    "black", "blue", "brown", "green", "grey", "orange", "pink", "purple", "red", "white", "yellow",
-)  # fmt: skip
+COLORS = ("black", "blue", "brown", "green", "grey", "orange", "pink", "purple", "red", "white", "yellow")
 MATERIALS = (
     "cardboard", "ceramic", "fabric", "glass", "leather", "metal", "paper", "plastic", "plush",
     "rubber", "wax", "wicker", "wood",
