@@ -1,5 +1,6 @@
 """Points out of photos: on a room whose surfaces are known, through a lens, with wrong poses, without texture."""
 
+import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +17,10 @@ from drsplat.scene.lens import undistort_points
 from drsplat.scene.photos import load_image
 from drsplat.training.settings import TrainingSettings
 from drsplat.training.start_points import start_points
-from drsplat.triangulation import filling, triangulate
-from drsplat.triangulation.keypoints import keypoints
-from drsplat.triangulation.matching import fundamental_matrix
+from drsplat.triangulation import detecting, filling, triangulate
+from drsplat.triangulation.detecting import detect_all
+from drsplat.triangulation.keypoints import as_stored, keypoints
+from drsplat.triangulation.matching import _nearest, fundamental_matrix
 from drsplat.triangulation.meeting import meet
 from drsplat.triangulation.pairs import neighbours
 from drsplat.triangulation.tracks import Tracks, join
@@ -75,10 +77,11 @@ def test_points_lie_on_the_surfaces_of_a_known_room(views, surface):
     assert found.agreeing > 0.35 * found.alike
 
 
-def test_equal_photos_give_equal_bits_in_any_order(views):
-    found, again = triangulate(views[:2]), triangulate(views[1::-1])
+def test_equal_photos_give_equal_bits_in_any_order_and_number_of_threads(views):
+    found, again = triangulate(views[:2], threads=1), triangulate(views[1::-1], threads=3)
     assert_array_equal(again.positions, found.positions)
     assert_array_equal(again.colors, found.colors)
+    assert again[2:] == found[2:]
 
 
 def test_colors_are_of_the_photos(views):
@@ -224,6 +227,12 @@ def test_a_photo_with_two_keypoints_in_a_track_leaves_it():
     assert len(join([2, 1], np.empty((0, 2), int), []).tracks) == 0
 
 
+def test_the_nearest_is_clearly_nearer_than_the_second():
+    squares = np.array([[1.0, 9, 9, 9], [9, 4, 6, 9], [0, 9, 9, 25]], np.float32)
+    assert_array_equal(_nearest(squares), [0, -1, 0])
+    assert_array_equal(_nearest(squares.T), [2, 1, -1, -1])
+
+
 def test_neighbours_are_near_and_look_the_same_way():
     pairs = neighbours(ring(60))
     steps = np.abs(np.diff(pairs, axis=1))
@@ -239,6 +248,25 @@ def test_keypoints_are_in_pixels_of_the_view(views):
     tiny = replace(views[0], image_path=None)
     with pytest.raises(InputError, match="no photo"):
         keypoints(tiny)
+
+
+def test_several_processes_find_what_one_finds(views, monkeypatch):
+    stored = [as_stored(view) for view in views[:2]]
+    one = detect_all(stored, threads=2)
+    monkeypatch.setattr(detecting, "LEAST_PHOTOS", 1)
+    monkeypatch.setattr(detecting, "detect", lambda view: one[0])  # what this process finds itself
+    for found, again in zip(one, detect_all(stored, threads=2), strict=True):
+        for column, other in zip(found, again, strict=True):
+            assert_array_equal(other, column)
+
+
+def test_what_another_process_cannot_find_fails_in_this_one(views, monkeypatch, tmp_path):
+    monkeypatch.setattr(detecting, "LEAST_PHOTOS", 1)
+    gone = replace(as_stored(views[1]), image_path=tmp_path / "gone.png")
+    with pytest.raises(InputError, match="gone"):
+        detect_all([as_stored(views[0]), gone], threads=2)
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    assert len(detect_all([as_stored(view) for view in views[:2]], threads=2)) == 2
 
 
 def test_random_points_keep_away_from_known_ones():

@@ -34,6 +34,8 @@ def start_of(
     settings: TrainingSettings,
     rng: np.random.Generator,
     origin: Float64[np.ndarray, " 3"],
+    *,
+    threads: int = 0,
 ) -> Start:
     """`start_points`, or what the run in the folder started from, which need not be found again.
 
@@ -43,7 +45,7 @@ def start_of(
     """
     if folder is not None and folder.goes_on and folder.start.is_file():
         return Start(SparsePoints(*read_point_ply(folder.start)).moved(-origin))
-    return start_points(points, views, settings, rng)
+    return start_points(points, views, settings, rng, threads=threads)
 
 
 class Keeper:

@@ -33,7 +33,7 @@ def trained(job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, K
     split, points, origin = local_capture(split_views(job.views, settings.test_every), job.points)
     rng = np.random.default_rng(settings.seed)
     with model_folder(job.output_dir, job.overwrite) as folder:
-        start = start_of(folder, points, split.train, settings, rng, origin)
+        start = start_of(folder, points, split.train, settings, rng, origin, threads=job.threads)
         optimizer = Optimizer(first_gaussians(start.points, settings))
         run = run_of(Beginning(split.train, settings, optimizer, rng, origin))
         keeper = Keeper(run, split, folder, job)

@@ -34,7 +34,12 @@ class Start(NamedTuple):
 
 
 def start_points(
-    points: SparsePoints | None, views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator
+    points: SparsePoints | None,
+    views: Sequence[View],
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+    *,
+    threads: int = 0,
 ) -> Start:
     """The given points, thinned to the budget, or else those of `triangulate`; where they are few, with
     random ones in the space that several cameras look into.
@@ -43,13 +48,13 @@ def start_points(
     Raises: InputError: points that are not finite, or too few of them.
     """
     if points is None or len(points.positions) == 0:
-        return _thinned(_found(views, settings, rng), settings, rng)
+        return _thinned(_found(views, settings, rng, threads), settings, rng)
     _check_points(points)
     return _thinned(Start(points), settings, rng)
 
 
-def _found(views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator) -> Start:
-    found = triangulate(views)
+def _found(views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator, threads: int) -> Start:
+    found = triangulate(views, threads=threads)
     _tell_of_wrong_poses(found)
     count = len(found.positions)
     if count >= FEW:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
@@ -27,26 +27,59 @@ class Keypoints(NamedTuple):
     descriptors: UInt8[np.ndarray, "n 128"]
 
 
+class Detection(NamedTuple):
+    """What SIFT found on a photo. pixels: x and y on its raster, as scaled for SIFT; sigmas: in pixels of it."""
+
+    pixels: Float64[np.ndarray, "n 2"]
+    sigmas: Float32[np.ndarray, " n"]
+    colors: UInt8[np.ndarray, "n 3"]
+    descriptors: UInt8[np.ndarray, "n 128"]
+
+
+NOTHING = Detection(np.empty((0, 2)), np.empty(0, np.float32), np.empty((0, 3), np.uint8), np.empty((0, 128), np.uint8))
+
+
 def keypoints(view: View) -> Keypoints:
     """SIFT on the photo as stored: undoing the lens first would add the photo's border as an edge.
 
     Raises: InputError, FormatError: as `load_image`.
     Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints" (2004).
     """
-    photo = load_image(stored := _shrunk(replace(view, distortion=None)))
+    stored = as_stored(view)
+    return located(view, stored, detect(stored))
+
+
+def located(view: View, stored: View, found: Detection) -> Keypoints:
+    """What was found on the photo of a view, on its pinhole. stored: `as_stored` of it."""
+    scale = (view.width / stored.width, view.height / stored.height)
+    pixels = undistort_points(view, found.pixels * scale)
+    kept = _largest(found.sigmas, np.isfinite(pixels).all(axis=1))
+    return Keypoints(pixels[kept], found.colors[kept], found.descriptors[kept])
+
+
+def detect(stored: View) -> Detection:
+    """SIFT on the raster of `as_stored`.
+
+    Raises: InputError, FormatError: as `load_image`.
+    """
+    photo = load_image(stored)
     sift = _detected(photo)
     if sift is None:
-        return Keypoints(np.empty((0, 2)), np.empty((0, 3), np.uint8), np.empty((0, 128), np.uint8))
+        return NOTHING
     rows, columns = np.rint(sift.positions).astype(np.intp).T
-    on_photo = sift.positions[:, ::-1].astype(np.float64) + 0.5  # centres are at half integers
-    scale = (view.width / stored.width, view.height / stored.height)
-    pixels = undistort_points(view, on_photo * scale)
-    kept = _largest(sift.sigmas, np.isfinite(pixels).all(axis=1))
-    return Keypoints(pixels[kept], photo[rows, columns][kept], sift.descriptors[kept])
+    pixels = sift.positions[:, ::-1].astype(np.float64) + 0.5  # centres are at half integers
+    return Detection(pixels, sift.sigmas.astype(np.float32), photo[rows, columns], sift.descriptors)
+
+
+def as_stored(view: View) -> View:
+    """The view without its lens on the raster that SIFT sees: its photo's own, or a smaller one.
+
+    Raises: InputError: no photo, or as `photo_size`.
+    """
+    return _shrunk(replace(view, distortion=None))
 
 
 def _shrunk(view: View) -> View:
-    """The view on its photo's own raster, or a smaller one."""
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: pass images=FOLDER to read_views")
     width, height = photo_size(view.image_path)

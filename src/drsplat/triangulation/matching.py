@@ -45,10 +45,10 @@ def _distances2(a: Keypoints, b: Keypoints) -> np.ndarray:
 
 def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
     """Of each row; -1 where the second is about as near."""
-    rows = np.arange(len(distances2))
-    best, second = np.argpartition(distances2, 1, axis=1)[:, :2].T
-    clear = distances2[rows, best] < RATIO**2 * distances2[rows, second]
-    return np.where(clear, best, -1)
+    rows, best = np.arange(len(distances2)), distances2.argmin(axis=1)
+    others = distances2.copy()
+    others[rows, best] = np.inf
+    return np.where(distances2[rows, best] < RATIO**2 * others.min(axis=1), best, -1)
 
 
 def _fits(

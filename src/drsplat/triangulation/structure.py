@@ -1,14 +1,17 @@
 """Photos of known poses -> points in the world, with colours."""
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Integer, UInt8
 
 from ..scene.views import View
-from .keypoints import Keypoints, keypoints
-from .matching import matches
+from .detecting import detect_all
+from .keypoints import Keypoints, as_stored, located
+from .matching import Matches, matches
 from .meeting import meet
 from .pairs import neighbours
 from .tracks import Tracks, join
@@ -29,22 +32,31 @@ class Triangulation(NamedTuple):
     agreeing: int
 
 
-def triangulate(views: Sequence[View]) -> Triangulation:
+def triangulate(views: Sequence[View], *, threads: int = 0) -> Triangulation:
     """What the photos show of the scene's surfaces: points where their rays meet.
 
-    Equal views give equal bits. Memory is bounded by MOST_PHOTOS photos of at most MOST keypoints.
+    Equal views give equal bits, at any number of threads. Memory is bounded by MOST_PHOTOS photos of at most MOST
+    keypoints.
 
     Raises: InputError, FormatError: as `load_image`.
     Source: Hartley and Zisserman, "Multiple View Geometry" (2004), Ch. 9 and 12.
     """
     ordered = _thinned(sorted(views, key=lambda view: view.name))
-    found = [keypoints(view) for view in ordered]
+    stored = [as_stored(view) for view in ordered]
+    detected = detect_all(stored, threads=threads)
+    found = [located(*one) for one in zip(ordered, stored, detected, strict=True)]
     pairs = neighbours(ordered)
-    matched = [matches(ordered[i], found[i], ordered[j], found[j]) for i, j in pairs]
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        matched = list(pool.map(lambda pair: _matches(ordered, found, pair), pairs))
     tracks = join([len(f.pixels) for f in found], pairs, [m.pairs for m in matched])
     positions, colors = _points(ordered, found, tracks)
     alike, agreeing = sum(m.alike for m in matched), sum(len(m.pairs) for m in matched)
     return Triangulation(positions, colors, len(ordered), alike, agreeing)
+
+
+def _matches(views: Sequence[View], found: Sequence[Keypoints], pair: Integer[np.ndarray, "2"]) -> Matches:
+    first, second = pair
+    return matches(views[first], found[first], views[second], found[second])
 
 
 def _thinned(views: list[View]) -> list[View]:
