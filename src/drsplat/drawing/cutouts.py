@@ -12,16 +12,16 @@ SMALLEST = 48  # pixels of a photo that fill a tile at least: fewer are a blur
 DARK = 0.3  # of its own light, what is around the thing
 
 
-def cut_out(photo: Pixels, share: Float32[np.ndarray, "h w"]) -> OtherPixels:
+def cut_out(photo: Pixels, share: Float32[np.ndarray, "h w"], size: tuple[int, int] = TILE) -> OtherPixels:
     """A tile of the part of a photo where `share` is above a half, its surroundings dark; all of it where nothing is.
 
-    share: as of `visible_share`, at the photo's size.
+    share: as of `visible_share`, at the photo's size. size: width and height of the tile, of 4 to 3.
     """
     kept = np.clip(share, 0, 1)[..., None]
     lit = np.clip(photo * (DARK + (1 - DARK) * kept), 0, 255).astype(np.uint8)
     left, top, right, bottom = _window(share)
     part = Image.fromarray(lit).crop((left, top, right, bottom))  # black where the window leaves the photo
-    return np.asarray(part.resize(TILE, Image.Resampling.LANCZOS))
+    return np.asarray(part.resize(size, Image.Resampling.LANCZOS))
 
 
 def captioned(tile: OtherPixels, title: str, note: str) -> OtherPixels:

@@ -7,7 +7,9 @@ from pydantic import Field
 
 from .. import query as engine
 from ..errors import InputError
+from ..query.objects import object_of, objects_of
 from ..query.regions import region
+from ..query.relations import Relation, related
 from ..query.spatial import gap, standing_on
 from .catalog import Catalog
 from .models import (
@@ -16,18 +18,20 @@ from .models import (
     Fingerprint,
     Located,
     Match,
+    ObjectList,
     SceneList,
     Vector,
     Word,
     decimals_of,
     matches_of,
     measured,
+    object_list,
     rounded,
     summarized,
 )
 from .pictures import png
 
-MOST_MATCHES, MOST_TEXT, PICTURE_SIDE, FEW = 20, 200, 768, 8
+MOST_MATCHES, MOST_OBJECTS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 100, 200, 768, 8
 
 
 class Count(Body):
@@ -99,6 +103,11 @@ class About(Body):
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
+
+
+class Related(ObjectList):
+    relation: str
+    to: list[int | None] = Field(description="the objects that they are related to; null for a place that is none")
 
 
 class Shown(Body):
@@ -213,6 +222,21 @@ class Conversation:
             field=opened.field.fingerprint,
         )
 
+    def list_objects(self, scene: str, top: int) -> ObjectList:
+        opened = self._scene(scene)
+        found = opened.objects
+        advice = f"the {top} largest of {len(found)}" if len(found) > top else ""
+        return object_list(opened, found[:top], advice if found else "photos agree on nothing here: use locate")
+
+    def relations(self, relation: Relation, to: str, and_to: str | None, scene: str) -> Related:
+        opened = self._scene(scene)
+        end = self._object(opened, to)
+        other = None if and_to is None else self._object(opened, and_to)
+        found = related(opened.gaussians, relation, opened.objects, end, other, opened.up)
+        listed = object_list(opened, found[:MOST_MATCHES], "" if found else "no object is so: list_objects has all")
+        numbers = [one.object_id for one in (end, other) if one is not None]
+        return Related(**listed.model_dump(), relation=relation, to=numbers)
+
     def describe_region(self, center: list[float], radius: float, scene: str, names: list[str] | None) -> Region:
         opened = self._scene(scene)
         if len(center) != 3:
@@ -264,6 +288,22 @@ class Conversation:
             known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
             raise InputError(f"name a scene; there are: {known}")
         return chosen, self.catalog.scene(chosen)
+
+    def _object(self, scene: engine.Scene, text: str) -> engine.Match:
+        """By its number, its label, or the largest match of words: as an object, where it is most of one."""
+        every = scene.objects
+        if text.isascii() and text.isdecimal() and len(text) < 10:
+            objects_of(scene.field).thing(int(text))  # or the error that says which there are
+            return every[int(text)]
+        labelled = [one for one in every if one.label and one.label.casefold() == text.strip().casefold()]
+        if labelled:
+            return labelled[0]
+        found = scene.locate(_text(text))
+        if not found:
+            raise InputError(_absent(text))
+        match = max(found, key=len)
+        number = object_of(scene.field, match)
+        return match if number is None else every[number]
 
     def _best(self, scene: engine.Scene, text: str) -> engine.Match:
         found = scene.locate(_text(text), top=1)

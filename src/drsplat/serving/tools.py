@@ -12,9 +12,22 @@ from pydantic import Field, ValidationError
 
 from .. import __version__
 from ..errors import DrSplatError
+from ..query.relations import Relation
 from .catalog import Catalog, without_paths
-from .conversation import MOST_MATCHES, About, Conversation, Count, Distance, Here, Place, Region, Shown
-from .models import Located, SceneList
+from .conversation import (
+    MOST_MATCHES,
+    MOST_OBJECTS,
+    About,
+    Conversation,
+    Count,
+    Distance,
+    Here,
+    Place,
+    Region,
+    Related,
+    Shown,
+)
+from .models import Located, ObjectList, SceneList
 from .refusals import faults_of
 
 INSTRUCTIONS = """\
@@ -136,6 +149,23 @@ def make_server(catalog: Catalog) -> MCPServer:
     ) -> Here:
         """What a pixel of a photo shows, and where that is in the scene."""
         return told(lambda: talk.what_is_at((view, x, y), scene, names))
+
+    @server.tool(title="List objects", annotations=READS)
+    def list_objects(
+        scene: Scene = "", top: Annotated[int, Field(ge=1, le=MOST_OBJECTS, description="most objects to list")] = 20
+    ) -> ObjectList:
+        """What is in a scene, largest first, without words for it: number, name if known, box, photos."""
+        return told(lambda: talk.list_objects(scene, top))
+
+    @server.tool(title="How objects lie", annotations=READS)
+    def relations(
+        relation: Relation,
+        to: Annotated[str, Field(description="number from list_objects, or a text", min_length=1, max_length=200)],
+        and_to: Annotated[str | None, Field(description="the second one, for 'between' only", max_length=200)] = None,
+        scene: Scene = "",
+    ) -> Related:
+        """Which objects are on, in, next to or above one, or between two: what lies on the table?"""
+        return told(lambda: talk.relations(relation, to, and_to, scene))
 
     @server.tool(title="Describe a region", annotations=READS)
     def describe_region(
