@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from .object_outputs import check, listing, save
-from .options import add_capture_options, add_overwrite, add_query_encoders, tracker, whole, words
+from .options import add_capture_options, add_overwrite, add_query_encoders, whole, words
 from .query_options import FIELD_HELP, open_scene
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
     from ..objects.finding import find_objects  # type: ignore[import-not-found]
 
     with claimed_output(path):
-        found = find_objects(scene.field, gaussians, threads=arguments.threads, track=tracker(arguments))
+        found = find_objects(scene.field, gaussians, threads=arguments.threads)
         scene.field.with_objects(found).save(path, overwrite=True)
     return open_scene(arguments)
 
