@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from drsplat import Answer, Gaussians, Scene, load_field, register
 from drsplat.codes import PQ
@@ -117,6 +117,20 @@ def test_the_quantile_of_a_mixture_of_normals() -> None:
     assert_allclose(two, ndtri(0.4), rtol=1e-6)
     points = mixture_quantile(np.arange(5.0)[:, None], np.zeros((5, 1)), np.full(5, 0.2), 0.5)
     assert_allclose(points, 2, atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 300), st.sampled_from([0.003, 0.2, 0.5, 0.8, 0.997]))
+def test_the_quantile_is_where_the_mixture_says(seed: int, count: int, share: float) -> None:
+    """Wide ones and narrow ones, and some without mass: all of them are counted, not only those near the end."""
+    rng = np.random.default_rng(seed)
+    means, deviations = rng.normal(0, 5, (count, 2)), np.exp(rng.normal(-1, 2, (count, 2)))
+    mass = np.where(rng.random(count) < 0.2, 0, rng.random(count)) + 1e-9
+    mass /= mass.sum()
+    found = mixture_quantile(means, deviations, mass, share)
+    for column in range(2):
+        below = mass @ ndtr((found[column] - means[:, column]) / deviations[:, column])
+        assert below == pytest.approx(share, abs=1e-6)
 
 
 @pytest.mark.parametrize("pitch", [-60.0, -20.0, 0.0])

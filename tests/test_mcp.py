@@ -40,6 +40,8 @@ TOOLS = {
     "how_far_apart",
     "what_is_at",
     "what_is_at_pixel",
+    "list_objects",
+    "relations",
     "describe_region",
     "show",
 }

@@ -13,6 +13,7 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
+from drsplat.drawing.cutouts import cut_out
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
@@ -59,6 +60,12 @@ def test_the_list(room: Path, capsys: Capture) -> None:
 
 def test_the_list_needs_no_scene_once_it_is_kept(room: Path, capsys: Capture) -> None:
     assert answer_of(capsys, "objects", room / "a.field") == answer_of(capsys, *asked(room))
+
+
+def test_inspect_counts_them(room: Path, capsys: Capture) -> None:
+    assert answer_of(capsys, "inspect", room / "a.field")["num_objects"] == 3
+    load_field(room / "a.field").with_objects(None).save(room / "b.field")
+    assert answer_of(capsys, "inspect", room / "b.field")["num_objects"] is None
 
 
 def test_the_table(room: Path, capsys: Capture) -> None:
@@ -153,7 +160,7 @@ def test_they_are_found_once_and_kept(room: Path, capsys: Capture, monkeypatch: 
     load_field(room / "a.field").with_objects(None).save(room / "b.field")
     calls = []
 
-    def find_objects(field, gaussians, *, threads=0, track=None):
+    def find_objects(field, gaussians, *, threads=0):
         calls.append(threads)
         return described(field, gaussians, threads)
 
@@ -216,3 +223,22 @@ def test_objects_are_matches(room: Path) -> None:
     assert sum(one.share for one in matches[1].support) == pytest.approx(1)
     assert replace(scene.field, evidence=None).objects is not None
     assert Scene(replace(scene.field, evidence=None)).objects[0].support == ()
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (71, 95)])
+def test_a_cut_out_stays_in_the_photo(corner: tuple[int, int]) -> None:
+    """And a thing that is hardly seen is still looked for."""
+    share = np.zeros((72, 96), np.float32)
+    rows, columns = (slice(max(at - 8, 0), at + 8) for at in corner)
+    share[rows, columns] = 0.2
+    photo = np.full((72, 96, 3), 200, np.uint8)
+    tile = cut_out(photo, share)
+    assert tile.shape == (240, 320, 3)
+    assert tile.min() > 50  # dark is 60; nothing is beyond the photo
+    assert tile.max() > 80
+    assert np.abs(np.argwhere(tile[..., 0] > 75).mean(axis=0) - (120, 160)).max() > 30
+
+
+def test_nothing_seen_is_the_whole_photo() -> None:
+    tile = cut_out(np.full((72, 96, 3), 200, np.uint8), np.zeros((72, 96), np.float32))
+    assert (tile == 60).all()

@@ -122,7 +122,7 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.field_folder import claimed_field
 
-    with claimed_field(new_or_complete(arguments.output, arguments.overwrite), True) as output:
+    with claimed_field(new_or_complete(arguments.output, arguments.overwrite)) as output:
         return _registered(arguments, output)
 
 

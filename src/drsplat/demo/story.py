@@ -19,6 +19,7 @@ from ..formats.scenes import read_gaussians
 from ..kernels import SplatArrays, splat_arrays
 from ..models.graph import GraphSegmenter
 from ..models.mini import MiniEncoder
+from ..objects.finding import find_objects
 from ..progress import Stopwatch
 from ..query import Scene
 from ..registration import register
@@ -97,9 +98,12 @@ def tell(
     features = read_features(folder / FEATURES, level="large", encoder=MiniEncoder().identity)
     registration = register(gaussians, seen, features, threads=threads, track=track)
     watch.lap("register")
-    registration.to_field(threads=threads, track=track).save(folder / FIELD, overwrite=overwrite)
-    field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
+    made = registration.to_field(threads=threads, track=track)
     watch.lap("field")
+    made = made.with_objects(find_objects(made, gaussians, threads=threads))
+    made.save(folder / FIELD, overwrite=overwrite)
+    field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
+    watch.lap("objects")
     judge = _Judge(Scene(field, gaussians, threads=threads), splats, household, held_out)
     verdicts = [judge.verdict(probe) for probe in track(probes, "asking")]
     watch.lap("query")

@@ -94,13 +94,11 @@ def _new_folder(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def claimed_field(path: Path, overwrite: bool) -> Iterator[Path]:
+def claimed_field(path: Path) -> Iterator[Path]:
     """A folder that a field is to be written to, before the work for it: no other process has it meanwhile.
 
-    Raises: InputError: it exists and `overwrite` is false or it is not such a folder; as `claimed_output`.
+    Raises: InputError: something else is there; as `claimed_output`.
     """
-    if path.exists() and not overwrite:
-        raise InputError(f"{path} exists already: pass overwrite=True to replace it, or name another output")
     refuse_to_replace_others(path)
     with claimed_output(path):
         yield path

@@ -21,7 +21,6 @@ from .descriptors import descriptors
 from .heaviest import heaviest
 
 SLIVER = 0.01  # of what the best photo of a node shows of it: a photo with less does not see it
-SPREAD = 4096  # Gaussians that a box is made of; of larger nodes as many, spread evenly over them
 
 
 def describe(
@@ -111,9 +110,7 @@ def _rows(inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> Iterator[Int64
 
 
 def _box(gaussians: Gaussians, field: LanguageField, rows: Int64[np.ndarray, " r"]) -> Box:
-    ids = solid(gaussians, field.gaussian_ids[rows].astype(np.int64))
-    spread = np.linspace(0, len(ids) - 1, min(len(ids), SPREAD)).astype(np.int64)
-    return box_of(gaussians, ids[spread], field.up)
+    return box_of(gaussians, solid(gaussians, field.gaussian_ids[rows].astype(np.int64)), field.up)
 
 
 def _masses(

@@ -40,6 +40,15 @@ def match_of(field: LanguageField, node: int, label: str | None = None) -> Match
     )
 
 
+def object_of(field: LanguageField, match: Match) -> int | None:
+    """The number of the object that has most of a match's Gaussians, None where none has half of them."""
+    if match.object_id is not None or field.objects is None:
+        return match.object_id
+    rows = field.rows_of(match.gaussian_ids)
+    counts = np.bincount(field.objects.thing_of()[rows[rows >= 0]] + 1, minlength=1)[1:]
+    return int(counts.argmax()) if len(counts) and counts.max() >= len(match) / 2 else None
+
+
 def support_of(field: LanguageField, node: int) -> Iterable[Explanation]:
     """The masks that speak for a node, the largest share first; none where the field kept no evidence."""
     if field.evidence is None:

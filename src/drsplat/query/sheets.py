@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ..drawing.cutouts import captioned, cut_out
+from ..drawing.cutouts import TILE, captioned, cut_out
 from ..drawing.pictures import OtherPixels, best_views, contact_sheet, photo_or_rendering, visible_share
 from ..errors import InputError
 from ..scene.views import View
@@ -16,14 +16,16 @@ COLUMNS = 6
 MOST = 60  # objects on a sheet
 
 
-def object_picture(scene: Scene, match: Match, view: View | None = None) -> OtherPixels:
+def object_picture(scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE) -> OtherPixels:
     """An object cut out of a photo of it, or of a rendering where there is no photo. view: None for the best one.
+
+    size: width and height in pixels, of 4 to 3.
 
     Raises: InputError: the scene has no views or no Gaussians.
     """
     view = view or object_views(scene, [match])[0]
     share = visible_share(scene.gaussians, view, match.gaussian_ids, splats=scene.splats, threads=scene.threads)
-    return cut_out(photo_or_rendering(scene.gaussians, view, threads=scene.threads), share)
+    return cut_out(photo_or_rendering(scene.gaussians, view, threads=scene.threads), share, size)
 
 
 def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:

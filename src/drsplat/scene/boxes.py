@@ -106,14 +106,31 @@ def mixture_quantile(
     share: float,
 ) -> Float64[np.ndarray, " k"]:
     """Per column, below which value `share` of a mixture of normal distributions lies. mass: sums to 1."""
-    low = (means - DEVIATIONS * deviations).min(axis=0)
-    high = (means + DEVIATIONS * deviations).max(axis=0)
+    columns = zip(means.T, deviations.T, strict=True)
+    if share > 0.5:
+        return np.array([-_low_quantile(-mean, deviation, mass, 1 - share) for mean, deviation in columns])
+    return np.array([_low_quantile(mean, deviation, mass, share) for mean, deviation in columns])
+
+
+def _low_quantile(
+    means: Float64[np.ndarray, " m"],
+    deviations: Float64[np.ndarray, " m"],
+    mass: Float64[np.ndarray, " m"],
+    share: float,
+) -> float:
+    """By bisection, among those alone that reach so low: half of each lies below its mean, which bounds the answer."""
+    order = np.argsort(means, kind="stable")
+    most = np.searchsorted(np.cumsum(mass[order]), 2 * share)
+    high = float(means[order[min(int(most), len(order) - 1)]])
+    low_ends = means - DEVIATIONS * deviations
+    low, near = float(low_ends.min()), low_ends <= high
+    means, deviations, mass = means[near], deviations[near], mass[near]
     width = np.maximum(deviations, 1e-12 * (high - low) + np.finfo(np.float64).tiny)
     for _ in range(STEPS):
         middle = (low + high) / 2
         below = mass @ ndtr((middle - means) / width) < share
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.asarray((low + high) / 2)
+        low, high = (middle, high) if below else (low, middle)
+    return (low + high) / 2
 
 
 def _variances(part: Gaussians, axes: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "m 3"]:

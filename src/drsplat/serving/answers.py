@@ -1,18 +1,24 @@
 """One function per route, and one for all tools: an opened scene and a request -> what is sent back."""
 
+import tempfile
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel
 
 from ..errors import InputError
-from ..query import Scene
+from ..formats.scenes import write_gaussians
+from ..query import Match, Scene
+from ..query.objects import match_of, objects_of
+from ..query.sheets import object_picture
 from .conversation import told
 from .limits import Limits
 from .models import (
     ClassCount,
     Located,
+    ObjectList,
     SceneDetails,
     Segmented,
     Selected,
@@ -21,14 +27,17 @@ from .models import (
     decimals_of,
     matches_of,
     measured,
+    object_list,
     rounded,
     significant,
 )
-from .pictures import png
-from .replies import PNG, Reply
+from .pictures import jpeg, png
+from .replies import JPEG, PLY, PNG, Reply
 from .requests import (
     Details,
     Locate,
+    Objects,
+    OneObject,
     Photo,
     Picture,
     Request,
@@ -42,13 +51,16 @@ from .requests import (
     query_of,
 )
 
+OBJECT_SIZE = (640, 480)
+
 
 class Answering(NamedTuple):
-    """How a request is read and answered. words: whether its answers need who embeds words."""
+    """How a request is read and answered. words: whether its answers need who embeds words. media_type: of bytes."""
 
     asked: type[Request]
     answer: Callable[[Scene, Any, Limits], BaseModel | bytes]
     words: bool = True
+    media_type: str = PNG
 
 
 def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
@@ -74,6 +86,29 @@ def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
     if chosen.image_path is None:
         raise InputError(f"view '{chosen.name}' has no photo here: request a picture")
     return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
+
+
+def objects(scene: Scene, _: Objects, __: Limits) -> ObjectList:
+    found = scene.objects
+    return object_list(
+        scene, found, "" if found else "photos agree on nothing: more of them, or larger masks, may help"
+    )
+
+
+def object_photo(scene: Scene, asked: OneObject, _: Limits) -> bytes:
+    return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE))
+
+
+def object_ply(scene: Scene, asked: OneObject, _: Limits) -> bytes:
+    part = scene.gaussians.subset(_numbered(scene, asked).gaussian_ids)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.ply"
+        write_gaussians(path, part)
+        return path.read_bytes()
+
+
+def _numbered(scene: Scene, asked: OneObject) -> Match:
+    return match_of(scene.field, objects_of(scene.field).thing(asked.number))
 
 
 def selected(scene: Scene, asked: Select, limits: Limits) -> Selected:
@@ -140,6 +175,9 @@ def picture(scene: Scene, asked: Picture, limits: Limits) -> bytes:
 ANSWERS: Mapping[str, Answering] = {
     "details": Answering(Details, details, words=False),
     "photo": Answering(Photo, photo, words=False),
+    "objects": Answering(Objects, objects),
+    "object-picture": Answering(OneObject, object_photo, words=False, media_type=JPEG),
+    "object-ply": Answering(OneObject, object_ply, words=False, media_type=PLY),
     "select": Answering(Select, selected),
     "locate": Answering(Locate, located),
     "segment": Answering(Segment, segmented),
@@ -155,5 +193,5 @@ def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) 
     answer = way.answer(scene, way.asked(**asked), limits)
     field = scene.field.fingerprint
     if isinstance(answer, bytes):
-        return Reply(answer, PNG, field=field)
+        return Reply(answer, way.media_type, field=field)
     return Reply(answer.model_dump_json().encode(), field=field)

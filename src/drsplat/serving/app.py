@@ -21,9 +21,9 @@ from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
 from .metrics import Metrics
-from .models import Health, Located, Problem, SceneDetails, SceneList, Segmented, Selected, Words
+from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
 from .refusals import faults_of
-from .replies import Reply, problem, refusal
+from .replies import JPEG, PLY, PNG, Reply, problem, refusal
 from .requests import Locate, Picture, Segment, Select, WhatIs
 from .workbench import Job, Workbench
 from .worker import Workplace
@@ -34,6 +34,7 @@ Scenes that answer words. Positions are world coordinates in scene units. Whatev
 `{"error": ..., "kind": ...}` with a status of 4xx, or 503 where it can be asked again later."""
 
 Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
+Number = Annotated[int, InPath(ge=0, le=2**31 - 1, description="an id from /scenes/{scene}/objects")]
 _REFUSALS = {
     400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
     413: "the body is too large", 422: "the request makes no sense, or not for this scene",
@@ -42,9 +43,11 @@ _REFUSALS = {
 REFUSALS: dict[int | str, dict[str, Any]] = {
     status: {"model": Problem, "description": text} for status, text in _REFUSALS.items()
 }
-PNG: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
-}
+
+
+def binary(media_type: str) -> dict[int | str, dict[str, Any]]:
+    """The responses of a route that sends bytes."""
+    return {200: {"content": {media_type: {"schema": {"type": "string", "format": "binary"}}}}}
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.bench = bench
     _add_watching(app, catalog, metrics)
     _add_scenes(app, bench)
+    _add_objects(app, bench)
     _add_queries(app, bench)
     _add_pages(app)
     app.add_middleware(Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts)  # type: ignore[arg-type]
@@ -151,7 +155,7 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
         """One scene: its size, its photos, which way is up."""
         return _sent(await bench.run(Job("details", scene, {"name": scene})))
 
-    @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=PNG)
+    @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=binary(PNG))
     async def photo(
         scene: Scene,
         view: Annotated[str, Query(min_length=1, max_length=500, description="a photo's name")],
@@ -159,6 +163,25 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
     ) -> Response:
         """A photo of the scene, such as a supporting one, as PNG."""
         return _sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
+
+
+def _add_objects(app: FastAPI, bench: Workbench) -> None:
+    @app.get("/scenes/{scene}/objects", tags=["objects"], response_model=ObjectList)
+    async def objects(scene: Scene) -> Response:
+        """All objects of a scene, found across photos, without any word for them."""
+        return _sent(await bench.run(Job("objects", scene)))
+
+    @app.get(
+        "/scenes/{scene}/objects/{number}/picture", tags=["objects"], response_class=Response, responses=binary(JPEG)
+    )
+    async def object_picture(scene: Scene, number: Number) -> Response:
+        """An object, cut out of the photo that shows it best, as JPEG."""
+        return _sent(await bench.run(Job("object-picture", scene, {"number": number})))
+
+    @app.get("/scenes/{scene}/objects/{number}/ply", tags=["objects"], response_class=Response, responses=binary(PLY))
+    async def object_ply(scene: Scene, number: Number) -> Response:
+        """The Gaussians of an object, as PLY."""
+        return _sent(await bench.run(Job("object-ply", scene, {"number": number})))
 
 
 def _add_queries(app: FastAPI, bench: Workbench) -> None:
@@ -185,7 +208,7 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
         """The best words for what is at a point or a pixel."""
         return await computed("what-is", scene, asked)
 
-    @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=PNG)
+    @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=binary(PNG))
     async def picture(scene: Scene, asked: Picture) -> Response:
         """A rendering as PNG, optionally with the matches of a query kept in colour."""
         return await computed("picture", scene, asked)

@@ -10,6 +10,7 @@ from threading import Lock
 
 from ..encoders import Encoder
 from ..errors import DrSplatError, InputError
+from ..field.labels import LabelFile
 from ..formats.field_folder import read_manifest
 from ..formats.vocabulary import read_vocabulary
 from ..models.loading import load_encoder
@@ -182,7 +183,8 @@ class Catalog:
 def version_of(files: SceneFiles) -> Version:
     """What changes when a file of a scene is replaced, cut short or written to: which it is, its size and times."""
     capture = [] if files.capture is None else [files.capture / name for name in CAMERAS]
-    return frozenset(_stats(files.field) | _stats(*files.scenes, *capture))
+    labels = LabelFile.beside(files.field).path
+    return frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
 
 
 def without_paths(message: str, roots: Sequence[Path]) -> str:

@@ -9,15 +9,31 @@ from pydantic import Field
 
 from .. import query as engine
 from ..errors import InputError
+from ..query.objects import object_of, objects_of
 from ..query.regions import region
+from ..query.relations import Relation, related
 from ..query.spatial import gap, standing_on
 from ..scene.boxes import BoxKind
 from .limits import Limits
-from .models import UNITS, Body, Fingerprint, Located, Match, Vector, Word, decimals_of, matches_of, measured, rounded
+from .models import (
+    UNITS,
+    Body,
+    Fingerprint,
+    Located,
+    Match,
+    ObjectList,
+    Vector,
+    Word,
+    decimals_of,
+    matches_of,
+    measured,
+    object_list,
+    rounded,
+)  # fmt: skip
 from .pictures import png
 from .requests import Tool
 
-MOST_MATCHES, MOST_TEXT, PICTURE_SIDE, FEW = 20, 200, 768, 8
+MOST_MATCHES, MOST_OBJECTS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 100, 200, 768, 8
 
 
 class Count(Body):
@@ -89,6 +105,11 @@ class About(Body):
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
+
+
+class Related(ObjectList):
+    relation: str
+    to: list[int | None] = Field(description="the objects that they are related to; null for a place that is none")
 
 
 class Shown(Body):
@@ -192,6 +213,20 @@ class Conversation:
     def what_is_at_pixel(self, view: str, x: float, y: float, names: list[str] | None = None) -> Here:
         return self._here((view, x, y), names)
 
+    def list_objects(self, top: int) -> ObjectList:
+        found = self.scene.objects
+        advice = f"the {top} largest of {len(found)}" if len(found) > top else ""
+        return object_list(self.scene, found[:top], advice if found else "photos agree on nothing here: use locate")
+
+    def relations(self, relation: Relation, to: str, and_to: str | None = None) -> Related:
+        end = self._object(to)
+        other = None if and_to is None else self._object(and_to)
+        found = related(self.scene.gaussians, relation, self.scene.objects, end, other, self.scene.up)
+        advice = "" if found else "no object is so: list_objects has all"
+        listed = object_list(self.scene, found[:MOST_MATCHES], advice)
+        numbers = [one.object_id for one in (end, other) if one is not None]
+        return Related(**listed.model_dump(), relation=relation, to=numbers)
+
     def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
         digits = decimals_of(self.scene)
@@ -240,6 +275,22 @@ class Conversation:
             field=self._field,
         )
 
+    def _object(self, text: str) -> engine.Match:
+        """By its number, its label, or the largest match of words: as an object, where it is most of one."""
+        every = self.scene.objects
+        if text.isascii() and text.isdecimal() and len(text) < 10:
+            objects_of(self.scene.field).thing(int(text))  # or the error that says which there are
+            return every[int(text)]
+        labelled = [one for one in every if one.label and one.label.casefold() == text.strip().casefold()]
+        if labelled:
+            return labelled[0]
+        found = self.scene.locate(_text(text))
+        if not found:
+            raise InputError(_absent(text))
+        match = max(found, key=len)
+        number = object_of(self.scene.field, match)
+        return match if number is None else every[number]
+
     def _best(self, text: str) -> engine.Match:
         found = self.scene.locate(_text(text), top=1)
         if not found:
@@ -257,6 +308,8 @@ _TOOLS: Mapping[str, Callable[..., Body]] = {
         Conversation.how_far_apart,
         Conversation.what_is_at,
         Conversation.what_is_at_pixel,
+        Conversation.list_objects,
+        Conversation.relations,
         Conversation.describe_region,
         Conversation.show,
     )

@@ -11,9 +11,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from .. import query as engine
+from ..query.objects import objects_of, photos_of
 from .catalog import Summary
 
 UNITS = "scene units"
+MOST_PHOTOS = 8  # listed of an object
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
@@ -126,6 +128,29 @@ class Match(Body):
     support: list[Support]
 
 
+class SceneObject(Body):
+    """An object that photos agree on, with or without a word for it."""
+
+    id: int = Field(description="its number: 0 has the largest mass")
+    label: str | None = Field(description="the name that people gave it")
+    name: str | None = Field(description="the best word for it, where the encoder knows a list and one fits")
+    center: Vector
+    extent: Vector = Field(description="full lengths of the box along its axes")
+    axes: list[Vector] = Field(description="unit directions of the box, one per row: the third is up where it is known")
+    num_gaussians: int
+    num_views: int = Field(description="photos that see it")
+    sure: float = Field(description="how far the photos agree on it, from 0 to 1")
+    views: list[str] = Field(description="photos, those that show most of it first")
+
+
+class ObjectList(Body):
+    num_objects: int
+    objects: list[SceneObject] = Field(description="largest mass first")
+    units: str = UNITS
+    advice: str = ""
+    field: Fingerprint = ""
+
+
 class Located(Body):
     query: str
     num_matches: int
@@ -162,6 +187,30 @@ def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
         )
         for one in found
     ]
+
+
+def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str = "") -> ObjectList:
+    """shown: objects of the scene."""
+    names, digits = scene.object_names(), decimals_of(scene)
+    listed = [_object(scene, one, names[one.object_id], digits) for one in shown if one.object_id is not None]
+    return ObjectList(num_objects=len(names), objects=listed, advice=advice, field=scene.field.fingerprint)
+
+
+def _object(scene: engine.Scene, match: engine.Match, name: str | None, decimals: int) -> SceneObject:
+    objects, number = objects_of(scene.field), match.object_id
+    node = objects.thing(-1 if number is None else number)
+    return SceneObject(
+        id=objects.number_of[node],
+        label=match.label,
+        name=name,
+        center=rounded(match.center, decimals),
+        extent=rounded(match.extent, decimals),
+        axes=[rounded(axis, 4) for axis in match.axes],
+        num_gaussians=len(match),
+        num_views=objects.num_views[node],
+        sure=round(match.score, 4),
+        views=photos_of(scene.field, node)[:MOST_PHOTOS],
+    )
 
 
 def decimals_of(scene: engine.Scene) -> int:

@@ -16,6 +16,12 @@ def png(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
     return buffer.getvalue()
 
 
+def jpeg(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=90)
+    return buffer.getvalue()
+
+
 def decoded(data: bytes, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
     """RGB of a picture's bytes, upright, on black where it is transparent.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from ..errors import DrSplatError, MissingExtraError
 from .catalog import SceneFaultError, UnknownSceneError
 
-JSON, PNG = "application/json", "image/png"
+JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
 
 
 class BusyError(DrSplatError):

@@ -77,6 +77,16 @@ class Details(Request):
     name: str
 
 
+class Objects(Request):
+    """All objects of a scene."""
+
+
+class OneObject(Request):
+    """An object by its number."""
+
+    number: int
+
+
 class Photo(Request):
     """A photo of the scene by its name."""
 

@@ -12,11 +12,24 @@ from pydantic import Field, ValidationError
 
 from .. import __version__
 from ..errors import DrSplatError
+from ..query.relations import Relation
 from ..scene.boxes import BoxKind
 from .catalog import Catalog
-from .conversation import MOST_MATCHES, About, Count, Distance, Here, Pictured, Place, Region, Shown
+from .conversation import (
+    MOST_MATCHES,
+    MOST_OBJECTS,
+    About,
+    Count,
+    Distance,
+    Here,
+    Pictured,
+    Place,
+    Region,
+    Related,
+    Shown,
+)  # fmt: skip
 from .limits import Limits
-from .models import Body, Located, SceneList
+from .models import Body, Located, ObjectList, SceneList
 from .refusals import faults_of
 from .workbench import Job, Workbench
 
@@ -118,6 +131,7 @@ def make_server(catalog: Catalog, bench: Workbench, limits: Limits) -> MCPServer
     _add_scenes(server, asking)
     _add_matches(server, asking)
     _add_places(server, asking)
+    _add_objects(server, asking)
     _add_pictures(server, asking)
     return server
 
@@ -194,6 +208,26 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
     ) -> Region:
         """What lies within a radius of a point: names, how much of the region each is, and where."""
         return await asking.told(Region, "describe_region", scene, center=center, radius=radius, names=names)
+
+
+def _add_objects(server: MCPServer, asking: _Asking) -> None:
+    @server.tool(title="List objects", annotations=READS)
+    async def list_objects(
+        scene: SceneName = "",
+        top: Annotated[int, Field(ge=1, le=MOST_OBJECTS, description="most objects to list")] = 20,
+    ) -> ObjectList:
+        """What is in a scene, largest first, without words for it: number, name if known, box, photos."""
+        return await asking.told(ObjectList, "list_objects", scene, top=top)
+
+    @server.tool(title="How objects lie", annotations=READS)
+    async def relations(
+        relation: Relation,
+        to: Annotated[str, Field(description="number from list_objects, or a text", min_length=1, max_length=200)],
+        and_to: Annotated[str | None, Field(description="the second one, for 'between' only", max_length=200)] = None,
+        scene: SceneName = "",
+    ) -> Related:
+        """Which objects are on, in, next to or above one, or between two: what lies on the table?"""
+        return await asking.told(Related, "relations", scene, relation=relation, to=to, and_to=and_to)
 
 
 def _add_pictures(server: MCPServer, asking: _Asking) -> None:

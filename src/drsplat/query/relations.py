@@ -1,0 +1,135 @@
+"""How objects lie to each other: on, in, next to, above, between; by boxes and contact, without words for them.
+
+Defined in docs/objects.md. Functions of Gaussians, matches and the direction that is up.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import InputError
+from ..scene.boxes import solid
+from ..scene.gaussians import Gaussians
+from .answer import Match
+from .spatial import gap, is_over, stands_on
+
+Relation = Literal["on", "in", "next_to", "above", "between"]
+RELATIONS: tuple[Relation, ...] = get_args(Relation)
+Up = Float64[np.ndarray, " 3"]
+
+INSIDE = 0.5  # of an object's Gaussians, in the box of what it is in
+SECTORS, WALLED = 16, 12  # directions around an object, and in how many there is a wall of what it is in
+BESIDE = 0.1  # of the lower one's height, that objects next to each other share
+_Holds = Callable[[Gaussians, Match, Match, Up], bool]
+
+
+def related(
+    gaussians: Gaussians,
+    relation: Relation,
+    objects: Sequence[Match],
+    to: Match,
+    and_to: Match | None = None,
+    up: Up | None = None,
+) -> list[Match]:
+    """Those of some objects that stand in a relation to one, or are between two; these themselves left out.
+
+    Raises: InputError: two for "between" and one for all others were expected, or nobody knows what is up.
+    """
+    if (relation == "between") != (and_to is not None):
+        raise InputError(
+            f"{relation}: expected {'two objects' if relation == 'between' else 'one object'} to relate to"
+        )
+    ends = [to] if and_to is None else [to, and_to]
+    others = [one for one in objects if not any(_same(one, end) for end in ends)]
+    if up is None:
+        raise InputError("the photos of this scene do not tell which way is up, which these relations need")
+    if and_to is not None:
+        return [one for one in others if lies_between(gaussians, one, to, and_to, up)]
+    return [one for one in others if _HOLDS[relation](gaussians, one, to, up)]
+
+
+def lies_in(gaussians: Gaussians, thing: Match, container: Match, up: Up) -> bool:
+    """Whether half of a thing is in the box of a larger one, which has walls around it at its own heights."""
+    points, walls = (_points(gaussians, one) for one in (thing, container))
+    if np.linalg.norm(thing.extent) >= np.linalg.norm(container.extent):
+        return False
+    local = (points - container.center) @ container.axes.T
+    if (np.abs(local) <= container.extent / 2).all(axis=1).mean() < INSIDE:
+        return False
+    foot, head = np.quantile(points @ up, (0.02, 0.98))
+    heights = walls @ up
+    around = (walls - points.mean(axis=0))[(heights >= foot) & (heights <= head)]
+    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    angles = np.arctan2(around @ np.cross(up, east), around @ east)
+    sectors = np.floor((angles / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    return len(np.unique(sectors)) >= WALLED
+
+
+def lies_above(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bool:
+    """Whether a thing's middle is over another one, all of it higher, and it does not stand on it."""
+    top, foot = (_heights(gaussians, one, up)[end] for one, end in ((other, 1), (thing, 0)))
+    over = is_over(_points(gaussians, thing), _points(gaussians, other), up)
+    return bool(foot >= top and over and not stands_on(gaussians, thing, other, up))
+
+
+def lies_next_to(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bool:
+    """Whether two are beside each other, nearer than the mean of their boxes' longest sides."""
+    (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
+    shared = min(high, head) - max(low, foot)
+    if shared < BESIDE * min(high - low, head - foot):
+        return False
+    reach = float(thing.extent.max() + other.extent.max()) / 2
+    apart = not any(
+        holds(gaussians, *pair, up) for holds in (stands_on, lies_in) for pair in ((thing, other), (other, thing))
+    )
+    return apart and gap(gaussians, thing, other) <= reach
+
+
+def lies_between(gaussians: Gaussians, thing: Match, one: Match, other: Match, up: Up) -> bool:
+    """Whether, seen from above, the line from centre to centre crosses a thing's box, and neither centre is over it.
+
+    The thing has to share heights with the two, from the lower side of the lower one to the upper of the higher.
+    """
+    (low, high), *ends = (_heights(gaussians, each, up) for each in (thing, one, other))
+    if low > max(head for _, head in ends) or high < min(foot for foot, _ in ends):
+        return False
+    offsets = (each.center - thing.center for each in (one, other))
+    begin, end = ((offset - (offset @ up) * up) @ thing.axes.T for offset in offsets)
+    half = thing.extent / 2
+    if (np.abs(begin) <= half).all() or (np.abs(end) <= half).all():
+        return False
+    return _meets(begin, end - begin, half)
+
+
+def _meets(begin: Up, way: Up, half: Up) -> bool:
+    """Whether a line, from `begin` by `way`, meets a box about zero."""
+    still = way == 0
+    if (np.abs(begin[still]) > half[still]).any():
+        return False
+    with np.errstate(over="ignore"):
+        hits = np.stack([(side * half[~still] - begin[~still]) / way[~still] for side in (-1, 1)])
+    entered, left = hits.min(axis=0).max(initial=0), hits.max(axis=0).min(initial=1)
+    return bool(entered <= left)
+
+
+def _points(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
+    return np.asarray(gaussians.positions[solid(gaussians, thing.gaussian_ids)])
+
+
+def _heights(gaussians: Gaussians, thing: Match, up: Up) -> tuple[float, float]:
+    """Of the lower and the upper side."""
+    low, high = np.quantile(_points(gaussians, thing) @ up, (0.02, 0.98))
+    return float(low), float(high)
+
+
+def _same(one: Match, other: Match) -> bool:
+    """Also of a match that a query found and that is an object in part."""
+    if one.object_id is not None and one.object_id == other.object_id:
+        return True
+    common = np.isin(one.gaussian_ids, other.gaussian_ids, assume_unique=True).sum()
+    return bool(common > 0.5 * min(len(one), len(other)))
+
+
+_HOLDS: dict[Relation, _Holds] = {"on": stands_on, "in": lies_in, "next_to": lies_next_to, "above": lies_above}

@@ -1,0 +1,149 @@
+"""Objects over HTTP and for language models: what Python, the command line and both services tell is the same."""
+
+import asyncio
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from drsplat import read_gaussians, write_gaussians
+from drsplat.errors import InputError
+from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.query import open_scene
+from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
+from scenes import look_at_view
+
+pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
+
+from drsplat.commands.object_outputs import listing
+from drsplat.serving.catalog import Catalog
+from drsplat.serving.conversation import Conversation
+from drsplat.serving.replies import Reply
+from drsplat.serving.worker import Workplace, reply_to
+
+EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scene as `drsplat register` and `drsplat objects` leave it."""
+    gaussians = replace(known_scene(), scales=np.full((3 * EACH, 3), 0.02, np.float32))
+    write_gaussians(tmp_path / "scene.ply", gaussians)
+    field = known_field(gaussians)
+    field.with_objects(described(field, read_gaussians(tmp_path / "scene.ply"))).save(tmp_path / "a.field")
+    (tmp_path / "images").mkdir()
+    views = [replace(look_at_view(eye, (1.5, 0, 0)), name=name) for eye, name in zip(EYES, VIEWS, strict=True)]
+    write_cameras_json(tmp_path / "cameras.json", views)
+    for view in views:
+        Image.new("RGB", (view.width, view.height), (90, 140, 200)).save(tmp_path / "images" / view.name)
+    return tmp_path
+
+
+def reply(folder: Path, act: str, asked: dict[str, Any] | None = None, catalog: Catalog | None = None) -> Reply:
+    """As a worker answers."""
+    catalog = catalog or Catalog(folder)
+    (name,) = catalog.folders()
+    return reply_to(catalog, Workplace(str(folder)), act, name, asked or {})
+
+
+def test_the_same_list_everywhere(folder: Path) -> None:
+    scene = open_scene(folder)
+    scene.label(scene.field.objects.thing(1), "mug")  # type: ignore[union-attr]
+    told = json.loads(reply(folder, "objects").body)
+    of_models = Conversation(Catalog(folder)).list_objects("", 20).model_dump()
+    assert told == of_models
+    assert told["num_objects"] == 3
+    for one, expected in zip(told["objects"], listing(open_scene(folder)), strict=True):
+        for key in ("id", "label", "name", "num_gaussians", "num_views", "views"):
+            assert one[key] == expected[key]
+        for key in ("center", "extent", "axes", "sure"):
+            np.testing.assert_allclose(one[key], expected[key], atol=2e-4)
+    assert [one["label"] for one in told["objects"]] == [None, "mug", None]
+
+
+def test_a_new_name_is_told_without_a_restart(folder: Path) -> None:
+    catalog = Catalog(folder)
+    assert json.loads(reply(folder, "objects", catalog=catalog).body)["objects"][0]["label"] is None
+    scene = open_scene(folder)
+    scene.label(scene.field.objects.thing(0), "bowl")  # type: ignore[union-attr]
+    assert json.loads(reply(folder, "objects", catalog=catalog).body)["objects"][0]["label"] == "bowl"
+
+
+def test_one_object(folder: Path) -> None:
+    picture = reply(folder, "object-picture", {"number": 2})
+    assert picture.media_type == "image/jpeg"
+    image = Image.open(io.BytesIO(picture.body))
+    assert (image.format, image.size) == ("JPEG", (640, 480))
+    pixels = np.asarray(image).astype(int)
+    assert np.abs(pixels[240, 320] - (90, 140, 200)).max() < 30  # lit in the middle
+    assert np.abs(pixels[5, 5] - (27, 42, 60)).max() < 30  # dark around
+    ply = reply(folder, "object-ply", {"number": 2})
+    (folder / "out.ply").write_bytes(ply.body)
+    part = read_gaussians(folder / "out.ply")
+    assert len(part) == EACH - 10
+    np.testing.assert_allclose(part.positions.mean(axis=0), CENTERS[2], atol=0.02)
+
+
+@pytest.mark.parametrize("act", ["object-picture", "object-ply"])
+def test_objects_that_are_not_there(act: str, folder: Path) -> None:
+    refused = reply(folder, act, {"number": 3})
+    assert refused.status == 422
+    assert "there are 0 to 2" in json.loads(refused.body)["error"]
+
+
+def test_a_field_without_objects_says_what_to_do(folder: Path) -> None:
+    scene = open_scene(folder)
+    scene.field.with_objects(None).save(folder / "a.field", overwrite=True)
+    refused = reply(folder, "objects")
+    assert refused.status == 422
+    assert "drsplat objects" in json.loads(refused.body)["error"]
+    with pytest.raises(InputError, match="drsplat objects"):
+        Conversation(Catalog(folder)).list_objects("", 20)
+
+
+def test_relations_by_number_and_by_name(folder: Path) -> None:
+    scene = open_scene(folder)
+    scene.label(scene.field.objects.thing(2), "Far Box")  # type: ignore[union-attr]
+    talk = Conversation(Catalog(folder))
+    between = talk.relations("between", "0", "far box", "")
+    assert between.to == [0, 2]
+    assert [one.id for one in between.objects] == [1]
+    assert talk.relations("on", "1", None, "").objects == []
+    assert "list_objects" in talk.relations("on", "1", None, "").advice
+    with pytest.raises(InputError, match="there is no object 7"):
+        talk.relations("on", "7", None, "")
+    with pytest.raises(InputError, match="expected two objects"):
+        talk.relations("between", "1", None, "")
+
+
+def test_long_lists_are_cut(folder: Path) -> None:
+    told = Conversation(Catalog(folder)).list_objects("", 2)
+    assert (told.num_objects, [one.id for one in told.objects]) == (3, [0, 1])
+    assert told.advice == "the 2 largest of 3"
+
+
+def test_routes(folder: Path) -> None:
+    httpx = pytest.importorskip("httpx")
+    from drsplat.serving.app import Settings, create_app
+
+    app = create_app(Settings(str(folder)))
+
+    async def asked(*paths: str) -> list[Any]:
+        transport = httpx.ASGITransport(app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://here") as client:
+            return [await client.get(f"/scenes/{folder.name}/objects{path}") for path in paths]
+
+    try:
+        listed, picture, ply, none, bad = asyncio.run(asked("", "/0/picture", "/0/ply", "/9/ply", "/x/ply"))
+    finally:
+        app.state.bench.close()
+    assert listed.json()["num_objects"] == 3
+    assert listed.headers["x-drsplat-field"] == listed.json()["field"]
+    assert (picture.status_code, picture.headers["content-type"]) == (200, "image/jpeg")
+    assert ply.content.startswith(b"ply\n")
+    assert (none.status_code, bad.status_code) == (422, 422)
