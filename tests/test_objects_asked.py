@@ -1,0 +1,116 @@
+"""Queries of a field with objects: whole things, labels, points, and fields without objects as before."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drsplat as ds
+from drsplat import Answer, Query, Scene
+from drsplat.field.labels import LabelFile
+from drsplat.query.wholes import by_object
+from known_objects import CENTERS, EACH, with_objects
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    field, gaussians = with_objects()
+    return Scene(field, gaussians)
+
+
+def axis(number: int) -> np.ndarray:
+    return np.eye(8, dtype=np.float32)[number]
+
+
+def test_a_thing_has_one_value_the_mean_of_its_rows(scene: Scene) -> None:
+    field = scene.field
+    values = np.random.default_rng(0).random(len(field), np.float32)
+    whole = by_object(field, values)
+    things = field.objects.thing_of()
+    for number in range(3):
+        mine = things == number
+        np.testing.assert_allclose(whole[mine], values[mine].mean(dtype=np.float64), rtol=1e-6)
+    np.testing.assert_array_equal(by_object(replace(field, objects=None), values), values)
+    np.testing.assert_allclose(by_object(field, whole), whole, rtol=1e-6)
+
+
+def test_loose_rows_keep_their_own_value(scene: Scene) -> None:
+    field = scene.field
+    objects = field.objects
+    node_of = objects.node_of.copy()
+    node_of[::7] = -1
+    loose = replace(field, objects=replace(objects, node_of=node_of))
+    values = np.random.default_rng(1).random(len(field), np.float32)
+    np.testing.assert_array_equal(by_object(loose, values)[::7], values[::7])
+
+
+def test_a_cosine_has_the_best_descriptor_in_it(scene: Scene) -> None:
+    """Half of the first box is in masks of another embedding in one view: its rows say less than its masks."""
+    field = scene.field
+    scores = field.scores(axis(3))
+    things = field.objects.thing_of()
+    best = max(float(d @ axis(3)) for d in field.objects.descriptors_of(field.objects.thing(0)))
+    expected = (scores[things == 0].mean(dtype=np.float64) + best) / 2
+    np.testing.assert_allclose(by_object(field, scores, axis(3))[things == 0], expected, rtol=1e-5)
+
+
+def test_an_answer_is_whole_things_and_matches_say_which(scene: Scene) -> None:
+    (match,) = scene.locate(Query(vector=axis(1)))
+    assert match.object_id == 1
+    np.testing.assert_array_equal(match.gaussian_ids, np.arange(EACH, 2 * EACH))
+    np.testing.assert_allclose(match.center, CENTERS[1], atol=0.1)
+
+
+def test_two_things_that_touch_are_two_places() -> None:
+    field, gaussians = with_objects()
+    close = gaussians.means.copy()
+    close[EACH : 2 * EACH, 0] -= 0.75
+    near = replace(gaussians, means=close)
+    field = replace(field, scene=near.fingerprint)
+    values = (field.objects.thing_of() < 2).astype(np.float32)
+    found = Scene(field, near).locate(Answer.of(field, values, 0.5))
+    assert sorted(match.object_id for match in found) == [0, 1]
+    loose = replace(field, objects=None)
+    assert len(Scene(loose, near).locate(Answer.of(loose, values, 0.5))) == 1
+
+
+def test_a_point_finds_the_thing_that_is_there(scene: Scene) -> None:
+    answer = scene.ask(Query(point=CENTERS[0]))
+    assert answer.rule == "object"
+    np.testing.assert_array_equal(answer.gaussian_ids, np.arange(EACH))
+    (match,) = scene.locate(answer)
+    assert match.object_id == 0
+    assert match.support
+    alike = scene.ask(Query(point=CENTERS[0], threshold=0.9))
+    assert alike.rule == "given"
+
+
+def test_a_label_is_exactly_what_was_named(tmp_path: Path) -> None:
+    field, gaussians = with_objects()
+    named = Scene(field, gaussians, labels=LabelFile.beside(tmp_path / "known.field"))
+    named.label(field.objects.thing(2), "Grandmother's chest")
+    answer = named.ask("grandmother's CHEST")
+    assert answer.rule == "label"
+    np.testing.assert_array_equal(answer.gaussian_ids, field.gaussian_ids[field.objects.rows(4)])
+    (match,) = named.locate(answer)
+    assert (match.object_id, match.label) == (2, "Grandmother's chest")
+    with pytest.raises(ds.DrSplatError):  # any other text needs an encoder
+        named.ask("chest")
+
+
+def test_what_is_excluded_is_excluded_in_whole_things(scene: Scene) -> None:
+    """A fake encoder of axes: "a" is box 0, "a b" fits box 1 as well."""
+    vectors = {"a": axis(0) + axis(1), "b a": axis(1)}
+
+    class Axes:
+        identity = scene.field.encoder
+        threshold = 0.3
+
+        def encode_texts(self, texts: list[str]) -> np.ndarray:
+            return np.stack([vectors[text] / np.linalg.norm(vectors[text]) for text in texts]).astype(np.float32)
+
+    asked = Scene(scene.field, scene.gaussians, encoder=Axes())
+    assert len(asked.locate("a")) == 2
+    (left,) = asked.locate("a, not b")
+    assert left.object_id == 0
