@@ -171,7 +171,8 @@ def test_one_writer_at_a_time(labels: LabelFile, field: LanguageField) -> None:
     [
         ({"format": "labels"}, "expected 'drsplat labels'"),
         ({"version": 2}, "this drsplat reads 1"),
-        ({"labels": {}}, "a list of labels"),
+        ({"labels": {}}, "a list of up to 10,000 labels"),
+        ({"labels": [0] * 10_001}, "a list of up to 10,000 labels"),
         ({"labels": [[]]}, "label 0: expected an object"),
         ({"name": 3}, "a name, the fingerprint"),
         ({"name": " "}, "expected a text"),

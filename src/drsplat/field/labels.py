@@ -21,7 +21,7 @@ from .loading import MAX_GAUSSIANS
 from .objects import THING
 
 FORMAT, VERSION = "drsplat labels", 1
-LONGEST = 200  # characters of a name
+LONGEST, MOST = 200, 10_000  # characters of a name; labels of a file
 SAME = 0.5  # IoU of Gaussians from which a label names a node
 
 
@@ -102,8 +102,8 @@ class LabelFile:
         if document.get("version") != VERSION:
             raise FormatError(f"{self.path}: version {document.get('version')!a:.20}; this drsplat reads {VERSION}")
         labels = document.get("labels")
-        if not isinstance(labels, list):
-            raise FormatError(f"{self.path}: expected a list of labels. {_CURE}")
+        if not isinstance(labels, list) or len(labels) > MOST:
+            raise FormatError(f"{self.path}: expected a list of up to {MOST:,} labels. {_CURE}")
         return tuple(_label(entry, f"{self.path}: label {number}") for number, entry in enumerate(labels))
 
     def add(self, label: Label, instead: Sequence[Label] = ()) -> tuple[Label, ...]:
@@ -114,6 +114,8 @@ class LabelFile:
         with claimed_output(self.path):
             kept = [one for one in self.read() if not any(_same(one, other) for other in instead)]
             labels = (*kept, label)
+            if len(labels) > MOST:
+                raise InputError(f"{self.path}: has {MOST:,} labels, which is the most: remove some")
             text = json.dumps(_document(labels), ensure_ascii=False, separators=(",", ":"))
             with replacing(self.path, overwrite=True) as file:
                 file.write(f"{text}\n".encode())

@@ -106,7 +106,15 @@ class Objects:
         """
         inside = np.full(self.num_nodes, -1, np.int32)
         inside[self._checked(node)] = 0
-        return np.flatnonzero(self._by_row(self._handed_down(inside), np.int32(-1)) == 0)
+        order, starts = self._by_node
+        within = np.flatnonzero(self._handed_down(inside) == 0).tolist()
+        return np.sort(np.concatenate([order[starts[one] : starts[one + 1]] for one in within]))
+
+    @cached_property
+    def _by_node(self) -> tuple[Int64[np.ndarray, " R"], Int64[np.ndarray, " T1"]]:
+        """The rows in the order of their nodes, and where those of each node begin."""
+        order = np.argsort(self.node_of, kind="stable")
+        return order, np.searchsorted(self.node_of[order], np.arange(self.num_nodes + 1))
 
     def counts(self, rows: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " T"]:
         """Per node how many of some rows belong to it or to a node below it."""
