@@ -1,5 +1,5 @@
 """A small scene that ships, asked in words and held against its truth.
 
-Imports `scene`, `formats`, `kernels`, `codes`, `field`, `registration`, `models`, `drawing`, `query`, `objects`, `embedding`
-and `evaluation`.
+Imports `scene`, `formats`, `kernels`, `codes`, `field`, `objects`, `registration`, `models`, `drawing`, `query`,
+`embedding` and `evaluation`.
 """
