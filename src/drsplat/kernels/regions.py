@@ -52,7 +52,7 @@ class Forest(NamedTuple):
 
 def agglomerate(
     weights: csr_array,
-    views: Int32[np.ndarray, " m"],
+    views: Int32[np.ndarray, " v"],
     embeddings: Float32[np.ndarray, "m d"],
     edges: Integer[np.ndarray, "e 2"],
     thresholds: tuple[float, ...],
