@@ -165,7 +165,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         assert "at most 200" in await refused(client, "locate", text="x" * 300)
         assert "no view 'photo'" in await refused(client, "show", view="photo")
         assert "640x480" in await refused(client, "what_is_at_pixel", view="frame_00001", x=1e9, y=0)
-        none_on = await told(client, "count", text="toys", on="sofa")
+        none_on = await told(client, "count", text="something to eat", on="sofa")
         assert (none_on["count"], none_on["of"]) == (0, 2)
         assert "none on the sofa" in none_on["advice"]
         assert "nearest Gaussian" in await refused(client, "what_is_at", point=[1e300, 0.0, 0.0])
@@ -187,13 +187,13 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
 
 def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> None:
     async def talk(client: Client) -> None:
-        every = await told(client, "locate", text="toys")
-        on_table = await told(client, "locate", text="toys", on="table")
+        every = await told(client, "locate", text="something to eat")
+        on_table = await told(client, "locate", text="something to eat", on="table")
         assert (every["num_matches"], on_table["num_matches"]) == (2, 2)
         assert [one for one in every["matches"] if one in on_table["matches"]] == on_table["matches"]
-        nothing = await told(client, "locate", text="toys", on="sofa")
+        nothing = await told(client, "locate", text="something to eat", on="sofa")
         assert (nothing["num_matches"], "none on the sofa" in nothing["advice"]) == (0, True)
-        free = await told(client, "locate", text="toys", box="free")
+        free = await told(client, "locate", text="something to eat", box="free")
         assert [one["center"] for one in free["matches"]] != [one["center"] for one in every["matches"]]
         assert all(abs(one["axes"][2][2]) > 0.99 for one in every["matches"])
         assert not all(abs(one["axes"][2][2]) > 0.99 for one in free["matches"])

@@ -123,8 +123,8 @@ def test_answers_are_those_of_the_library(service: Service, folder: Path) -> Non
     same = told(service("POST", "/scenes/room/select", json=by_vector))
     assert same["gaussian_ids"] == scene.ask(Query(vector=vector, threshold=0.3)).gaussian_ids.tolist()
     assert same["gaussian_ids"]
-    located = told(service("POST", "/scenes/room/locate", json={"text": "toys", "top": 2}))
-    found = scene.locate("toys")
+    located = told(service("POST", "/scenes/room/locate", json={"text": "something to eat", "top": 2}))
+    found = scene.locate("something to eat")
     assert (located["num_matches"], len(located["matches"])) == (len(found), 2)
     np.testing.assert_allclose(located["matches"][0]["center"], found[0].center, atol=1e-4)
     support = located["matches"][0]["support"][0]
@@ -141,7 +141,8 @@ def test_points_clicks_images_and_classes(service: Service, folder: Path) -> Non
     words = told(service("POST", "/scenes/room/what-is", json={"point": point}))
     assert words["words"][0]["name"] == "red vase"
     found = told(service("POST", "/scenes/room/locate", json={"point": point}))
-    assert found["measured"]["threshold_rule"] == "auto"
+    assert found["measured"]["threshold_rule"] == "object"
+    assert found["matches"][0]["num_gaussians"] == len(vase)
     assert np.linalg.norm(np.array(found["matches"][0]["center"]) - vase.center) < 0.1
     view = scene.best_view(vase.gaussian_ids)
     seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
