@@ -63,6 +63,6 @@ def said_of_node(session: Session, node: int) -> str:
     objects = objects_of(session.scene.field)
     name, number = session.results[0].label, numbered(objects, node)
     own = "" if name == number else f", {number}"
-    photos = f"seen in {counted(int(objects.num_views[node]), 'photo')}"
+    photos = counted(int(objects.num_views[node]), "photo")
     size = counted(int(objects.sizes[node]), "Gaussian")
-    return paragraphs(f"<b>{escaped(name)}</b>{own}", f"{size}, {photos}, sure {objects.sure[node]:.2f}")
+    return paragraphs(f"<b>{escaped(name)}</b>{own}", f"{size} in {photos}, sure {objects.sure[node]:.2f}")

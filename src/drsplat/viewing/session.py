@@ -172,14 +172,20 @@ class Session:
     # --- objects ---
 
     def smaller(self) -> None:
-        """Select the part of what is selected. Raises: InputError: no object is selected, or it has no parts."""
+        """Select the next smaller node at the place that was clicked.
+
+        Raises: InputError: no object is selected, or it has no parts.
+        """
         smaller = self._needed_node().smaller(objects_of(self.scene.field))
         if smaller is None:
             raise InputError("there is nothing smaller in it")
         self._choose(smaller)
 
     def larger(self) -> None:
-        """Select what the selected is part of. Raises: InputError: no object is selected, or it is in none."""
+        """Select what the selected node is part or member of.
+
+        Raises: InputError: no object is selected, or it is in none.
+        """
         larger = self._needed_node().larger()
         if larger is None:
             raise InputError("there is nothing larger that it is part of")
