@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Integer
 
-from ..field.objects import GROUP, LEVELS, PART, THING, Objects
+from ..field.objects import GROUP, THING, Objects
 from ..terminal import counted
 from .objects import most_seen, objects_of
 from .scene import Scene
@@ -59,12 +59,13 @@ def name_of(scene: Scene, node: int, words: Sequence[str] = ()) -> str:
 
 
 def numbered(objects: Objects, node: int) -> str:
-    """A node by numbers: "object 7", "part of object 7", "group of 3 objects". Raises: InputError: no such node."""
+    """A node by numbers: "object 7", "part of object 7", "group of 3 objects"; "part" where that is of no object."""
     number, level = int(objects.number_of[node]), int(objects.levels[node])
     if level == GROUP:
         return f"group of {counted(len(things_in(objects, node)), 'object')}"
-    of_object = f"object {number}" if number >= 0 else ""
-    return of_object if level == THING else f"{LEVELS[PART]} of {of_object}" if of_object else LEVELS[PART]
+    if level == THING:
+        return f"object {number}"
+    return f"part of object {number}" if number >= 0 else "part"
 
 
 def things_in(objects: Objects, node: int) -> list[int]:
