@@ -123,7 +123,7 @@ def test_what_is_suggested_is_found(live: Live) -> None:
 
 
 def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Live) -> None:
-    live.ask("wooden table; brown table; window")
+    live.ask("wooden table; wall; floor; wooden wall")
     total = sum(len(one.matches) for one in live.session.results)
     assert total > 12
     live.page.get_by_role("button", name="1 wooden table ·").wait_for()
