@@ -12,6 +12,7 @@ import pytest
 from browsing import a_browser, a_page, colorfulness, eventually, near, needs_chromium, pixels_of
 from drsplat import read_gaussians
 from drsplat.demo.story import Story
+from drsplat.field.labels import LabelFile
 from drsplat.query import open_scene
 from drsplat.viewing.cameras import up_direction
 from drsplat.viewing.session import Session
@@ -122,7 +123,7 @@ def test_what_is_suggested_is_found(live: Live) -> None:
 
 
 def test_finds_are_numbered_here_and_there_and_the_rest_is_behind_more(live: Live) -> None:
-    live.ask("wooden table; brown table; window")
+    live.ask("wooden table; wall; floor; wooden wall")
     total = sum(len(one.matches) for one in live.session.results)
     assert total > 12
     live.page.get_by_role("button", name="1 wooden table ·").wait_for()
@@ -142,6 +143,34 @@ def test_a_click_says_the_name(live: Live) -> None:
     assert live.session.clicked is not None
     assert live.session.clicked.name == "red vase"
     assert live.page.locator("strong", has_text="red vase").count() == 1
+
+
+def test_a_click_selects_the_object_and_buttons_go_up_down_and_colour_all(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = live.session.scene
+    monkeypatch.setattr(scene, "label_file", LabelFile(tmp_path / "room.labels.json"))
+    monkeypatch.setattr(scene, "labels", scene.labels)  # and back to it: other tests ask the same scene
+    live.ask("red vase")
+    live.page.mouse.click(*live.seen_at(live.session.results[0].matches[0].center))
+    eventually(lambda: live.session.chosen is not None)
+    thing, button = live.session.chosen, lambda name: live.page.get_by_role("button", name=name, exact=True)
+    assert [one.label for one in live.session.results] == ["red vase"]
+    assert button("Larger").is_disabled() == (thing.larger() is None)
+    if thing.larger() is not None:
+        button("Larger").click()
+        eventually(lambda: live.session.chosen == thing.larger())
+        button("Smaller").click()
+        eventually(lambda: live.session.chosen == thing)
+    assert np.median(colorfulness(live.pixels())) < 0.05
+    button("Everything").click()
+    eventually(lambda: np.median(colorfulness(live.pixels())) > GREY)
+    live.page.locator("textarea").last.fill("my vase")
+    button("Name it").click()
+    live.page.locator("b", has_text="my vase").wait_for()
+    button("Everything").click()
+    live.ask("my vase")
+    assert live.session.results[0].matches[0].label == "my vase"
 
 
 def test_moving_the_slider_changes_the_selection(live: Live) -> None:

@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
 from ..terminal import counted
-from .defaults import COSINE, GIVEN, RELEVANCY
+from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY
 from .search import LOWEST
 
 
@@ -52,6 +52,11 @@ class Answer:
     def lowest(self) -> float:
         """What a Gaussian has that nothing selects."""
         return 0.0 if self.measure == RELEVANCY else LOWEST
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether exactly what belongs together is meant, so that no other threshold makes sense."""
+        return self.rule in (OBJECT, LABEL)
 
     @property
     def dense(self) -> Float32[np.ndarray, " n"]:

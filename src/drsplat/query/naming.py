@@ -23,12 +23,16 @@ def own_vocabulary(encoder: Encoder) -> tuple[str, ...] | None:
     return None
 
 
-def object_names(encoder: Encoder, field: LanguageField, nodes: Sequence[int]) -> list[str | None]:
-    """The best word for each of some nodes; None where none fits, and for all where the encoder takes any words.
+def object_names(
+    encoder: Encoder, field: LanguageField, nodes: Sequence[int], words: Sequence[str] = ()
+) -> list[str | None]:
+    """The best of some words for each of some nodes; None where none fits.
 
-    A word has to exceed the threshold of an encoder that has one. Raises: MismatchError: another encoder.
+    words: where there are none, the encoder's own; None for all nodes where it takes any. A word has to exceed the
+    threshold of an encoder that has one. Raises: MismatchError: another encoder. InputError: words that it does not
+    know.
     """
-    texts, objects = own_vocabulary(encoder), field.objects
+    texts, objects = tuple(words) or own_vocabulary(encoder), field.objects
     if not texts or objects is None:
         return [None] * len(nodes)
     field.check_encoder(encoder.identity)

@@ -1,14 +1,15 @@
 """The objects of a scene as matches, and as nodes of the forest that they stand in."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from jaxtyping import Float, Integer
 
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
 from ..field.objects import Objects
-from .answer import Match
+from .answer import Answer, Match
 
 SUPPORT = 3  # masks listed for an object
 
@@ -18,6 +19,19 @@ def objects_of(field: LanguageField) -> Objects:
     if field.objects is None:
         raise InputError("nobody has looked for objects in this field: `drsplat objects FIELD --scene SCENE` does")
     return field.objects
+
+
+def most_seen(objects: Objects, rows: Integer[np.ndarray, " h"], weights: Float[np.ndarray, " h"]) -> int:
+    """Of rows that are seen at one place the heaviest of the object that is most seen there."""
+    numbers = objects.thing_of()[rows]
+    most = np.bincount(numbers + 1, weights).argmax() - 1
+    return int(rows[np.where(numbers == most, weights, -1).argmax()])
+
+
+def answer_of(field: LanguageField, nodes: Sequence[int], rule: str) -> Answer:
+    """Exactly some nodes, one or more. Raises: InputError: the field has no objects, or no such node."""
+    objects = objects_of(field)
+    return Answer.of_rows(field, np.concatenate([objects.rows(node) for node in nodes]), rule)
 
 
 def match_of(field: LanguageField, node: int, label: str | None = None) -> Match:

@@ -26,7 +26,7 @@ from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
 from .encoding import encoder_for
 from .measuring import Background, Measuring
 from .naming import best_names, object_names
-from .objects import match_of, objects_of, support_of
+from .objects import answer_of, match_of, most_seen, objects_of, support_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import feature_at, gaussian_at, seen_at
@@ -84,7 +84,7 @@ class Scene:
     ) -> None:
         if gaussians is not None:
             field.check_scene(gaussians)
-        self._label_file = labels
+        self.label_file = labels
         self.field, self.name, self.threads = field, name, threads
         self._gaussians, self._views = gaussians, views
         self.background = Background(field, _source(field, encoder), threads)
@@ -143,13 +143,16 @@ class Scene:
             for node in objects_of(self.field).things.tolist()
         ]
 
-    def object_names(self) -> list[str | None]:
-        """The best word for each object, None where none is known; the encoder has to know a list of words."""
-        nodes = objects_of(self.field).things.tolist()
+    def object_names(self, nodes: Sequence[int] | None = None, words: Sequence[str] = ()) -> list[str | None]:
+        """The best word for each object, or each of some nodes, None where none is known.
+
+        words: to choose from; where there are none, those of an encoder that knows a list.
+        """
+        chosen = objects_of(self.field).things.tolist() if nodes is None else nodes
         try:
-            return object_names(self.encoder, self.field, nodes)
+            return object_names(self.encoder, self.field, chosen, words)
         except (InputError, MissingExtraError):  # nobody embeds words here
-            return [None] * len(nodes)
+            return [None] * len(chosen)
 
     def object_ids(self) -> Int32[np.ndarray, " n"]:
         """Per Gaussian of the scene the number of its object, -1 for none. Raises: InputError: the field has none."""
@@ -163,19 +166,19 @@ class Scene:
 
         Raises: FormatError: their file is damaged.
         """
-        return matched(() if self._label_file is None else self._label_file.read(), self.field)
+        return matched(() if self.label_file is None else self.label_file.read(), self.field)
 
     def label(self, node: int, name: str) -> None:
         """Name a node as people call it, in place of the name that it had; kept beside the field.
 
         Raises: InputError: no such node, no objects, an empty name, or nowhere to keep it.
         """
-        if self._label_file is None:
+        if self.label_file is None:
             raise InputError("this scene was not opened from a field on disk: there is nowhere to keep a name")
         named = match_of(self.field, node)
         new = Label.of(name, self.field.scene, named.gaussian_ids, named.center)
         former = [self.labels.by_node[node]] if node in self.labels.by_node else []
-        self.labels = matched(self._label_file.add(new, former), self.field)
+        self.labels = matched(self.label_file.add(new, former), self.field)
 
     def object_at(self, place: Place) -> list[int]:
         """The nodes of what is at a Gaussian, a point or a click, smallest first: parts, thing, groups.
@@ -346,7 +349,7 @@ class Scene:
         """Exactly what people have given this name; None where they have not."""
         wanted = text.strip().casefold()
         nodes = [node for node, label in self.labels.by_node.items() if label.name.casefold() == wanted]
-        return self._of_nodes(nodes, LABEL) if nodes else None
+        return answer_of(self.field, nodes, LABEL) if nodes else None
 
     def _thing_at(self, place: Place, measuring: Measuring) -> Answer:
         """The object at a place, and what is like it where that is none."""
@@ -355,11 +358,7 @@ class Scene:
         number = int(objects.thing_of()[row])
         if number < 0:
             return measuring.of_vector(self.field.feature(np.array([row]))[0])
-        return self._of_nodes([objects.thing(number)], OBJECT)
-
-    def _of_nodes(self, nodes: Sequence[int], rule: str) -> Answer:
-        objects = objects_of(self.field)
-        return Answer.of_rows(self.field, np.concatenate([objects.rows(node) for node in nodes]), rule)
+        return answer_of(self.field, [objects.thing(number)], OBJECT)
 
     def _row(self, gaussian_id: int) -> int:
         row = int(self.field.rows_of(np.array([gaussian_id]))[0])
@@ -375,9 +374,7 @@ class Scene:
             return self._row(self.nearest(place))  # type: ignore[arg-type]
         xy = (float(place[1]), float(place[2]))
         rows, weights = seen_at(self.field, self.gaussians, self.view(place[0]), xy, threads=self.threads)
-        numbers = objects.thing_of()[rows]
-        most = np.bincount(numbers + 1, weights).argmax() - 1
-        return int(rows[np.where(numbers == most, weights, -1).argmax()])
+        return most_seen(objects, rows, weights)
 
     def _support(self, match: Match, answer: Answer) -> tuple[Explanation, ...]:
         if answer.vector is None and match.object_id is not None:

@@ -60,6 +60,14 @@ def named(scene: Scene, gaussian_id: int, words: Sequence[str] | None) -> list[W
         return []
 
 
+def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
+    """To name things with: given ones, else as `words_of`; none for a field whose encoder is not at hand."""
+    try:
+        return tuple(words or words_of(scene))
+    except DrSplatError:
+        return ()
+
+
 def words_of(scene: Scene) -> tuple[str, ...]:
     """The encoder's own, or those of a household for one that takes any."""
     return own_vocabulary(scene.encoder) or (*NAMES, *STRUCTURES)

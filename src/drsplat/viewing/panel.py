@@ -16,6 +16,7 @@ from . import painting, saving, texts
 from .actions import Actions
 from .bare import NO_FIELD
 from .cameras import before
+from .choosing import ChosenControls
 from .finds import FindList, finds_of
 from .naming import This, photo_of
 from .saving import Saves
@@ -129,9 +130,12 @@ class Panel:
     def _build_show(self) -> None:
         askable = self.session.is_askable
         with self.gui.add_folder("Show"):
-            names = tuple(mode.value for mode in Mode) if askable else (Mode.SCENE.value,)
+            names = tuple(mode.value for mode in self.session.modes)
             self.mode = self.gui.add_dropdown("Colours", names, initial_value=Mode.SCENE.value)
             self._by_hand(self.mode, "mode", self._set_mode)
+            if self.session.has_objects:
+                everything = self._button("Everything", self._changing(self.session.everything))
+                everything.hint = "Each object in a colour of its own; pressed again, the colours before"
             self.boxes = self.gui.add_checkbox("Boxes and names", True, visible=askable)
             self.boxes.on_update(lambda event: self._do("boxes", event, self._set_boxes))
             if self.session.scene.views:
@@ -144,11 +148,18 @@ class Panel:
 
     def _build_this(self) -> None:
         with self.gui.add_folder("What is this?", visible=self.session.is_askable):
+            self.thing = self._build_thing() if self.session.has_objects else None
             self.this = self.gui.add_html(CLICK)
             blank = np.zeros((2, 2, 3), np.uint8)
             self.photo = self.gui.add_image(blank, visible=False)
             self.more = self._button("More like this", self._more)
             self.more.visible = False
+
+    def _build_thing(self) -> ChosenControls:
+        def prompt(label: str, act: Callable[[Any], None]) -> Any:
+            return self._prompt(label, "my mug", act)
+
+        return ChosenControls(self.session, self.gui, self._button, prompt, self._chose)
 
     def _build_edit(self) -> None:
         session = self.session
@@ -219,6 +230,8 @@ class Panel:
         said = (escaped(result.said, 600) for result in self.session.results)
         self.told.content = paragraphs(*said)
         self.finds.show(finds_of(self.session.results))
+        if self.thing is not None:
+            self.thing.show()
 
     def _fly(self, event: Any, match: Match) -> None:
         scene = self.session.scene
@@ -246,10 +259,10 @@ class Panel:
             with self.answer:
                 self.slider = self.gui.add_slider("Threshold", 0.0, 1.0, STEP, 0.5, marks=((0.5, "auto"),), order=1.0)
             self._by_hand(self.slider, "cut", self._cut)
-        self.slider.visible = bool(self.session.results)
-        if not self.session.results:
+        result = self.session.results[self._chosen] if self.session.results else None
+        self.slider.visible = result is not None and not result.answer.is_exact
+        if result is None:
             return
-        result = self.session.results[self._chosen]
         low, high = result.limits
         low, high = float(np.floor(low / STEP) * STEP), float(np.ceil(high / STEP) * STEP)
         self.slider.min, self.slider.max = round(low, 3), round(high, 3)
@@ -291,6 +304,17 @@ class Panel:
         self.more.visible = this is not None
         nothing = paragraphs("Nothing with a feature is there.")
         self.this.content = nothing if this is None else said_of_this(this)
+        self._show_photo()
+        if self.thing is not None:
+            self._answered()
+
+    def _chose(self) -> None:
+        """Show another part, thing or group, or another name of it."""
+        self._answered()
+        self._show_photo()
+
+    def _show_photo(self) -> None:
+        this = self.session.clicked
         photo = None if this is None else photo_of(self.session.scene, this)
         self.photo.visible = photo is not None
         if photo is not None:

@@ -6,15 +6,18 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from ..drawing.palette import class_colors
 from ..errors import InputError
 from ..query import Query, Scene, Segmentation
+from ..query.defaults import OBJECT
+from ..query.nodes import Chosen, chosen_at, name_of
+from ..query.objects import answer_of, match_of, objects_of
 from ..scene.gaussians import SH_C0, Gaussians
 from ..terminal import counted
 from . import painting, results
-from .naming import This, this_is
+from .naming import This, known_words, this_is
 from .picking import hit_by_ray
 from .results import Result
 from .shown import Shown, base_colors, shown_of
@@ -30,13 +33,15 @@ class Mode(StrEnum):
     SCENE = "as it is"
     FEATURES = "features"
     CLASSES = "classes"
+    OBJECTS = "objects"
 
 
 @dataclass(eq=False)
 class Session:
     """One scene on show. Not safe for several threads at once.
 
-    words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets.
+    words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets. chosen: the part,
+    thing or group that was clicked, None for none.
     """
 
     scene: Scene
@@ -46,9 +51,11 @@ class Session:
     results: tuple[Result, ...] = ()
     segmentation: Segmentation | None = None
     clicked: This | None = None
+    chosen: Chosen | None = None
     hidden: Bool[np.ndarray, " n"] = field(init=False)
     repainted: Bool[np.ndarray, " n"] = field(init=False)
     _base: Float32[np.ndarray, "n 3"] = field(init=False)
+    _before: Mode = Mode.SCENE
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
@@ -68,6 +75,23 @@ class Session:
     def is_askable(self) -> bool:
         """Whether anything here has a feature."""
         return len(self.scene.field) > 0
+
+    @property
+    def has_objects(self) -> bool:
+        """Whether it is known what belongs together here."""
+        return bool(self.scene.field.objects)
+
+    @property
+    def can_name(self) -> bool:
+        """Whether there is a file to keep names in."""
+        return self.scene.label_file is not None
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Those that show something of this scene."""
+        if not self.is_askable:
+            return (Mode.SCENE,)
+        return tuple(mode for mode in Mode if mode is not Mode.OBJECTS or self.has_objects)
 
     def ask(self, text: str) -> str:
         """To one query in words, or several with ";" between them; says what was found.
@@ -111,17 +135,25 @@ class Session:
         return self.segmentation
 
     @property
+    def marked(self) -> tuple[Result, ...]:
+        """Those whose boxes and names the colours go with."""
+        fits = self.mode in (Mode.ANSWER, Mode.HEAT) or (self.mode is Mode.OBJECTS and self.chosen is not None)
+        return self.results if fits else ()
+
+    @property
     def said(self) -> str:
         return " \n".join(result.said for result in self.results)
 
     def _answered(self, answers: list[Result]) -> str:
-        self.results, self.mode = tuple(answers), Mode.ANSWER
+        self.results, self.mode, self.chosen = tuple(answers), Mode.ANSWER, None
         return self.said
 
     # --- pointing ---
 
     def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
         """What a ray in the browser's frame meets first; None where that is nothing with a feature.
+
+        In a field with objects it is selected: the object, or where that is none all that is like it.
 
         Raises: InputError: a ray that goes nowhere.
         """
@@ -132,8 +164,75 @@ class Session:
         visible &= ~self.hidden
         start = self.shown.frame.world(origin)
         hit = hit_by_ray(self.scene.gaussians, start, direction, visible)
-        self.clicked = None if hit is None else this_is(self.scene, hit, self.words)
+        self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
+        if hit is not None and self.has_objects:
+            self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
         return self.clicked
+
+    # --- objects ---
+
+    def smaller(self) -> None:
+        """Select the next smaller node at the place that was clicked.
+
+        Raises: InputError: no object is selected, or it has no parts.
+        """
+        smaller = self._needed_node().smaller(objects_of(self.scene.field))
+        if smaller is None:
+            raise InputError("there is nothing smaller in it")
+        self._choose(smaller)
+
+    def larger(self) -> None:
+        """Select what the selected node is part or member of.
+
+        Raises: InputError: no object is selected, or it is in none.
+        """
+        larger = self._needed_node().larger()
+        if larger is None:
+            raise InputError("there is nothing larger that it is part of")
+        self._choose(larger)
+
+    def everything(self) -> None:
+        """Show each object in a colour of its own; the second time the colours before.
+
+        Raises: InputError: the field has no objects.
+        """
+        objects_of(self.scene.field)
+        if self.mode is Mode.OBJECTS:
+            self.mode = self._before
+        else:
+            self._before, self.mode = self.mode, Mode.OBJECTS
+
+    def name(self, text: str) -> None:
+        """Call the selected part, thing or group so from now on.
+
+        Raises: InputError: no object is selected, an empty name, or nowhere to keep it.
+        """
+        chosen = self._needed_node()
+        self.scene.label(chosen.node, text)
+        self._choose(chosen)
+
+    def name_of(self, node: int) -> str:
+        """Its label, else its best word, else its number. Raises: InputError: no such node."""
+        return name_of(self.scene, node, known_words(self.scene, self.words))
+
+    def _choose(self, chosen: Chosen | None) -> None:
+        """Select a node; where there is none, what is like the place that was clicked."""
+        was_everything = self.mode is Mode.OBJECTS
+        if chosen is None:
+            self.more_like_this()
+        else:
+            name, answer = self.name_of(chosen.node), answer_of(self.scene.field, [chosen.node], OBJECT)
+            match = match_of(self.scene.field, chosen.node)
+            self._answered([Result(name, answer, answer.threshold, [match])])
+            self.clicked = None if self.clicked is None else replace(self.clicked, match=match)
+        self.chosen = chosen
+        if was_everything:
+            self._before, self.mode = Mode.ANSWER, Mode.OBJECTS
+
+    def _needed_node(self) -> Chosen:
+        if self.chosen is None:
+            raise InputError("no object is selected: click one in the scene first")
+        return self.chosen
 
     # --- changing what is there ---
 
@@ -182,6 +281,9 @@ class Session:
         if mode is Mode.CLASSES and self.segmentation is not None:
             palette = class_colors(len(self.segmentation.names))
             return painting.class_painted(self._base, self.segmentation.labels, palette)
+        if mode is Mode.OBJECTS and self.has_objects:
+            palette = class_colors(len(objects_of(self.scene.field)))
+            return painting.class_painted(self._base, self._object_ids, palette)
         if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
             heat = results.heat(self.results, count)
             if mode is Mode.HEAT:
@@ -201,6 +303,10 @@ class Session:
         registered = np.zeros(len(self.scene.gaussians), bool)
         registered[self.scene.field.gaussian_ids] = True
         return painting.feature_colors(self.scene.field, self._base, registered)
+
+    @cached_property
+    def _object_ids(self) -> Int32[np.ndarray, " n"]:
+        return self.scene.object_ids()
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
         """What is not hidden, in the colours it was given, and its rows in the scene.

@@ -19,7 +19,7 @@ from . import painting
 from .cameras import FOV_DEGREES, first_look, looking_at
 from .finds import MOST_FIRST, MOST_LISTED, finds_of
 from .listening import listening_socket
-from .session import Mode, Session
+from .session import Session
 from .texts import printable
 
 INSTALL = 'pip install "drsplat[viewer]"'
@@ -114,9 +114,9 @@ class Window:
         for mark in self._marks:
             mark.remove()
         self._marks.clear()
-        if not self.boxes or self.session.mode not in (Mode.ANSWER, Mode.HEAT):
+        if not self.boxes:
             return
-        for number, find in enumerate(finds_of(self.session.results)[:MOST_LISTED]):
+        for number, find in enumerate(finds_of(self.session.marked)[:MOST_LISTED]):
             label = find.name if number < MOST_FIRST else str(number + 1)
             self._mark_match(str(number), find.match, label, painting.accent(find.query))
 
