@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 from benchmarks.study_objects import Room, regions_of, with_wrong
-from benchmarks.suite.instances import (
-    Compared,
-    Region,
-    average_precision,
-    best_ious,
-    compare,
-    numbers,
-    panoptic_quality,
-)
+from benchmarks.suite.instances import Compared, Region, average_precision, compare, numbers, panoptic_quality
 from benchmarks.suite.rivals import Agreement, Alike, dominant, in_space, light_splat, mask_clustering, sureness
 from scipy.sparse import csr_array
 
@@ -58,10 +50,11 @@ def test_by_hand(regions: tuple[Region, ...], precision: float, quality: float) 
 
 def test_levels_are_strict_and_a_small_thing_is_void() -> None:
     half = compared(region(0, 80, 0.5), region(100, 150, 0.9))
-    assert best_ious(half).tolist() == [0.8, 0.0]
+    assert half.best.tolist() == [0.8, 0.0]
     assert average_precision(half, 0.8) == 0.0
     assert numbers(half)["AP"] == pytest.approx(0.5 * 6 / 10)
     owners = np.repeat([0, 1], [100, 59])
+    assert compared(region(0, 55, 0.5)).best.tolist() == [0.55, 0.0]  # found, though too small a prediction
     few = compare([region(0, 100, 0.5), region(98, 159, 0.9)], owners, THINGS)
     assert few.sizes.tolist() == [100]
     assert average_precision(few, 0.5) == 1.0

@@ -21,12 +21,16 @@ class Region(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """Predictions, surest first, against true things. ious: of each with each. void: mostly on what is no thing."""
+    """Predictions, surest first, against true things. ious: of each with each. void: mostly on what is no thing.
+
+    best: of each thing the IoU with the region most like it, however small that is.
+    """
 
     scores: Float64[np.ndarray, " p"]
     ious: Float64[np.ndarray, "p t"]
     void: Bool[np.ndarray, " p"]
     sizes: Int64[np.ndarray, " t"]
+    best: Float64[np.ndarray, " t"]
 
 
 def compare(regions: Sequence[Region], owners: Integer[np.ndarray, " n"], things: Sequence[int]) -> Compared:
@@ -35,13 +39,14 @@ def compare(regions: Sequence[Region], owners: Integer[np.ndarray, " n"], things
     kept = [thing for thing in things if sizes[thing] >= LEAST]
     column = np.full(len(sizes) + 1, len(kept))  # the last is void, for the number -1 as well
     column[kept] = np.arange(len(kept))
-    regions = sorted((r for r in regions if len(r.ids) >= LEAST), key=lambda region: -region.score)
+    regions = sorted(regions, key=lambda region: -region.score)
     counts = [np.bincount(column[owners[region.ids]], minlength=len(kept) + 1) for region in regions]
     shared = np.array(counts, float).reshape(len(regions), len(kept) + 1)
     total = shared.sum(1)
-    union = total[:, None] + sizes[kept] - shared[:, :-1]
-    scores = np.array([region.score for region in regions], float)
-    return Compared(scores, shared[:, :-1] / union, shared[:, -1] > VOID * total, sizes[kept])
+    ious = shared[:, :-1] / (total[:, None] + sizes[kept] - shared[:, :-1])
+    void, scores = shared[:, -1] > VOID * total, np.array([region.score for region in regions], float)
+    large = total >= LEAST
+    return Compared(scores[large], ious[large], void[large], sizes[kept], ious.max(0, initial=0))
 
 
 def average_precision(compared: Compared, level: float) -> float:
@@ -75,22 +80,15 @@ def panoptic_quality(compared: Compared) -> float:
     return quality / max(pairs + alone / 2, 1)
 
 
-def best_ious(compared: Compared) -> Float64[np.ndarray, " t"]:
-    """Of each thing, with the prediction most like it; 0 without any."""
-    best: np.ndarray = compared.ious.max(0, initial=0)
-    return best
-
-
 def numbers(compared: Compared) -> dict[str, float]:
     """All of one scene."""
-    best = best_ious(compared)
     return {
         "AP": metrics.mean([average_precision(compared, level) for level in LEVELS]),
         "AP50": average_precision(compared, 0.5),
         "AP25": average_precision(compared, 0.25),
         "PQ": panoptic_quality(compared),
-        "found": metrics.mean((best >= 0.5).astype(float)),
-        "mean IoU": metrics.mean(best),
+        "found": metrics.mean((compared.best >= 0.5).astype(float)),
+        "mean IoU": metrics.mean(compared.best),
     }
 
 
