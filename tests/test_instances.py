@@ -50,7 +50,7 @@ def test_by_hand(regions: tuple[Region, ...], precision: float, quality: float) 
 
 def test_levels_are_strict_and_a_small_thing_is_void() -> None:
     half = compared(region(0, 80, 0.5), region(100, 150, 0.9))
-    assert half.best.tolist() == [0.8, 0.0]
+    assert half.best.tolist() == [0.8, 0.5]
     assert average_precision(half, 0.8) == 0.0
     assert numbers(half)["AP"] == pytest.approx(0.5 * 6 / 10)
     owners = np.repeat([0, 1], [100, 59])
