@@ -1,0 +1,252 @@
+"""How well objects are the things of a room, whatever they are called, against other rules on the same masks.
+
+    python benchmarks/study_objects.py world/scenes/room_5 ... [--masks graph true] [--wrong 0 20 40] [--kept FOLDER]
+
+True things are the objects of truth.json that most of 60 Gaussians or more belong to, by their weights in true masks;
+structures and Gaussians that no photo shows are void. Scores are of each room, then means over rooms with intervals.
+--wrong: of so many percent of the masks, all weights go to another mask of the photo, drawn at random.
+--kept: where the weights and the truth of rooms are kept (minutes a room), and found the next time.
+--choose: print, instead, what thresholds are best for the rivals that come without; for training rooms only.
+
+Rules: connected components of what the category of each true thing selects in the field without objects (who asks knows
+what is there, and a place's score is its confidence); MaskClustering's; LightSplat's; ours. The confidence of all three
+is how well single masks fit a region.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise, product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.bench_boxes import owners
+from benchmarks.suite.instances import LEAST, Compared, Region, compare, numbers
+from benchmarks.suite.masks import MASKS, features_of
+from benchmarks.suite.rivals import Agreement, Alike, light_splat, mask_clustering, sureness
+from benchmarks.suite.scenes import read_scene
+from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, read_gaussians, read_views, register
+from drsplat.codes.code import Code
+from drsplat.evaluation import metrics
+from drsplat.evidence.evidence import Evidence, evidence_from_tensors
+from drsplat.field.objects import THING
+from drsplat.formats.tensors import read_tensors, write_tensors
+from drsplat.objects.choosing import _owners, choose
+from drsplat.objects.finding import SMALLEST, grow
+
+MINI = MiniEncoder()
+OURS = "objects"
+BANDS = (LEAST, 200, 1000, np.inf)
+# best of --choose on four training rooms, both kinds of masks, none wrong
+AGREEMENT = Agreement(gamma=0.8)
+ALIKE = Alike(iou=0.3, cosine=0.7, smallest=10)
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """ids: Gaussians with evidence, the rows of it. owners: per Gaussian of the scene. texts: of its true things."""
+
+    gaussians: Gaussians
+    ids: np.ndarray
+    evidence: Evidence
+    owners: np.ndarray
+    things: list[int]
+    texts: list[str]
+
+    def compared(self, regions: list[Region]) -> Compared:
+        return compare(regions, self.owners, self.things)
+
+
+def room_of(folder: Path, masks: str, kept: Path) -> Room:
+    path = kept / f"{folder.name}.{masks}.safetensors"
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    gaussians = read_gaussians(next(folder.glob("scene.*")))
+    if not path.is_file():
+        kept.mkdir(parents=True, exist_ok=True)
+        scene = read_scene(folder)
+        made = register(scene.gaussians, scene.views, features_of(scene, masks, MINI)).evidence
+        count = len(truth["objects"]) + len(truth["structures"])
+        whose = owners(folder, gaussians, read_views(folder), count)
+        write_tensors(path, made.tensors() | {"owners": whose}, made.metadata())
+    tensors, metadata = read_tensors(path)
+    whose = tensors.pop("owners")
+    evidence = evidence_from_tensors(tensors, metadata, str(path))
+    ids = np.flatnonzero(np.diff(evidence.weights.indptr))
+    things = [thing["id"] for thing in truth["objects"]]
+    texts = sorted({thing["category"] for thing in truth["objects"] if (whose == thing["id"]).sum() >= LEAST})
+    return Room(gaussians, ids, evidence.rows(ids), whose, things, texts)
+
+
+def with_wrong(room: Room, percent: int) -> Room:
+    """The weights of some masks, drawn at random, are given to other masks of their photos."""
+    views, rng = room.evidence.masks.views, np.random.default_rng(0)
+    wrong = np.flatnonzero(rng.random(len(views)) < percent / 100)
+    target = np.arange(len(views))
+    for mask in wrong:
+        others = np.flatnonzero(views == views[mask])
+        target[mask] = rng.choice(others[others != mask]) if len(others) > 1 else mask
+    moved = csr_array((np.ones(len(views), np.float32), (np.arange(len(views)), target)), shape=(len(views),) * 2)
+    weights = csr_array(room.evidence.weights @ moved)
+    weights.sort_indices()
+    return replace(room, evidence=replace(room.evidence, weights=weights))
+
+
+@dataclass(frozen=True, eq=False)
+class Means(Code):
+    """The mean embedding of each row as it is, without a code: as much of one as a query needs."""
+
+    evidence: Evidence
+    lengths: np.ndarray
+    kind = "exact"
+
+    def __len__(self) -> int:
+        return len(self.evidence)
+
+    @property
+    def dim(self) -> int:
+        return self.evidence.dim
+
+    def scores(self, queries: np.ndarray, *, threads: int = 0) -> np.ndarray:
+        return (self.evidence.weights @ (self.evidence.embeddings @ queries.T)).T / self.lengths
+
+
+def by_query(room: Room) -> list[Region]:
+    evidence = room.evidence
+    summed = (evidence.weights[at : at + 4096] @ evidence.embeddings for at in range(0, len(evidence), 4096))
+    lengths = np.concatenate([np.linalg.norm(rows, axis=1) for rows in summed])
+    code = Means(evidence, np.maximum(lengths, 1e-12).astype(np.float32))
+    ids, scene = room.ids.astype(np.uint32), room.gaussians
+    field = LanguageField(ids, code, MINI.identity, scene.fingerprint, len(scene), evidence)  # type: ignore[arg-type]
+    asked = Scene(field, scene, encoder=MINI)
+    return [Region(match.gaussian_ids, match.score) for text in room.texts for match in asked.locate(text, box="free")]
+
+
+def ours(room: Room) -> np.ndarray:
+    chosen = choose(grow(room.evidence, room.gaussians.means[room.ids]), len(room.ids), SMALLEST)
+    thing = _owners(chosen.parents, chosen.levels == THING)
+    return np.asarray(np.append(thing, -1)[chosen.node_of])
+
+
+def regions_of(room: Room, labels: np.ndarray) -> list[Region]:
+    """Of labels per row, as sure as single masks fit them."""
+    numbers_, labels = np.unique(labels, return_inverse=True)
+    labels = labels - (numbers_[0] < 0)
+    sure = sureness(room.evidence, labels)
+    order = np.argsort(labels, kind="stable")
+    order = order[np.searchsorted(labels[order], 0) :]
+    members = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(order) else []
+    return [Region(room.ids[rows], float(sure[labels[rows[0]]])) for rows in members]
+
+
+Rule = Callable[[Room], list[Region]]
+
+
+def rule_of(label: Callable[[Room], np.ndarray]) -> Rule:
+    return lambda room: regions_of(room, label(room))
+
+
+def consensus(rule: Agreement, room: Room) -> np.ndarray:
+    return mask_clustering(room.evidence, room.gaussians.means[room.ids], rule)
+
+
+def alike(rule: Alike, room: Room) -> np.ndarray:
+    return light_splat(room.evidence, rule)
+
+
+RULES: dict[str, Rule] = {
+    "query, components": by_query,
+    "MaskClustering": rule_of(partial(consensus, AGREEMENT)),
+    "LightSplat": rule_of(partial(alike, ALIKE)),
+    OURS: rule_of(ours),
+}
+
+
+class Case(NamedTuple):
+    masks: str
+    percent: int
+    rule: str
+
+
+def study(folders: list[Path], masks: list[str], wrong: list[int], kept: Path) -> Iterator[tuple[Case, list[Compared]]]:
+    """By case, the comparison of each room."""
+    for kind, percent in product(masks, wrong):
+        rooms = [with_wrong(room_of(folder, kind, kept), percent) for folder in folders]
+        for name, rule in RULES.items():
+            yield Case(kind, percent, name), [room.compared(rule(room)) for room in rooms]
+
+
+def columns(rooms: list[Compared]) -> np.ndarray:
+    """(numbers, rooms), percent."""
+    return 100 * np.array([list(numbers(compared).values()) for compared in rooms]).T
+
+
+def said(values: np.ndarray) -> str:
+    low, high = metrics.mean_interval(values)
+    return f"{metrics.mean(values):.0f} ({low:.0f} to {high:.0f})"
+
+
+def row(case: Case, rooms: list[Compared]) -> str:
+    cells = [said(column) for column in columns(rooms)]
+    best, sizes = (np.concatenate(part) for part in zip(*((c.best, c.sizes) for c in rooms), strict=True))
+    for low, high in pairwise(BANDS):
+        some = best[(sizes >= low) & (sizes < high)]
+        cells.append(f"{(some >= 0.5).sum()} of {len(some)}, {100 * metrics.mean(some):.0f}")
+    return f"| {case.masks}, {case.percent} % | {case.rule} | " + " | ".join(cells) + " |"
+
+
+def choose_rivals(folders: list[Path], masks: list[str], kept: Path) -> None:
+    """AP, AP50 and found, means over rooms and kinds of masks, best first."""
+    rooms = [room_of(folder, kind, kept) for folder, kind in product(folders, masks)]
+    tried: dict[str, Rule] = {}
+    for gamma in (0.0, 0.5, 0.65, 0.8):
+        tried[f"MaskClustering gamma {gamma}"] = rule_of(partial(consensus, Agreement(gamma)))
+    for iou, cosine in product((0.1, 0.2, 0.3, 0.5), (0.5, 0.6, 0.7, 0.8, 0.9)):
+        tried[f"LightSplat IoU {iou} cosine {cosine}"] = rule_of(partial(alike, Alike(iou, cosine, ALIKE.smallest)))
+    found = {}
+    for name, rule in tried.items():
+        of_rooms = [numbers(room.compared(rule(room))) for room in rooms]
+        found[name] = tuple(metrics.mean([100 * known[key] for known in of_rooms]) for key in ("AP", "AP50", "found"))
+    for name, values in sorted(found.items(), key=lambda item: -item[1][0]):
+        print(name, " ".join(f"{value:.1f}" for value in values))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--masks", nargs="+", choices=MASKS, default=["graph", "true"])
+    parser.add_argument("--wrong", nargs="+", type=int, default=[0, 20, 40])
+    parser.add_argument("--kept", type=Path, default=Path("kept"))
+    parser.add_argument("--choose", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.choose:
+        choose_rivals(arguments.scenes, arguments.masks, arguments.kept)
+    else:
+        print_table(arguments.scenes, arguments.masks, arguments.wrong, arguments.kept)
+
+
+def print_table(folders: list[Path], masks: list[str], wrong: list[int], kept: Path) -> None:
+    heads = ("AP", "AP50", "AP25", "PQ", "found at 0.5", "best IoU", "60 to 200", "200 to 1000", "1000 and more")
+    print("| masks, wrong | rule |", " | ".join(heads), "|")
+    print("|---|---" + "|--:" * len(heads) + "|")
+    cases = {}
+    for case, rooms in study(folders, masks, wrong, kept):
+        print(row(case, rooms), flush=True)
+        cases[case] = columns(rooms)
+    print("\n| masks, wrong | objects minus |", " | ".join(heads[:6]), "|")
+    print("|---|---" + "|--:" * 6 + "|")
+    for case, values in cases.items():
+        if case.rule != OURS:
+            gains = cases[case._replace(rule=OURS)] - values
+            print(f"| {case.masks}, {case.percent} % | {case.rule} | " + " | ".join(map(said, gains)) + " |")
+
+
+if __name__ == "__main__":
+    main()
