@@ -20,6 +20,7 @@ from .thresholds import default_threshold, peak_score, share_threshold, threshol
 from .wholes import by_object, cut_of
 from .word_list import list_vectors
 
+LEAST_OF_OBJECTS = 0.35  # relevancy of a whole thing: some of its Gaussians fit no better than any word
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
 
 _Default = tuple[float | None, str]
@@ -152,19 +153,24 @@ class Measuring:
         values = None if self.cut.measures_relevancy else self._contrasted(query, scores)
         if values is None:
             return self._measured(query, scores, (None, AUTO))
-        of_wholes, values = by_object(self._field, scores), by_object(self._field, values)
         default = self._list_threshold(scores, values), LIST
+        of_wholes, values = by_object(self._field, scores), by_object(self._field, values)
         return self._cut(query, scores, self._whole(of_wholes, values), RELEVANCY, default)
 
     def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
         """As relevancies have it, or the highest where cosines are too low for this scene.
 
-        Of objects, those that are far below the best are left out: a piece of the floor that is as brown as the table.
+        Whether there is such a thing is told by single Gaussians. Of objects, those that are far below the best are
+        left out: a piece of the floor that is as brown as the table.
         """
-        if len(scores) and peak_score(scores) <= self.background.least_peak:
-            return float(values.max())
+        if not len(scores):
+            return RELEVANCY_THRESHOLD
         least = relevancy_threshold(values)
-        return least if self._field.objects is None else threshold_above(values, least, cut_of(self._field))
+        if peak_score(scores) <= self.background.least_peak or least > RELEVANCY_THRESHOLD:
+            return float(values.max())
+        if self._field.objects is None:
+            return least
+        return threshold_above(by_object(self._field, values), LEAST_OF_OBJECTS, cut_of(self._field))
 
     def _contrasted(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
