@@ -63,9 +63,7 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     endless = {"view", "serve", "mcp"}
     assert {command[1] for command in commands} - endless == set(VERBS) - endless - {"demo"}
     commands = [
-        command[1:]
-        for command in commands
-        if command[1] not in ("train", "embed", "codebook", "evaluate", *endless)
+        command[1:] for command in commands if command[1] not in ("train", "embed", "codebook", "evaluate", *endless)
     ]
     for file in capture.iterdir():
         (tmp_path / file.name).symlink_to(file)

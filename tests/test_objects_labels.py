@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from command_line import Capture, answer_of, text_of
@@ -45,6 +45,7 @@ def test_the_file_lies_beside_the_field(tmp_path: Path) -> None:
     assert LabelFile.beside(tmp_path / "none.field").read() == ()
 
 
+@settings(deadline=None)
 @given(st.sets(st.integers(0, 3 * EACH - 1), min_size=1))
 def test_rows_survive_the_file(rows: set[int]) -> None:
     field = with_objects()[0]

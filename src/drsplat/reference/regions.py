@@ -44,7 +44,9 @@ class _Growing:
         self.votes: list[dict[int, dict[int, float]]] = []
         for row in range(weights.shape[0]):
             part = slice(weights.indptr[row], weights.indptr[row + 1])
-            self.votes.append(self._by_view(dict(zip(weights.indices[part].tolist(), weights.data[part].tolist(), strict=True))))
+            self.votes.append(
+                self._by_view(dict(zip(weights.indices[part].tolist(), weights.data[part].tolist(), strict=True)))
+            )
         self.nodes = list(range(len(self.votes)))
         self.parents = [-1] * len(self.votes)
         self.kept: list[tuple[float, int, float, float, float]] = [(1.0, 1, _mass(v), 0.0, 0.0) for v in self.votes]
