@@ -18,7 +18,7 @@ from drsplat.codes import PQ, Mixture, load_codebook, save_codebook
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField, build_field, load_field
 from drsplat.formats.checksums import sealed
-from drsplat.formats.replacing import replacing, sweep
+from drsplat.formats.replacing import replacing, sweep, together
 from drsplat.formats.tensors import map_tensors, read_tensors, write_tensors
 from drsplat.formats.vocabulary import read_vocabulary
 from fields import SCENE, TOY, as_version_2, random_evidence, toy_field, unit_rows
@@ -323,3 +323,27 @@ def test_a_full_disk_is_told_in_our_words_by_every_writer(tmp_path: Path) -> Non
         assert line.startswith(f"{name} {tmp_path / name}: there is no room left to write it")
         assert "free some space" in line
     assert [path.name for path in tmp_path.iterdir()] == ["a.field"]
+
+
+def test_files_that_belong_together_appear_together(tmp_path: Path) -> None:
+    first, second = tmp_path / "a", tmp_path / "b"
+    with together():
+        with replacing(first) as file:
+            file.write(b"1")
+        assert not first.exists()
+        with replacing(second) as file:
+            file.write(b"2")
+        assert not second.exists()
+    assert (first.read_bytes(), second.read_bytes()) == (b"1", b"2")
+    assert sorted(tmp_path.iterdir()) == [first, second]
+
+
+def test_of_files_that_belong_together_all_or_none(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="stop"), together():
+        with replacing(tmp_path / "a") as file:
+            file.write(b"1")
+        raise ValueError("stop")
+    assert not list(tmp_path.iterdir())
+    with replacing(tmp_path / "a") as file:  # and afterwards files appear by themselves
+        file.write(b"1")
+    assert (tmp_path / "a").exists()

@@ -45,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.replacing import together
+
     scene, answer = ask(arguments)
     report = answer_json(arguments, answer)
     if not scene.has_gaussians:
@@ -52,10 +54,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
     report["num_matches"] = len(matches)
     report["matches"] = [_json(match) for match in matches[: arguments.top]]
-    if arguments.save:
-        _save(arguments, scene, answer, matches)
-    if arguments.picture:
-        report["view"] = _draw(arguments, scene, matches)
+    with together():
+        if arguments.save:
+            _save(arguments, scene, answer, matches)
+        if arguments.picture:
+            report["view"] = _draw(arguments, scene, matches)
     return report
 
 

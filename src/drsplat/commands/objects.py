@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.replacing import together
     from ..query.objects import objects_of
 
     check(arguments)
@@ -58,10 +59,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.label is not None:
         scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
     listed = listing(scene)
-    if arguments.save:
-        save(arguments.save, scene, listed, arguments.overwrite)
-    if arguments.picture:
-        _draw(arguments, scene, listed)
+    with together():
+        if arguments.save:
+            save(arguments.save, scene, listed, arguments.overwrite)
+        if arguments.picture:
+            _draw(arguments, scene, listed)
     return {
         "field": arguments.field,
         "num_objects": len(listed),

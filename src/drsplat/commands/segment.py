@@ -47,6 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.replacing import together
+
     check_outputs(arguments)
     classes = _classes(arguments)
     scene = open_scene_for_output(arguments)
@@ -62,10 +64,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
             for name, answer, count in zip(found.names, found.answers, found.counts, strict=True)
         ],
     }
-    if arguments.save:
-        _save(arguments, scene, found)
-    if arguments.picture:
-        report["view"] = _draw(arguments, scene, found)
+    with together():
+        if arguments.save:
+            _save(arguments, scene, found)
+        if arguments.picture:
+            report["view"] = _draw(arguments, scene, found)
     return report
 
 

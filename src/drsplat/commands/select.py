@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.replacing import together
     from ..terminal import counted
 
     scene, answer = ask(arguments, (".ply", ".npy"))
@@ -38,11 +39,12 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "share": len(answer.gaussian_ids) / max(len(answer.field), 1),
         "saved": arguments.save,
     }
-    if arguments.save:
-        _save(arguments, scene, answer)
-    if arguments.picture:
-        ids = answer.gaussian_ids
-        report["view"] = draw(arguments, scene, ids, counted(len(ids), "Gaussian"))
+    with together():
+        if arguments.save:
+            _save(arguments, scene, answer)
+        if arguments.picture:
+            ids = answer.gaussian_ids
+            report["view"] = draw(arguments, scene, ids, counted(len(ids), "Gaussian"))
     return report
 
 

@@ -12,6 +12,7 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from typing import BinaryIO
@@ -23,6 +24,7 @@ try:
 except ImportError:  # not a POSIX system: nothing is swept
     fcntl = None  # type: ignore[assignment]
 
+_WAITING: ContextVar[list[tuple[Path, Path, int]] | None] = ContextVar("waiting", default=None)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _OURS = re.compile(r"\.(.+\.)?[0-9a-f]{16}\.tmp", re.DOTALL)
 
@@ -63,10 +65,37 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
                 yield file
                 file.flush()
                 os.fsync(raw.fileno())
+                waiting = _WAITING.get()
+                if waiting is not None:
+                    waiting.append((temporary, path, os.dup(raw.fileno())))  # the copy keeps the lock
+                    return
                 os.replace(temporary, path)  # while it is locked
             sync_folder(path.parent)
         finally:
+            if all(temporary != held for held, _, _ in _WAITING.get() or ()):
+                temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Files that are written in the block take their names at its end, one right after the other.
+
+    A process that is killed leaves none of them, so that the same command can be given again; if the block fails,
+    none appears.
+    """
+    waiting: list[tuple[Path, Path, int]] = []
+    token = _WAITING.set(waiting)
+    try:
+        yield
+        for temporary, path, _ in waiting:
+            os.replace(temporary, path)
+        for folder in {path.parent for _, path, _ in waiting}:
+            sync_folder(folder)
+    finally:
+        _WAITING.reset(token)
+        for temporary, _, descriptor in waiting:
             temporary.unlink(missing_ok=True)
+            os.close(descriptor)
 
 
 def refuse_missing_parent(path: Path) -> None:
