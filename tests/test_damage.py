@@ -339,7 +339,7 @@ def test_files_that_belong_together_appear_together(tmp_path: Path) -> None:
 
 
 def test_of_files_that_belong_together_all_or_none(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="stop"), together():
+    with pytest.raises(ValueError, match="stop"), together():  # noqa: PT012
         with replacing(tmp_path / "a") as file:
             file.write(b"1")
         raise ValueError("stop")
