@@ -102,33 +102,33 @@ async def refused(client: Client, tool: str, **arguments: Any) -> str:
     return str(result.content[0].text)  # type: ignore[union-attr]
 
 
-def test_ten_calls_tell_how_many_toys_are_on_the_table_and_which_is_nearest_to_the_candle(
+def test_ten_calls_tell_what_to_eat_is_on_the_table_and_which_is_nearest_to_the_candle(
     room: Path, truth: dict[str, np.ndarray]
 ) -> None:
-    duck, car, candle = (truth[n] for n in ("green toy duck", "green toy car", "blue candle"))
+    apple, carrot, candle = (truth[n] for n in ("yellow apple", "orange carrot", "blue candle"))
 
     async def talk(client: Client) -> None:
         (scene,) = (await told(client, "list_scenes"))["scenes"]
         name = scene["name"]
         assert scene["num_gaussians"] > scene["num_registered"] > 90_000
-        toys = await told(client, "locate", text="toys", scene=name)
-        assert toys["num_matches"] == 2
-        on_table = await told(client, "count", text="toys", on="table", scene=name)
+        food = await told(client, "locate", text="something to eat", scene=name)
+        assert food["num_matches"] == 2
+        on_table = await told(client, "count", text="something to eat", on="table", scene=name)
         assert (on_table["count"], on_table["of"]) == (2, 2)
-        near = [np.linalg.norm(np.array(on_table["centers"]) - at, axis=1).min() for at in (duck, car)]
-        assert max(near) < 0.03
+        near = [np.linalg.norm(np.array(on_table["centers"]) - at, axis=1).min() for at in (apple, carrot)]
+        assert max(near) < 0.06
         where = await told(client, "where_is", text="candle", scene=name)
         assert np.linalg.norm(np.array(where["best"]["center"]) - candle) < 0.03
         first, second = on_table["centers"]
         names = [(await told(client, "what_is_at", point=at, scene=name))["words"][0]["name"] for at in (first, second)]
         names.sort(reverse=True)
-        assert names == ["green toy duck", "green toy car"]
-        distances = [await told(client, "how_far_apart", first=toy, second="candle", scene=name) for toy in names]
-        for told_, at in zip(distances, (duck, car), strict=True):
-            assert told_["center_distance"] == pytest.approx(np.linalg.norm(at - candle), abs=0.03)
+        assert names == ["yellow apple", "orange carrot"]
+        distances = [await told(client, "how_far_apart", first=one, second="candle", scene=name) for one in names]
+        for told_, at in zip(distances, (apple, carrot), strict=True):
+            assert told_["center_distance"] == pytest.approx(np.linalg.norm(at - candle), abs=0.06)
             assert 0 < told_["gap"] < told_["center_distance"]
             assert told_["units"] == "scene units"
-        assert distances[0]["center_distance"] < distances[1]["center_distance"]
+        assert distances[1]["center_distance"] < distances[0]["center_distance"]
         region = await told(client, "describe_region", center=where["best"]["center"], radius=0.35)
         present = {part["name"] for part in region["parts"]}
         assert {"table", "candle"} <= present

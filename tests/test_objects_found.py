@@ -32,7 +32,7 @@ def forest(parents: list[int], sizes: list[int], fits: list[float], spreads: lis
 
 def test_a_whole_that_masks_fit_is_better_than_its_halves() -> None:
     """Closed form: 4 sqrt(0.81) = 3.6 against 2 sqrt(0.64) + 2 sqrt(0.64) = 3.2, and the other way round."""
-    parents = np.array([2, 2, -1])
+    parents = np.array([2, 2, -1], np.int32)
     assert best_nodes(parents, np.array([1.6, 1.6, 3.6])).tolist() == [False, False, True]
     assert best_nodes(parents, np.array([1.6, 2.1, 3.6])).tolist() == [True, True, False]
     assert best_nodes(parents, np.array([1.6, -1.0, -1.0])).tolist() == [True, False, False]
@@ -44,7 +44,7 @@ def test_the_chosen_set_is_the_best_of_all(seed: int, count: int) -> None:
     """Against all sets of nodes of which none is above another."""
     rng = np.random.default_rng(seed)
     parents = np.array([rng.integers(k + 1, count + 1) if k < count - 1 else count for k in range(count)])
-    parents = np.where(parents == count, -1, parents)
+    parents = np.where(parents == count, -1, parents).astype(np.int32)
     worth = np.where(rng.random(count) < 0.2, -1.0, rng.random(count))
     above = np.zeros((count, count), bool)
     for node in range(count):

@@ -51,11 +51,15 @@ def reply(folder: Path, act: str, asked: dict[str, Any] | None = None, catalog: 
     return reply_to(catalog, Workplace(str(folder)), act, name, asked or {})
 
 
+def talk_of(folder: Path) -> Conversation:
+    return Conversation(open_scene(folder), folder.name)
+
+
 def test_the_same_list_everywhere(folder: Path) -> None:
     scene = open_scene(folder)
     scene.label(scene.field.objects.thing(1), "mug")  # type: ignore[union-attr]
     told = json.loads(reply(folder, "objects").body)
-    of_models = Conversation(Catalog(folder)).list_objects("", 20).model_dump()
+    of_models = talk_of(folder).list_objects(20).model_dump()
     assert told == of_models
     assert told["num_objects"] == 3
     for one, expected in zip(told["objects"], listing(open_scene(folder)), strict=True):
@@ -103,26 +107,26 @@ def test_a_field_without_objects_says_what_to_do(folder: Path) -> None:
     assert refused.status == 422
     assert "drsplat objects" in json.loads(refused.body)["error"]
     with pytest.raises(InputError, match="drsplat objects"):
-        Conversation(Catalog(folder)).list_objects("", 20)
+        talk_of(folder).list_objects(20)
 
 
 def test_relations_by_number_and_by_name(folder: Path) -> None:
     scene = open_scene(folder)
     scene.label(scene.field.objects.thing(2), "Far Box")  # type: ignore[union-attr]
-    talk = Conversation(Catalog(folder))
-    between = talk.relations("between", "0", "far box", "")
+    talk = talk_of(folder)
+    between = talk.relations("between", "0", "far box")
     assert between.to == [0, 2]
     assert [one.id for one in between.objects] == [1]
-    assert talk.relations("on", "1", None, "").objects == []
-    assert "list_objects" in talk.relations("on", "1", None, "").advice
+    assert talk.relations("on", "1").objects == []
+    assert "list_objects" in talk.relations("on", "1").advice
     with pytest.raises(InputError, match="there is no object 7"):
-        talk.relations("on", "7", None, "")
+        talk.relations("on", "7")
     with pytest.raises(InputError, match="expected two objects"):
-        talk.relations("between", "1", None, "")
+        talk.relations("between", "1")
 
 
 def test_long_lists_are_cut(folder: Path) -> None:
-    told = Conversation(Catalog(folder)).list_objects("", 2)
+    told = talk_of(folder).list_objects(2)
     assert (told.num_objects, [one.id for one in told.objects]) == (3, [0, 1])
     assert told.advice == "the 2 largest of 3"
 

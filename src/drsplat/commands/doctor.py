@@ -30,7 +30,7 @@ PACKAGES = {
 SERVERS = {
     "show and search scenes in a browser (drsplat view)": ("viewer", ("viser", "msgspec", "websockets")),
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
-    "scenes for language models (drsplat mcp)": ("mcp", ("mcp",)),
+    "scenes for language models (drsplat mcp)": ("mcp", ("mcp", "prometheus_client")),
 }
 """What needs an extra, and the modules of it."""
 MODELS = {

@@ -207,6 +207,7 @@ def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]
 RULES = {
     "given": "as given", "top share": "for the given share", "auto": "chosen for this query",
     "list": "as well as the best of a list of words", "encoder": "that of the encoder", "default": "the default",
+    "object": "the object that is there", "label": "what was given this name",
 }  # fmt: skip
 
 

@@ -204,7 +204,7 @@ class Scene:
         query = Query(query) if isinstance(query, str) else query
         measuring = Measuring(self.background, query, query.exclude)
         if query.text is not None:
-            named = self._labelled(query.text) if query.is_default and not query.exclude else None
+            named = self._labelled(query)
             return measuring.of_text(query.text) if named is None else named
         if query.image is not None:
             return measuring.of_image(query.image)
@@ -345,11 +345,12 @@ class Scene:
         label = self.labels.by_node.get(objects_of(self.field).thing(number))
         return None if label is None else label.name
 
-    def _labelled(self, text: str) -> Answer | None:
-        """Exactly what people have given this name; None where they have not."""
-        wanted = text.strip().casefold()
+    def _labelled(self, query: Query) -> Answer | None:
+        """Exactly what people have given this name; None where they have not, or something is to be measured."""
+        wanted = (query.text or "").strip().casefold()
         nodes = [node for node, label in self.labels.by_node.items() if label.name.casefold() == wanted]
-        return answer_of(self.field, nodes, LABEL) if nodes else None
+        exact = bool(nodes) and query.is_default and not query.exclude
+        return answer_of(self.field, nodes, LABEL) if exact else None
 
     def _thing_at(self, place: Place, measuring: Measuring) -> Answer:
         """The object at a place, and what is like it where that is none."""

@@ -1,7 +1,7 @@
 """The controls of the object that was clicked: what it is, what is smaller and larger, and its name."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from ..query.nodes import numbered
 from ..query.objects import objects_of
@@ -12,6 +12,7 @@ from .texts import escaped, paragraphs
 Act = Callable[[Any], None]
 
 
+@runtime_checkable
 class Maker(Protocol):
     """Who makes a control of a label that does something when it is pressed."""
 
