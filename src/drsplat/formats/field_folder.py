@@ -20,7 +20,16 @@ from ..errors import FormatError, InputError
 from .checksums import sealed
 from .claiming import claimed_output
 from .json_files import parsed
-from .replacing import lock, refuse_missing_parent, replacing, saying_what_is_full, sweep, sync_folder, temporary_beside
+from .replacing import (
+    at_once,
+    lock,
+    refuse_missing_parent,
+    replacing,
+    saying_what_is_full,
+    sweep,
+    sync_folder,
+    temporary_beside,
+)
 from .tensors import write_tensors
 
 MANIFEST = "field.json"
@@ -73,7 +82,7 @@ def replacing_folder(path: Path, overwrite: bool, mark: str) -> Iterator[Path]:
         refuse_to_replace_others(path, mark)
     refuse_missing_parent(path)
     sweep(path.parent)
-    with saying_what_is_full(path), _new_folder(path) as temporary:
+    with at_once(), saying_what_is_full(path), _new_folder(path) as temporary:
         yield temporary
         _take_place(temporary, path)
         sync_folder(path.parent)

@@ -98,6 +98,16 @@ def together() -> Iterator[None]:
             os.close(descriptor)
 
 
+@contextmanager
+def at_once() -> Iterator[None]:
+    """Files that are written in the block take their names as they are written: of a folder that waits as a whole."""
+    token = _WAITING.set(None)
+    try:
+        yield
+    finally:
+        _WAITING.reset(token)
+
+
 def refuse_missing_parent(path: Path) -> None:
     """Raises: InputError: there is no folder for `path` to be in."""
     if not path.parent.is_dir():
