@@ -166,7 +166,7 @@ class Measuring:
         if not len(scores):
             return RELEVANCY_THRESHOLD
         least = relevancy_threshold(values)
-        if peak_score(scores) <= self.background.least_peak or least > RELEVANCY_THRESHOLD:
+        if peak_score(scores) <= self.background.least_peak or least != RELEVANCY_THRESHOLD:
             return float(values.max())
         if self._field.objects is None:
             return least
