@@ -22,7 +22,7 @@ from .terminal import plain, plainly, quoted
 
 # in the order of the pipeline
 VERBS = (
-    "train", "inspect", "embed", "codebook", "register", "objects", "select", "locate", "segment", "render",
+    "train", "inspect", "embed", "codebook", "tile", "register", "objects", "select", "locate", "segment", "render",
     "view", "evaluate", "demo", "serve", "mcp", "doctor",
 )  # fmt: skip
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]+\b(?:\.\w+)?|\d+\b)|\A([a-z_]+)(?=: )")

@@ -21,7 +21,7 @@ from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError
 from .evidence.aggregation import Aggregator, Sampling
 from .evidence.aggregation import aggregator as named
-from .evidence.columns import ColumnMaker, Columns, stack_columns
+from .evidence.columns import ColumnMaker, Whole, stack_columns
 from .evidence.evidence import Evidence, MaskIds
 from .field import LanguageField, build_field
 from .kernels import splat_arrays
@@ -189,25 +189,29 @@ def register(
     Raises: InputError: no view has features, two embedding sizes.
     Source: Dr. Splat Sec. A "Training stage".
     """
-    chosen = _views_with_features(views, features)
-    _tell_doubts(gaussians, [view for view, _ in chosen])
+    chosen = views_with_features(views, features)
+    tell_doubts(gaussians, [view for view, _ in chosen])
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        splats = splat_arrays(gaussians, sampling.near)
-        maker = ColumnMaker(splats, folder, sampling, threads)
+        scenery = Whole(splat_arrays(gaussians, sampling.near))
+        maker = ColumnMaker(scenery, folder, sampling, threads)
         followed = track(chosen, "registering views")
         columns = [maker.columns(view, features[key]) for view, key in followed]
-        _check_one_size(columns)
+        check_one_size({c.embeddings.shape[1]: c.view_name for c in columns})
         weights = stack_columns(columns, len(gaussians))
-    evidence = Evidence(weights, _masks_of(columns), np.concatenate([c.embeddings for c in columns]))
-    encoder = _encoder_of(features, evidence.embeddings.shape[1])
+    evidence = Evidence(
+        weights,
+        masks_of([c.view_name for c in columns], [len(c.embeddings) for c in columns]),
+        np.concatenate([c.embeddings for c in columns]),
+    )
+    encoder = encoder_of(features, evidence.embeddings.shape[1])
     return Registration(
-        evidence, gaussians.fingerprint, encoder, replace(sampling, near=splats.near),
+        evidence, gaussians.fingerprint, encoder, replace(sampling, near=scenery.near),
         up_of([view for view, _ in chosen]),
     )  # fmt: skip
 
 
-def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
+def views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
     """In canonical order: by view name."""
     chosen, missing = [], []
     keys = set(features)  # not `in features`: a folder of them finds one key by several names
@@ -232,7 +236,7 @@ def _views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatu
     return chosen
 
 
-def _tell_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
+def tell_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
     for doubt in doubts(gaussians, views):
         warn(doubt, DrSplatWarning, stacklevel=4)
 
@@ -248,23 +252,23 @@ def _refuse_shared_features(chosen: Sequence[tuple[View, str]]) -> None:
         owner[key] = view.name
 
 
-def _check_one_size(columns: Sequence[Columns]) -> None:
-    sizes = {c.embeddings.shape[1]: c.view_name for c in columns}
+def check_one_size(sizes: Mapping[int, str]) -> None:
+    """sizes: an example of a view for each. Raises: InputError: several."""
     if len(sizes) > 1:
         listed = ", ".join(f"{size} ('{name}')" for size, name in sizes.items())
         raise InputError(f"embeddings of different sizes: {listed}: embed all views with one encoder")
 
 
-def _masks_of(columns: Sequence[Columns]) -> MaskIds:
-    counts = [len(c.embeddings) for c in columns]
+def masks_of(view_names: Sequence[str], counts: Sequence[int]) -> MaskIds:
+    """The masks of views, one after another, so many of each."""
     return MaskIds(
-        view_names=tuple(c.view_name for c in columns),
-        views=np.repeat(np.arange(len(columns), dtype=np.int32), counts),
+        view_names=tuple(view_names),
+        views=np.repeat(np.arange(len(view_names), dtype=np.int32), counts),
         ids=np.concatenate([np.arange(n, dtype=np.int32) for n in counts]),
     )
 
 
-def _encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
+def encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
     encoder = getattr(features, "encoder", None)
     return encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
 

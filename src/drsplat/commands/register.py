@@ -22,12 +22,14 @@ from .options import (
     words,
 )
 from .parts import COMPLETE, new_or_complete, parts_of, was_complete
+from .workers import add_workers, in_memory, registered, scene_of
 
 if TYPE_CHECKING:
     from ..codes import Codebook, CodeSpecification
     from ..encoders import EncoderIdentity
     from ..evidence.aggregation import Aggregator, Sampling
     from ..field import LanguageField
+    from ..formats.tiles import Tiles
     from ..masks.features import ViewFeatures
     from ..registration import Registration
     from ..scene.gaussians import Gaussians
@@ -40,11 +42,14 @@ EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --topk 45 --first-hits 100 \\
       --codebook pq_index.faiss --encoder-name ViT-B-16/laion2b_s34b_b88k --output scene.field --json
 
+  drsplat tile city.ply --output city.tiles
+  drsplat register city.tiles capture --features capture/language_features --workers 8 --output city.field
+
 A stopped run resumes when the same command is given again."""
 
 
 class _Inputs(NamedTuple):
-    gaussians: "Gaussians"
+    scene: "Gaussians | Tiles"
     views: "Sequence[View]"
     left_out: set[str]
     features: "Mapping[str, ViewFeatures]"
@@ -52,7 +57,9 @@ class _Inputs(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
+    parser.add_argument(
+        "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, or tiles of a huge scene"
+    )
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
         "--features", required=True, metavar="DIR",
@@ -67,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parts", metavar="DIR",
         help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
     )  # fmt: skip
+    add_workers(parser.add_argument_group("tiles"))
     add_capture_options(parser)
     add_without(parser)
 
@@ -127,21 +135,22 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
-    from .. import load_field, register
+    from .. import load_field
     from ..evidence.aggregation import aggregator
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)
     sampling = _sampling(arguments, how)
-    gaussians, views, without, features, code = _read(arguments)
+    scene, views, without, features, code = _read(arguments)
     watch.lap("read")
     parts = Path(arguments.parts or parts_of(output))
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
-    registration = register(gaussians, views, features, sampling, parts=parts, **shared)
+    registration = registered(arguments, scene, views, features, sampling, parts=parts, **shared)
     watch.lap("register")
     registration = replace(registration, left_out=tuple(sorted(without)))
+    gaussians = in_memory(scene) if how.voting else None
     field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
     field = _with_words(field, arguments.features)
     watch.lap("code")
@@ -167,14 +176,14 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
 
 
 def _read(arguments: argparse.Namespace) -> "_Inputs":
-    from .. import read_features, read_gaussians
+    from .. import read_features
 
-    gaussians, views = read_gaussians(arguments.scene), views_of(arguments, arguments.capture)
+    scene, views = scene_of(arguments), views_of(arguments, arguments.capture)
     without = left_out([view.name for view in views], arguments.without)
     codebook = _codebook(arguments)
     code = _code(arguments, codebook)
     features = read_features(arguments.features, level=arguments.level, encoder=_encoder(arguments, codebook))
-    return _Inputs(gaussians, [view for view in views if view.name not in without], without, features, code)
+    return _Inputs(scene, [view for view in views if view.name not in without], without, features, code)
 
 
 def _facts(registration: "Registration", field: "LanguageField") -> dict[str, Any]:
@@ -224,11 +233,11 @@ def show(answer: dict[str, Any]) -> None:
     reused = f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
     out = f", {said(len(answer['left_out']))} left out" if answer["left_out"] else ""
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
-    registered = answer["num_registered"] / max(1, answer["num_gaussians"])
+    share = answer["num_registered"] / max(1, answer["num_gaussians"])
     show_facts(
         f"registered: {answer['field']}{COMPLETE if answer['was_complete'] else ''}",
         {
-            "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({registered:.1%})",
+            "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({share:.1%})",
             "views": f"{said(answer['num_views'])}{reused}{out}",
             "masks": f"{said(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),

@@ -1,13 +1,14 @@
 """The columns of W that one view makes: computed once, kept on disk, stacked into a sparse matrix."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, UInt32
 from scipy.sparse import csr_array
 
 from ..errors import FormatError, MismatchError
@@ -34,11 +35,47 @@ class Columns:
         return Triples(tensors["gaussian_ids"], tensors["segment_ids"], tensors["weights"])
 
 
+class Seen(NamedTuple):
+    """Gaussians in front of a camera. rows: of the scene, ascending; None: all of them."""
+
+    splats: SplatArrays
+    rows: UInt32[np.ndarray, " m"] | None = None
+
+
+@runtime_checkable
+class Scenery(Protocol):
+    """A scene that is looked at. digest: of all that decides what is seen. near: as of `SplatArrays`."""
+
+    @property
+    def digest(self) -> str: ...
+    @property
+    def near(self) -> float: ...
+    def seen(self, view: View) -> Seen: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """A scene in memory: every camera is given all of it."""
+
+    splats: SplatArrays
+
+    @property
+    def near(self) -> float:
+        return self.splats.near
+
+    @cached_property
+    def digest(self) -> str:
+        return _digest(*self.splats[:3], self.splats.origin, salt=repr(self.splats.near))
+
+    def seen(self, view: View) -> Seen:
+        return Seen(self.splats)
+
+
 @dataclass(frozen=True, eq=False)
 class ColumnMaker:
     """Makes views' columns of one scene into `folder`, and recognises those that are there already."""
 
-    splats: SplatArrays
+    scenery: Scenery
     folder: Path
     sampling: Sampling
     threads: int
@@ -48,25 +85,32 @@ class ColumnMaker:
 
         Raises: MismatchError: the map has another shape than the photo.
         """
+        return self.made(view, features)[0]
+
+    def made(self, view: View, features: ViewFeatures) -> tuple[Columns, str, bool]:
+        """As `columns`, with the key of all that they depend on, and whether they were computed now."""
         mask_ids = _mask_ids(view, features)
         key = _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
         path = self.folder / part_name(view.name)
-        if not _is_finished(path, key):
-            triples = self.sampling.triples(self.splats, view, mask_ids, self.threads)
+        columns, is_new = Columns(view.name, path, features.embeddings), not is_finished(path, key)
+        if is_new:
+            splats, rows = self.scenery.seen(view)
+            triples = self.sampling.triples(splats, view, mask_ids, self.threads)
+            if rows is not None:
+                triples = triples._replace(gaussian_ids=rows[triples.gaussian_ids])
             self.folder.mkdir(parents=True, exist_ok=True)
             tensors = dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
             write_tensors(path, tensors, {"key": key, "view": view.name}, overwrite=True)
-        return Columns(view.name, path, features.embeddings)
+        return columns, key, is_new
 
     @cached_property
     def _settings(self) -> str:
         """Of all that every view shares: another instruction set changes the last bits."""
-        splats, sampling = self.splats, self.sampling
-        scene = _digest(*splats[:3], splats.origin, salt=repr(splats.near))
+        sampling = self.sampling
         counted = f"{sampling.topk} {sampling.first_hits}"
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"
-        return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
+        return f"{COLUMNS_VERSION} {counted} {default_isa()} {self.scenery.digest}"
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
@@ -94,7 +138,8 @@ def _digest(*arrays: np.ndarray, salt: str = "") -> str:
     return digest.hexdigest()
 
 
-def _is_finished(path: Path, key: str) -> bool:
+def is_finished(path: Path, key: str) -> bool:
+    """Whether a file is there that was made for the same key, and is not damaged."""
     if not path.exists():
         return False
     try:
@@ -108,20 +153,25 @@ def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
 
     Columns stay in the order given; within a row they are ascending.
     """
-    starts = np.zeros(num_gaussians + 1, np.int64)
-    for view in columns:
-        starts[1:] += np.bincount(view.triples().gaussian_ids, minlength=num_gaussians)
+    return stacked([view.triples for view in columns], [len(view.embeddings) for view in columns], num_gaussians)
+
+
+def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_rows: int) -> csr_array:
+    """As `stack_columns`, of triples that are read when they are called, and the number of columns of each view."""
+    starts = np.zeros(num_rows + 1, np.int64)
+    for triples in views:
+        starts[1:] += np.bincount(triples().gaussian_ids, minlength=num_rows)
     np.cumsum(starts, out=starts)
     indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
     cursor, offset = starts[:-1].copy(), 0
-    for view in columns:
-        ids, masks, values = view.triples()
+    for triples, width in zip(views, widths, strict=True):
+        ids, masks, values = triples()
         first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
         runs = np.diff(first, append=len(ids))
         position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
         indices[position], weights[position] = masks + offset, values
         cursor[ids[first]] += runs
-        offset += len(view.embeddings)
+        offset += width
     # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
     starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
-    return csr_array((weights, indices, starts), shape=(num_gaussians, offset))
+    return csr_array((weights, indices, starts), shape=(num_rows, offset))

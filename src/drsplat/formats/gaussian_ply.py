@@ -35,6 +35,14 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
 
     Raises: FormatError: no 3DGS PLY, truncated, or rows that are no Gaussians.
     """
+    return gaussians_of(gaussian_rows(buffer, header))
+
+
+def gaussian_rows(buffer: memoryview, header: Header) -> Records:
+    """The rows of `vertex` as they are in the file; of a binary one, a view of `buffer`.
+
+    Raises: FormatError: no 3DGS PLY, or truncated.
+    """
     names = header.elements["vertex"].names() if "vertex" in header.elements else []
     missing = [name for name in REQUIRED if name not in names]
     if missing:
@@ -42,8 +50,13 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
             f"no 3DGS PLY: vertex has no {', '.join(missing)}; it has {', '.join(names[:12]) or 'nothing'}. Point "
             "clouds and meshes have to be trained into Gaussians first"
         )
-    sh_names = _sh_names(names)
-    rows = read_elements(buffer, header, {"vertex"})["vertex"]
+    _sh_names(names)
+    return read_elements(buffer, header, {"vertex"})["vertex"]
+
+
+def gaussians_of(rows: Records) -> Gaussians:
+    """Some rows of `vertex`. Raises: FormatError: rows that are no Gaussians."""
+    sh_names = _sh_names(list(rows.dtype.names or ()))
     means, origin = _means(rows)
     gaussians = checked(
         means,

@@ -12,7 +12,7 @@ from jaxtyping import Shaped
 
 from ..contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError
-from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
+from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated, filled
 from ..scene.units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import NORMALS, parse_gaussian_ply, vertex_columns
@@ -25,16 +25,18 @@ from .sog_files import META, ZIP_MAGIC
 from .splat import parse_splat
 from .spz import MAGIC as SPZ_MAGIC
 from .spz import parse_spz
+from .streamed_sog import LOD_META, finest_chunks
+from .tiles import TILES, read_tiles
 
 GZIP_DEFLATE = b"\x1f\x8b\x08"
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, or a trained model's folder.
+    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, tiles, or a trained model's folder.
 
     The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
-    In a folder, its SOG (meta.json, which may be named itself) or the PLY of the highest
-    `point_cloud/iteration_*` is read. Row order is the file's.
+    In a folder, its tiles, its SOG (meta.json; lod-meta.json of a streamed one, the finest level; they may be named
+    themselves) or the PLY of the highest `point_cloud/iteration_*` is read. Row order is the file's.
     The result is in the axes of the trained scene (RDF for SPZ, see formats.spz) and owns its
     memory. A scene far from zero for its size is counted from a local origin (`placing.local_origin`).
 
@@ -46,6 +48,11 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     try:
         if path.name == META:
             return local(read_unpacked_sog(path), str(path))
+        if path.name == LOD_META:
+            chunks = [read_unpacked_sog(chunk) for chunk in finest_chunks(path)]
+            return local(concatenated(chunks), str(path))
+        if path.name == TILES:
+            return read_tiles(path.parent).gaussians()
         content = file_bytes(path)
         if not content.size:
             raise FormatError("the file is empty")
@@ -86,12 +93,15 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
 
 
 def scene_file(path: Path) -> Path:
-    """The scene file at `path`: itself, an unpacked SOG's meta.json, or the latest PLY of a trained model's folder.
+    """The scene file at `path`: itself, or that of a folder: tiles, a SOG, or the latest PLY of a trained model.
 
     Raises: InputError: there is none.
     """
     if path.is_file():
         return path
+    of_folder = next((path / mark for mark in (TILES, LOD_META) if (path / mark).is_file()), None)
+    if of_folder is not None:
+        return of_folder
     if not path.is_dir():
         raise InputError(f"there is no file {path}")
     found = {
@@ -145,5 +155,4 @@ def _filled(gaussians: Gaussians, sh_degree: int) -> Gaussians:
     """With zeros for the harmonics up to a degree."""
     if not gaussians.sh_degree <= sh_degree < len(SH_COEFFICIENTS):
         raise InputError(f"sh_degree: expected {gaussians.sh_degree}, which the Gaussians have, to 3; got {sh_degree}")
-    missing = SH_COEFFICIENTS[sh_degree] - gaussians.sh.shape[1]
-    return replace(gaussians, sh=np.pad(gaussians.sh, ((0, 0), (0, missing), (0, 0))))
+    return replace(gaussians, sh=filled(gaussians.sh, SH_COEFFICIENTS[sh_degree]))

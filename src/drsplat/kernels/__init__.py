@@ -24,6 +24,7 @@ from .splatting import (
     Triples,
     available_isas,
     default_isa,
+    laid_out,
     render_channels,
     sh_colors,
     splat_arrays,
@@ -33,7 +34,7 @@ from .splatting import (
 
 __all__ = [
     "Contributions", "Forest", "GroupedRows", "MergeRule", "QueryTables", "Rendering", "Scanning", "SplatArrays",
-    "Triples", "agglomerate", "available_isas", "default_isa", "group_codes", "lookup_tables", "pq_encode",
+    "Triples", "agglomerate", "available_isas", "default_isa", "group_codes", "laid_out", "lookup_tables", "pq_encode",
     "render_channels", "rows_of_groups", "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors",
     "splat_arrays", "topk_contributions", "view_weights", "weighted_rows",
 ]  # fmt: skip

@@ -89,7 +89,11 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
 
     Raises: InputError: a near plane that is not in front of the camera.
     """
-    near = gaussians.near if near is None else near
+    return laid_out(gaussians.localized(), gaussians.near if near is None else near)
+
+
+def laid_out(gaussians: Gaussians, near: float) -> SplatArrays:
+    """As `splat_arrays`, counted from the origin that they have. Raises: as there."""
     if not 0 < near < np.inf:
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
     covariances = np.empty((6, len(gaussians)), np.float32)
@@ -99,10 +103,8 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
         with np.errstate(over="ignore"):  # infinite ones are drawn nowhere
             rows = np.arange(len(gaussians))[part]
             covariances[:, part] = gaussians.subset(rows).covariances().T
-    placed = gaussians.localized()
-    means = np.ascontiguousarray(placed.means.T)
-    opacities = np.ascontiguousarray(gaussians.opacities)
-    return SplatArrays(means, covariances, opacities, near, placed.origin)
+    means = np.ascontiguousarray(gaussians.means.T)
+    return SplatArrays(means, covariances, np.ascontiguousarray(gaussians.opacities), near, gaussians.origin)
 
 
 def _seen(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

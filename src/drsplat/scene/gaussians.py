@@ -1,7 +1,7 @@
 """The scene: a set of 3D Gaussians in post-activation form."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -112,6 +112,34 @@ class Gaussians:
             self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
             self.origin,
         )  # fmt: skip
+
+
+def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
+    """All rows, in the order given, counted from one origin; harmonics that some have not are zero there.
+
+    Further columns stay where all have them.
+    """
+    positions = np.concatenate([part.positions for part in parts])
+    origin = local_origin(positions)
+    most = max(part.sh.shape[1] for part in parts)
+    return Gaussians(
+        (positions - origin).astype(np.float32),
+        np.concatenate([part.quats for part in parts]),
+        np.concatenate([part.scales for part in parts]),
+        np.concatenate([part.opacities for part in parts]),
+        np.concatenate([filled(part.sh, most) for part in parts]),
+        {
+            name: np.concatenate([p.extra[name] for p in parts])
+            for name in parts[0].extra
+            if all(name in p.extra for p in parts)
+        },
+        origin,
+    )
+
+
+def filled(sh: Float32[np.ndarray, "n k 3"], coefficients: int) -> Float32[np.ndarray, "n c 3"]:
+    """Harmonics with zeros up to a number of coefficients."""
+    return np.pad(sh, ((0, 0), (0, coefficients - sh.shape[1]), (0, 0)))
 
 
 def _narrowest(positions: Float64[np.ndarray, "n 3"]) -> np.ndarray:

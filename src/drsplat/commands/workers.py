@@ -1,0 +1,88 @@
+"""A scene as one of the verbs takes it, whole or in tiles, and who registers it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import count, words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..evidence.aggregation import Sampling
+    from ..formats.tiles import Tiles
+    from ..masks.features import ViewFeatures
+    from ..registration import Registration
+    from ..scene.gaussians import Gaussians
+    from ..scene.views import View
+    from ..tiles.launching import Launcher
+
+
+def add_workers(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--workers", type=count, metavar="N",
+        help="processes that register the photos of a tiled scene, each with --threads threads (default: this one)",
+    )  # fmt: skip
+    group.add_argument(
+        "--ray", type=words, metavar="ADDRESS",
+        help="Ray cluster that does, e.g. auto or ray://head:10001; local starts one on this machine. All of its nodes "
+        "must see TILES, DIR and the folder of --parts under the same names",
+    )  # fmt: skip
+    group.add_argument(
+        "--ray-memory", type=count, metavar="MB", help="memory of a task, by which Ray limits how many run on a node"
+    )
+
+
+def scene_of(arguments: argparse.Namespace) -> Gaussians | Tiles:
+    """The scene; tiles stay on disk. Raises: InputError: workers for a scene without tiles."""
+    from .. import read_gaussians
+    from ..errors import InputError
+    from ..formats.scenes import scene_file
+    from ..formats.tiles import TILES, read_tiles
+
+    file = scene_file(Path(arguments.scene))
+    if file.name == TILES:
+        return read_tiles(file.parent)
+    if arguments.workers or arguments.ray:
+        given = "--workers" if arguments.workers else "--ray"
+        raise InputError(
+            f"{given} is for a scene in tiles: drsplat tile {arguments.scene} --output NAME.tiles, then register those"
+        )
+    return read_gaussians(arguments.scene)
+
+
+def in_memory(scene: Gaussians | Tiles) -> Gaussians:
+    from ..formats.tiles import Tiles
+
+    return scene.gaussians() if isinstance(scene, Tiles) else scene
+
+
+def registered(
+    arguments: argparse.Namespace,
+    scene: Gaussians | Tiles,
+    views: Sequence[View],
+    features: Mapping[str, ViewFeatures],
+    sampling: Sampling,
+    **how: Any,
+) -> Registration:
+    """By whom the options say."""
+    from .. import register
+    from ..formats.tiles import Tiles
+    from ..tiles.registering import register_tiles
+
+    if not isinstance(scene, Tiles):
+        return register(scene, views, features, sampling, **how)
+    return register_tiles(scene, views, features, sampling, launcher=_launcher(arguments), **how)[0]
+
+
+def _launcher(arguments: argparse.Namespace) -> Launcher:
+    from ..errors import InputError
+    from ..tiles.launching import Here, Processes, Ray
+
+    if arguments.workers and arguments.ray:
+        raise InputError("--workers and --ray are two ways of working: drop one of them")
+    if arguments.ray:
+        return Ray(arguments.ray, arguments.threads or 1, (arguments.ray_memory or 0) << 20)
+    return Processes(arguments.workers) if arguments.workers else Here()

@@ -1,0 +1,171 @@
+"""Scene files as rows that are read when they are asked for: what is cut into tiles may be larger than memory."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Integer
+
+from ..contents import file_bytes
+from ..errors import FormatError, InputError
+from ..scene.gaussians import Gaussians
+from ..scene.similarity import IDENTITY, Similarity, similarity_of
+from .compressed_ply import is_compressed
+from .gaussian_ply import MEANS, SCALES, gaussian_rows, gaussians_of
+from .json_files import as_matrix, as_vector, is_text, read_json, shown
+from .ply import Records
+from .ply_header import read_header
+from .scenes import read_gaussians, scene_file
+from .streamed_sog import LOD_META, finest_chunks
+
+BLOCK = 1 << 18  # rows whose doubles are held beside
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Some Gaussians of a scene in the coordinates of their file."""
+
+    @property
+    def name(self) -> str: ...
+    def positions(self) -> Float64[np.ndarray, "n 3"]: ...
+    def sizes(self) -> Float32[np.ndarray, " n"]:
+        """Standard deviation along the longest axis."""
+
+    def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians: ...
+
+
+class Keep(NamedTuple):
+    """A box of the world, the lower side included and the upper one not."""
+
+    low: Float64[np.ndarray, " 3"]
+    high: Float64[np.ndarray, " 3"]
+
+    def holds(self, positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        return np.asarray(((positions >= self.low) & (positions < self.high)).all(axis=1))
+
+
+class Block(NamedTuple):
+    """A source, where it stands in the world, and what of it is kept: blocks of a city are trained with a border."""
+
+    source: Source
+    place: Similarity = IDENTITY
+    keep: Keep | None = None
+
+
+class _MappedPly:
+    """Rows of a binary PLY, read from the file when they are asked for."""
+
+    def __init__(self, path: Path, rows: Records) -> None:
+        self.name, self._path, self._rows = path.name, path, rows
+
+    def positions(self) -> Float64[np.ndarray, "n 3"]:
+        result = np.empty((len(self._rows), 3))
+        for begin in range(0, len(result), BLOCK):
+            block = self._rows[begin : begin + BLOCK]
+            for axis, name in enumerate(MEANS):
+                result[begin : begin + BLOCK, axis] = block[name]
+        return result
+
+    def sizes(self) -> Float32[np.ndarray, " n"]:
+        largest = np.full(len(self._rows), -np.inf, np.float32)
+        for begin in range(0, len(largest), BLOCK):
+            block = self._rows[begin : begin + BLOCK]
+            for name in SCALES:
+                np.maximum(largest[begin : begin + BLOCK], block[name], out=largest[begin : begin + BLOCK])
+        with np.errstate(over="ignore"):  # rows that are no Gaussians are told when they are read
+            return np.exp(largest)
+
+    def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
+        try:
+            return gaussians_of(self._rows[rows])
+        except FormatError as error:
+            raise FormatError(f"{self._path}: {error}") from None
+
+
+class _Whole:
+    """A file that is read at once, and kept: those of other formats are small."""
+
+    def __init__(self, path: Path, name: str = "") -> None:
+        self.name, self._path = name or path.name, path
+
+    @cached_property
+    def _gaussians(self) -> Gaussians:
+        return read_gaussians(self._path)
+
+    def positions(self) -> Float64[np.ndarray, "n 3"]:
+        return self._gaussians.positions
+
+    def sizes(self) -> Float32[np.ndarray, " n"]:
+        return np.asarray(self._gaussians.scales.max(axis=1))
+
+    def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
+        return self._gaussians.subset(rows)
+
+
+def sources_of(path: Path) -> list[Source]:
+    """A scene file, a trained model's folder, or the chunks of a streamed SOG (its folder or lod-meta.json).
+
+    Raises: InputError: there is none. FormatError: as `read_gaussians`, at the latest when rows are read.
+    """
+    lod_meta = path if path.name == LOD_META else path / LOD_META
+    if lod_meta.is_file():
+        return [_Whole(chunk, f"{chunk.parent.name}/{chunk.name}") for chunk in finest_chunks(lod_meta)]
+    path = scene_file(path)
+    if path.suffix.lower() != ".ply":
+        return [_Whole(path)]
+    content = file_bytes(path)
+    try:
+        header = read_header(content.data)
+        if header.order == "=" or is_compressed(header):
+            return [_Whole(path)]
+        return [_MappedPly(path, gaussian_rows(content.data, header))]
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from None
+
+
+def read_blocks(path: Path) -> list[Block]:
+    """Blocks of a city from JSON: a list of {"file", "transform", "keep"}.
+
+    file: relative to the document. transform: 4x4, rows first, from the file's coordinates to the world's; left out:
+    none. keep: {"low": [x, y, z], "high": [x, y, z]} in the world; Gaussians elsewhere are left out, so that what
+    two blocks have in common is there once; left out: all are kept.
+
+    Raises: InputError: a file that is missing. FormatError: another document.
+    """
+    document = read_json(path)
+    if not isinstance(document, list) or not document:
+        raise FormatError(f"{path}: expected a list of blocks, got {shown(document)}")
+    return [block for number, entry in enumerate(document) for block in _blocks(entry, path, f"{path}: block {number}")]
+
+
+def _blocks(entry: object, path: Path, where: str) -> list[Block]:
+    known = {"file", "transform", "keep"}
+    if not isinstance(entry, dict) or not entry.keys() <= known or not is_text(entry.get("file")):
+        raise FormatError(f"{where}: expected an object with file, and maybe transform and keep, got {shown(entry)}")
+    place = IDENTITY
+    if "transform" in entry:
+        try:
+            place = similarity_of(as_matrix(entry["transform"], 4, 4, f"{where}: transform"))
+        except InputError as error:
+            raise FormatError(f"{where}: transform: {error}") from None
+    keep = None
+    if "keep" in entry:
+        box = entry["keep"]
+        if not isinstance(box, dict) or box.keys() != {"low", "high"}:
+            raise FormatError(f"{where}: keep: expected low and high, got {shown(box)}")
+        keep = Keep(*(as_vector(box[end], 3, f"{where}: keep: {end}") for end in ("low", "high")))
+        if not (keep.low < keep.high).all():
+            raise FormatError(f"{where}: keep: expected low below high, got {shown(box)}")
+    return [Block(source, place, keep) for source in sources_of(path.parent / str(entry["file"]))]
+
+
+def blocks_of(paths: Sequence[Path]) -> list[Block]:
+    """Scene files that are in the coordinates of one world already; a .json is one of `read_blocks`."""
+    listed = [path for path in paths if path.suffix.lower() == ".json" and path.name not in (LOD_META, "meta.json")]
+    return [
+        block
+        for path in paths
+        for block in (read_blocks(path) if path in listed else [Block(source) for source in sources_of(path)])
+    ]

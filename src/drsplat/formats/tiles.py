@@ -1,0 +1,228 @@
+"""A scene as tiles on disk: safetensors files of neighbouring Gaussians, and a manifest with a box about each.
+
+Rows follow a Morton curve; a tile holds a run of them, so a row of the scene is the tile's first row plus a row of
+the tile. What a photo sees is loaded from the tiles in front of its camera, never the whole scene.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from ..contents import open_file
+from ..errors import FormatError, InputError
+from ..scene.gaussians import Gaussians, filled
+from ..scene.placing import near_plane
+from .checksums import check_seal, sealed
+from .field_folder import replacing_folder
+from .json_files import as_count, as_number, as_vector, is_text, parsed, shown
+from .replacing import replacing
+from .tensors import check_tensors, read_tensors, write_tensors
+
+TILES = "tiles.json"
+FORMAT, VERSION = "drsplat tiles", 1
+MOST_BYTES = 64 << 20  # of a manifest
+FAINTEST = 1 / 255 * 0.999  # opacity below which nothing is drawn, and a little less
+MOST_ROWS = (1 << 31) - 1
+CURE = "Restore the folder from a copy, or cut the scene anew"
+_SHAPES = {
+    "means": ("float32", "n xyz"),
+    "quats": ("float32", "n wxyz"),
+    "scales": ("float32", "n xyz"),
+    "opacities": ("float32", "n"),
+}
+_COLOURS = {"sh": ("float32", "n k xyz"), "block": ("uint16", "n"), "source_row": ("uint32", "n")}
+
+
+class Tile(NamedTuple):
+    """A run of rows. low, high: the box of its centres, counted from the scene's origin.
+
+    largest: standard deviation of the largest of its Gaussians that can be seen.
+    """
+
+    name: str
+    first: int
+    num_rows: int
+    low: Float64[np.ndarray, " 3"]
+    high: Float64[np.ndarray, " 3"]
+    largest: float
+    digest: str
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """A scene on disk. near: as `Gaussians.near` of the whole. sources: names of what it was cut from, by block.
+
+    fingerprint: that of `gaussians()`. origin: that the tiles' positions are counted from, in the world.
+    """
+
+    path: Path
+    tiles: tuple[Tile, ...]
+    origin: Float64[np.ndarray, " 3"]
+    near: float
+    fingerprint: str
+    sources: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Tiles({len(self):,} Gaussians in {len(self.tiles):,} tiles, {self.fingerprint})"
+
+    def __len__(self) -> int:
+        return self.tiles[-1].first + self.tiles[-1].num_rows
+
+    @property
+    def digest(self) -> str:
+        """Of all that photos are registered onto: shapes and places of every Gaussian."""
+        return hashlib.blake2b("".join(tile.digest for tile in self.tiles).encode(), digest_size=16).hexdigest()
+
+    def shapes(self, tile: Tile) -> Gaussians:
+        """A tile without its colours, which registration does not need. Raises: FormatError: damaged."""
+        arrays = self._read(tile, "shapes", _SHAPES)
+        if arrays["means"].shape != (tile.num_rows, 3) or arrays["quats"].shape[1] != 4:
+            raise FormatError(
+                f"{self.path}: tile {tile.name} is not of the {tile.num_rows} rows that {TILES} names. {CURE}"
+            )
+        colourless = np.zeros((tile.num_rows, 1, 3), np.float32)
+        return Gaussians(*(arrays[name] for name in _SHAPES), sh=colourless, origin=self.origin)
+
+    def gaussians(self) -> Gaussians:
+        """The whole scene in memory, with the block and the row there that each Gaussian came from as extra columns.
+
+        Raises: FormatError: damaged.
+        """
+        shapes = [self.shapes(tile) for tile in self.tiles]
+        colours = [self._read(tile, "colours", _COLOURS) for tile in self.tiles]
+        most = max(part["sh"].shape[1] for part in colours)
+        means, quats, widths, opacities = (np.concatenate([getattr(part, name) for part in shapes]) for name in _SHAPES)
+        sh = np.concatenate([filled(part["sh"], most) for part in colours])
+        origins = {name: np.concatenate([part[name] for part in colours]) for name in ("block", "source_row")}
+        return Gaussians(means, quats, widths, opacities, sh, origins, self.origin)
+
+    def _read(self, tile: Tile, kind: str, expected: Mapping[str, tuple[str, str]]) -> dict[str, np.ndarray]:
+        path = self.path / f"{tile.name}.{kind}.safetensors"
+        try:
+            arrays, _ = read_tensors(path)
+        except InputError as error:
+            raise FormatError(f"{error}. {CURE}") from None
+        check_tensors(arrays, expected, str(path))
+        if len(next(iter(arrays.values()))) != tile.num_rows:
+            raise FormatError(f"{path}: expected {tile.num_rows} rows. {CURE}")
+        return arrays
+
+
+def read_tiles(path: Path) -> Tiles:
+    """The tiles of a folder; only the manifest is read.
+
+    Raises: InputError: there are none. FormatError: a damaged manifest, or of a newer version.
+    """
+    where = str(path / TILES)
+    document = _manifest(path)
+    if document.get("format") != FORMAT or document.get("version") != VERSION:
+        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {shown(document.get('version'))}")
+    check_seal(document, where, cure=CURE)
+    listed, sources = document.get("tiles"), document.get("sources")
+    if not isinstance(listed, list) or not listed or not isinstance(sources, list) or not all(map(is_text, sources)):
+        raise FormatError(f"{where}: expected lists of tiles and sources")
+    tiles: list[Tile] = []
+    for entry in listed:
+        tiles.append(_tile(entry, tiles[-1].first + tiles[-1].num_rows if tiles else 0, where))
+    return Tiles(
+        path, tuple(tiles), as_vector(document.get("origin"), 3, f"{where}: origin"),
+        as_number(document.get("near"), f"{where}: near"), str(document.get("scene")), tuple(sources),
+    )  # fmt: skip
+
+
+def _manifest(path: Path) -> dict[str, object]:
+    try:
+        with open_file(path / TILES) as file:
+            document = parsed(file.read(MOST_BYTES))
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"{path}: there are no tiles (no {TILES} in it)") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path / TILES}: expected JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise FormatError(f"{path / TILES}: expected an object")
+    return document
+
+
+def _tile(entry: object, first: int, where: str) -> Tile:
+    if not isinstance(entry, dict):
+        raise FormatError(f"{where}: expected a tile, got {shown(entry)}")
+    name, digest = entry.get("name"), entry.get("digest")
+    if not isinstance(name, str) or not name.isalnum() or not isinstance(digest, str):
+        raise FormatError(f"{where}: expected a tile's name of letters and digits, got {shown(name)}")
+    count = as_count(entry.get("count"), f"{where}: count")
+    if not 0 < count <= MOST_ROWS - first:
+        raise FormatError(f"{where}: tile {name}: expected 1 to {MOST_ROWS:,} rows in all, got {count}")
+    low, high = (as_vector(entry.get(end), 3, f"{where}: {end}") for end in ("low", "high"))
+    return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"), digest)
+
+
+class _Writer:
+    """Tiles of a folder that is being made, one at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.tiles: list[dict[str, object]] = []
+        self.means: list[Float32[np.ndarray, "n 3"]] = []
+        self.opacities: list[Float32[np.ndarray, " n"]] = []
+
+    def add(self, part: Gaussians) -> None:
+        name = f"tile{len(self.tiles):05d}"
+        shapes = {key: getattr(part, key) for key in _SHAPES}
+        write_tensors(self.folder / f"{name}.shapes.safetensors", shapes)
+        colours = {"sh": part.sh} | {key: part.extra[key] for key in ("block", "source_row")}
+        write_tensors(self.folder / f"{name}.colours.safetensors", colours)
+        self.means.append(part.means)
+        self.opacities.append(part.opacities)
+        self.tiles.append(
+            {
+                "name": name,
+                "count": len(part),
+                "low": part.means.min(axis=0).tolist(),
+                "high": part.means.max(axis=0).tolist(),
+                "largest": float(part.scales[part.opacities >= FAINTEST].max(initial=0.0)),
+                "digest": _digest(shapes),
+            }
+        )
+
+    def manifest(self, origin: Float64[np.ndarray, " 3"], sources: Sequence[str]) -> dict[str, object]:
+        """What is told of the whole: its fingerprint and near plane need all positions, 16 bytes a Gaussian."""
+        means = np.concatenate(self.means)
+        bare = np.zeros((len(means), 4), np.float32)
+        whole = Gaussians(
+            means, bare, bare[:, :3], np.concatenate(self.opacities), np.zeros((len(means), 1, 3), np.float32),
+            origin=origin,
+        )  # fmt: skip
+        return {
+            "format": FORMAT, "version": VERSION, "scene": whole.fingerprint, "num_gaussians": len(means),
+            "near": near_plane(means, whole.opacities), "origin": origin.tolist(), "sources": list(sources),
+            "tiles": self.tiles,
+        }  # fmt: skip
+
+
+def write_tiles(
+    path: Path, parts: Iterator[Gaussians], origin: Float64[np.ndarray, " 3"], sources: Sequence[str], overwrite: bool
+) -> Tiles:
+    """Write tiles as they come, all or none. parts: counted from `origin`, with the columns block and source_row.
+
+    Raises: InputError: as `replacing_folder`.
+    """
+    with replacing_folder(path, overwrite, TILES) as folder:
+        writer = _Writer(folder)
+        for part in parts:
+            writer.add(part)
+        with replacing(folder / TILES) as out:
+            out.write((json.dumps(sealed(writer.manifest(origin, sources)), indent=1) + "\n").encode())
+    return read_tiles(path)
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.blake2b(digest_size=12)
+    for name in sorted(arrays):
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.hexdigest()

@@ -1,0 +1,36 @@
+"""The order along a Morton curve: what is near in space is mostly near in the order."""
+
+import numpy as np
+from jaxtyping import Float, Int64, UInt64
+
+BITS = 21  # of each axis: three of them fill 63
+_SPREAD = (  # shift, mask: each bit of 21 to every third place
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+def morton_order(positions: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+    """Rows along the curve through the box about all of them; of those in one cell the lower row first."""
+    return np.argsort(morton_codes(positions), kind="stable")
+
+
+def morton_codes(positions: Float[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
+    """Cells of the box about the positions, 2^21 along its longest side, numbered along the curve."""
+    low = positions.min(axis=0, initial=np.inf)
+    side = float((positions.max(axis=0, initial=-np.inf) - low).max(initial=0.0))
+    scale = (2**BITS - 1) / side if side > 0 else 0.0
+    codes = np.zeros(len(positions), np.uint64)
+    for axis in range(3):
+        cells = ((positions[:, axis].astype(np.float64) - low[axis]) * scale).astype(np.uint64)
+        codes |= _spread(cells) << np.uint64(axis)
+    return codes
+
+
+def _spread(cells: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+    for shift, mask in _SPREAD:
+        cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
+    return cells

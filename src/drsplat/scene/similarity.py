@@ -1,0 +1,126 @@
+"""Moving, turning and scaling Gaussians, their harmonics turned with them."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from ..errors import InputError
+from .gaussians import SH_C0, Gaussians
+from .placing import local_origin
+
+TOLERANCE = 1e-4  # of a rotation's rows; matrices come from text with few digits
+DEGREES = (slice(1, 4), slice(4, 9), slice(9, 16))  # harmonics of degrees 1 to 3
+DIRECTIONS = 64  # that harmonics are compared in: several times what the highest degree has
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """x -> scale * rotation @ x + translation, in the world. Made by `similarity_of`."""
+
+    scale: float
+    rotation: Float64[np.ndarray, "3 3"]
+    translation: Float64[np.ndarray, " 3"]
+
+    def positions(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
+
+    def moved(self, gaussians: Gaussians) -> Gaussians:
+        """The Gaussians where and as they are after it; rows stay.
+
+        Colours as seen from a direction turn along: f'(d) = f(rotation^T d).
+        """
+        positions = self.positions(gaussians.positions)
+        origin = local_origin(positions)
+        return replace(
+            gaussians,
+            means=(positions - origin).astype(np.float32),
+            quats=turned(gaussians.quats, self.rotation),
+            scales=np.asarray(gaussians.scales * np.float32(self.scale)),
+            sh=self._harmonics(gaussians.sh),
+            origin=origin,
+        )
+
+    def _harmonics(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n k 3"]:
+        result = sh.copy()
+        for of_degree, matrix in zip(DEGREES, self._by_degree, strict=True):
+            if of_degree.stop <= sh.shape[1]:
+                result[:, of_degree] = np.einsum("ij,njc->nic", matrix, sh[:, of_degree])
+        return result
+
+    @cached_property
+    def _by_degree(self) -> list[Float32[np.ndarray, "k k"]]:
+        """Per degree the matrix of coefficients: harmonics of one degree stay among themselves when they turn."""
+        directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        here, there = sh_basis(directions), sh_basis(directions @ self.rotation)
+        matrices = [np.linalg.lstsq(here[:, k], there[:, k], rcond=None)[0] for k in DEGREES]
+        return [matrix.astype(np.float32) for matrix in matrices]
+
+
+IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
+
+
+def similarity_of(matrix: Float64[np.ndarray, "4 4"]) -> Similarity:
+    """The rotation, the one scale and the translation of a 4x4 matrix.
+
+    Raises: InputError: it shears, mirrors, scales its axes differently, or is no such matrix.
+    """
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], [0, 0, 0, 1], atol=TOLERANCE):
+        raise InputError("expected a 4x4 matrix of finite numbers whose last row is 0 0 0 1")
+    determinant = float(np.linalg.det(matrix[:3, :3]))
+    if not determinant > 0:
+        raise InputError(f"expected a rotation times a scale above 0: the determinant is {determinant:.3g}")
+    scale = determinant ** (1 / 3)
+    rotation = matrix[:3, :3] / scale
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > TOLERANCE * 10:
+        raise InputError("expected a rotation, one scale and a translation: this matrix shears, or scales axes apart")
+    return Similarity(scale, rotation, matrix[:3, 3])
+
+
+def turned(quats: Float32[np.ndarray, "n 4"], rotation: Float64[np.ndarray, "3 3"]) -> Float32[np.ndarray, "n 4"]:
+    """Unit quaternions (w, x, y, z) after a rotation."""
+    a, b = quaternion_of(rotation), quats.astype(np.float64)
+    w, v = a[0], a[1:]
+    real = w * b[:, :1] - b[:, 1:] @ v[:, None]
+    imaginary = w * b[:, 1:] + b[:, :1] * v + np.cross(v, b[:, 1:])
+    product = np.concatenate([real, imaginary], axis=1)
+    return np.asarray(product / np.linalg.norm(product, axis=1, keepdims=True), np.float32)
+
+
+def quaternion_of(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, " 4"]:
+    """(w, x, y, z) with w >= 0: the eigenvector of Bar-Itzhack's matrix (2000), which no angle makes unstable."""
+    m = rotation
+    k = np.array(
+        [
+            [m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2]],
+            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2]],
+            [m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1]],
+        ]
+    )
+    vector: np.ndarray = np.linalg.eigh(k)[1][:, -1]
+    return -vector if vector[0] < 0 else vector
+
+
+def sh_basis(directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 16"]:
+    """Real spherical harmonics of degrees 0 to 3 in the order and with the signs of 3DGS files."""
+    x, y, z = directions.T
+    xx, yy, zz = x * x, y * y, z * z
+    columns = [
+        np.full_like(x, SH_C0),
+        *(0.488602511902920 * c for c in (-y, z, -x)),
+        *(1.092548430592079 * c for c in (x * y, -y * z)),
+        0.315391565252520 * (2 * zz - xx - yy),
+        -1.092548430592079 * x * z,
+        0.546274215296040 * (xx - yy),
+        -0.590043589926644 * y * (3 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.457045799464466 * y * (4 * zz - xx - yy),
+        0.373176332590115 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.457045799464466 * x * (4 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.590043589926644 * x * (xx - 3 * yy),
+    ]
+    return np.stack(columns, axis=1)

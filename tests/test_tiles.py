@@ -1,0 +1,390 @@
+"""Scenes in tiles: what a camera may see, the same bits as the whole, by any workers and after any kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import drsplat as ds
+from drsplat.cli import main
+from drsplat.errors import FormatError, InputError
+from drsplat.formats.sources import Block, Keep, blocks_of, read_blocks, sources_of
+from drsplat.formats.tiles import TILES, Tiles, read_tiles
+from drsplat.kernels import splat_arrays, view_weights
+from drsplat.scene.morton import morton_codes, morton_order
+from drsplat.tiles.cutting import cut
+from drsplat.tiles.launching import Here, Processes
+from drsplat.tiles.registering import register_tiles
+from drsplat.tiles.seeing import Gallery, seen_tiles
+from scenes import look_at_view
+from toy_capture import write_toy_capture
+
+
+def scattered(count: int, seed: int = 0, spread: float = 20.0, sh: int = 1) -> ds.Gaussians:
+    """Gaussians of all sizes along a street, some of them huge, some hardly there."""
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(count, 4))
+    columns = (
+        rng.normal(size=(count, 3)) * [spread, spread / 10, 1],
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        np.exp(rng.normal(-3, 1.2, (count, 3))),
+        rng.uniform(0, 1, count) ** 2,
+        rng.normal(size=(count, sh, 3)) * 0.3,
+    )
+    return ds.Gaussians(*(column.astype(np.float32) for column in columns))
+
+
+def tiled(gaussians: ds.Gaussians, folder: Path, rows: int = 50) -> Tiles:
+    ds.write_gaussians(folder / "scene.ply", gaussians)
+    return cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", rows)
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_toy_capture(tmp_path_factory.mktemp("toy"))
+    cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 37)
+    return folder
+
+
+# --- cutting ------------------------------------------------------------------------------------------
+
+
+def test_morton_codes_are_those_of_interleaved_bits():
+    cells = np.random.default_rng(0).integers(0, 2**21, (50, 3))
+    cells[:2] = [[0, 0, 0], [2**21 - 1] * 3]  # so that the box has whole cells
+    expected = [
+        sum(((int(c) >> bit) & 1) << (3 * bit + axis) for axis, c in enumerate(row) for bit in range(21))
+        for row in cells
+    ]
+    assert morton_codes(cells.astype(np.float64)).tolist() == expected
+
+
+def test_rows_of_one_cell_stay_in_order():
+    assert_array_equal(morton_order(np.zeros((5, 3))), np.arange(5))
+
+
+def test_tiles_hold_each_gaussian_once_to_the_bit(tmp_path):
+    whole = scattered(777)
+    tiles = tiled(whole, tmp_path)
+    assert (len(tiles), max(tile.num_rows for tile in tiles.tiles)) == (777, 50)
+    back = ds.read_gaussians(tmp_path / "scene.tiles")
+    source = ds.read_gaussians(tmp_path / "scene.ply").subset(back.extra["source_row"].astype(np.int64))
+    assert_array_equal(np.sort(back.extra["source_row"]), np.arange(777))
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        assert_array_equal(getattr(back, name), getattr(source, name), err_msg=name)
+    assert (tiles.fingerprint, tiles.near) == (back.fingerprint, back.near)
+
+
+def test_tiles_far_from_zero_are_counted_from_an_origin(tmp_path):
+    whole = replace(scattered(300), origin=np.array([4.5e6, 3.1e5, 0.0]))
+    tiles = tiled(whole, tmp_path)
+    assert tiles.origin.any()
+    back = tiles.gaussians()
+    assert_allclose(back.positions, whole.positions[back.extra["source_row"]], atol=5e-6, rtol=0)
+    assert back.fingerprint == tiles.fingerprint
+
+
+def test_neighbours_lie_in_one_tile(tmp_path):
+    """The box of a tile is small: tiles of Gaussians in any order would each be as large as the scene."""
+    tiles = tiled(scattered(2000), tmp_path)
+    small = [np.prod(tile.high - tile.low) for tile in tiles.tiles[:40]]
+    means = ds.read_gaussians(tmp_path / "scene.ply").means
+    assert np.mean(small) < 0.05 * np.prod(means.max(0) - means.min(0))
+
+
+def test_blocks_stand_where_their_transforms_put_them(tmp_path):
+    whole = scattered(400, sh=16)
+    moves = np.eye(4)
+    moves[:3, :3] = 2 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # a quarter turn about z, twice as large
+    moves[:3, 3] = [5, -3, 1]
+    ds.write_gaussians(tmp_path / "a.ply", whole)
+    ds.write_gaussians(tmp_path / "b.ply", whole)
+    middle = {"low": [-1000, -1000, -1000], "high": [0, 1000, 1000]}
+    blocks = [{"file": "a.ply", "keep": middle}, {"file": "b.ply", "transform": moves.tolist()}]
+    (tmp_path / "blocks.json").write_text(json.dumps(blocks))
+    tiles = cut(read_blocks(tmp_path / "blocks.json"), tmp_path / "t", 64)
+    g = tiles.gaussians()
+    of_a, of_b = g.extra["block"] == 0, g.extra["block"] == 1
+    assert tiles.sources == ("a.ply", "b.ply")
+    assert of_a.sum() == (whole.means[:, 0] < 0).sum()
+    assert (g.positions[of_a][:, 0] < 0).all()
+    rows = g.extra["source_row"][of_b].astype(np.int64)
+    there = whole.means[rows] @ moves[:3, :3].T + moves[:3, 3]
+    assert_allclose(g.positions[of_b], there, atol=1e-4)
+    # A camera that moves along sees the same: shapes and colours have turned with it.
+    view = look_at_view((0.0, -30.0, 3.0), width=60, height=40)
+    turn = np.eye(4)
+    turn[:3, :3] = moves[:3, :3] / 2
+    turn[:3, 3] = moves[:3, 3] / 2
+    moved = replace(view, cam_from_world=view.cam_from_world @ np.linalg.inv(turn))
+    grown = replace(
+        moved,
+        cam_from_world=np.vstack([np.c_[moved.cam_from_world[:3, :3], 2 * moved.cam_from_world[:3, 3]], [0, 0, 0, 1]]),
+    )
+    block = g.subset(np.flatnonzero(of_b))
+    before = ds.render(whole.subset(rows), view).rgb
+    assert before.std() > 0.02
+    assert_allclose(ds.render(block, grown).rgb, before, atol=4e-3)
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ([], "a list of blocks"),
+        ({"file": "a.ply"}, "a list of blocks"),
+        ([{"file": 3}], "expected an object with file"),
+        ([{"file": "a.ply", "rotate": 1}], "expected an object with file"),
+        ([{"file": "a.ply", "transform": [[1, 0], [0, 1]]}], "4 rows of 4"),
+        ([{"file": "a.ply", "transform": np.diag([1.0, 2, 1, 1]).tolist()}], "scales axes apart"),
+        ([{"file": "a.ply", "transform": np.diag([1.0, 1, -1, 1]).tolist()}], "determinant"),
+        ([{"file": "a.ply", "keep": {"low": [0, 0, 0]}}], "low and high"),
+        ([{"file": "a.ply", "keep": {"low": [0, 0, 0], "high": [1, 0, 1]}}], "low below high"),
+    ],
+)
+def test_blocks_that_are_none(tmp_path, document, said):
+    ds.write_gaussians(tmp_path / "a.ply", scattered(3))
+    (tmp_path / "blocks.json").write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=said):
+        read_blocks(tmp_path / "blocks.json")
+
+
+def test_nothing_left_is_told(tmp_path):
+    ds.write_gaussians(tmp_path / "a.ply", scattered(3))
+    (source,) = sources_of(tmp_path / "a.ply")
+    nowhere = Block(source, keep=Keep(np.full(3, 900.0), np.full(3, 901.0)))
+    with pytest.raises(InputError, match="no Gaussian is left"):
+        cut([nowhere], tmp_path / "t")
+    assert not (tmp_path / "t").exists()
+
+
+# --- damaged folders ----------------------------------------------------------------------------------
+
+
+@given(st.data())
+@settings(max_examples=25, deadline=None)
+def test_damaged_tiles_are_refused(tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("damaged")
+    path = tiled(scattered(60), folder, 25).path
+    file = path / data.draw(st.sampled_from(sorted(os.listdir(path))))
+    content = bytearray(file.read_bytes())
+    if data.draw(st.booleans()):
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] ^= data.draw(st.integers(1, 255))
+    else:
+        del content[data.draw(st.integers(0, len(content) - 1)) :]
+    file.write_bytes(content)
+    with pytest.raises((FormatError, InputError)):
+        ds.read_gaussians(path)
+
+
+def test_a_missing_tile_is_told(tmp_path):
+    path = tiled(scattered(60), tmp_path, 25).path
+    (path / "tile00001.shapes.safetensors").unlink()
+    with pytest.raises(FormatError, match=r"tile00001.*cut the scene anew"):
+        ds.read_gaussians(path)
+
+
+@pytest.mark.parametrize("change", [{"tiles": []}, {"tiles": [3]}, {"version": 2}, {"near": "close"}, {"sources": 1}])
+def test_manifests_that_are_none(tmp_path, change):
+    from drsplat.formats.checksums import sealed
+
+    path = tiled(scattered(20), tmp_path).path
+    document = json.loads((path / TILES).read_text())
+    (path / TILES).write_text(json.dumps(sealed({**document, **change})))
+    with pytest.raises(FormatError):
+        read_tiles(path)
+
+
+# --- what a camera sees -------------------------------------------------------------------------------
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    eye=st.tuples(*[st.floats(-25, 25)] * 2, st.floats(-2, 2)),
+    at=st.tuples(*[st.floats(-25, 25)] * 2, st.floats(-2, 2)),
+    width=st.integers(16, 90),
+    focal=st.floats(10, 300),
+)
+@settings(max_examples=25, deadline=None)
+def test_what_is_left_out_was_not_seen(tmp_path_factory, seed, eye, at, width, focal):
+    """The weights of the tiles in front of a camera are those of the whole scene, to the bit."""
+    if np.linalg.norm(np.subtract(eye, at)) < 0.1:
+        return
+    tiles = tiled(scattered(400, seed), tmp_path_factory.mktemp("seen"), 23)
+    view = look_at_view(eye, at, width=width, height=48)
+    K = np.array([[focal, 0, width / 2 + 3], [0, focal * 1.1, 20], [0, 0, 1.0]])
+    view = replace(view, K=K)
+    ids = (np.arange(width * 48).reshape(48, width) % 7).astype(np.int32)
+    whole = view_weights(splat_arrays(tiles.gaussians()), view, ids)
+    seen = Gallery(tiles).seen(view)
+    some = view_weights(seen.splats, view, ids)
+    assert seen.rows is not None
+    assert_array_equal(seen.rows[some.gaussian_ids], whole.gaussian_ids)
+    assert_array_equal(some.weights, whole.weights)
+    assert_array_equal(some.mask_ids, whole.mask_ids)
+
+
+def test_what_is_behind_is_not_loaded(tmp_path):
+    tiles = tiled(scattered(3000), tmp_path)
+    view = look_at_view((0.0, 0.0, 0.3), (30.0, 0.0, 0.0), width=64, height=48)
+    seen = seen_tiles(tiles, view, tiles.near)
+    assert 0.1 < seen.mean() < 0.7
+    away = look_at_view((900.0, 0.0, 0.3), (1000.0, 0.0, 0.0), width=64, height=48)
+    assert not seen_tiles(tiles, away, tiles.near).any()
+    nothing = Gallery(tiles).seen(away)
+    assert len(view_weights(nothing.splats, away, np.zeros((48, 64), np.int32)).weights) == 0
+
+
+def test_few_tiles_are_held(tmp_path):
+    tiles = tiled(scattered(3000), tmp_path)
+    gallery = Gallery(tiles, held_bytes=4 * 50 * 40)
+    view = look_at_view((0.0, -40.0, 3.0), width=64, height=48)
+    first, again = gallery.seen(view), gallery.seen(view)
+    assert 0 < gallery._bytes() <= 4 * 50 * 40 < 40 * len(tiles)
+    assert_array_equal(first.splats.means, again.splats.means)
+
+
+# --- registration -------------------------------------------------------------------------------------
+
+
+def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder]:
+    return ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
+
+
+def saved(field: ds.LanguageField, path: Path) -> dict[str, bytes]:
+    field.save(path)
+    return {file.name: file.read_bytes() for file in sorted(path.iterdir())}
+
+
+@pytest.mark.parametrize("launcher", [Here(), Processes(2)], ids=["here", "processes"])
+@pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
+def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, monkeypatch):
+    monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)  # several runs
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = inputs(toy)
+    made, work = register_tiles(tiles, views, features, parts=tmp_path / "parts", launcher=launcher, threads=1)
+    assert (work.views, work.views_before, work.runs_before) == (4, 0, 0)
+    assert work.runs > 1
+    at_once = ds.register(tiles.gaussians(), views, features)
+    assert saved(made.to_field(code), tmp_path / "a.field") == saved(at_once.to_field(code), tmp_path / "b.field")
+    again, work = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    assert (work.views, work.runs) == (0, 0)
+    assert_array_equal(again.weights.data, made.weights.data)
+
+
+def test_a_changed_mask_is_seen(toy, tmp_path):
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = inputs(toy)
+    register_tiles(tiles, views, features, parts=tmp_path / "parts")
+    changed = {name: features[name] for name in features}
+    first = next(iter(changed))
+    changed[first] = replace(changed[first], mask_ids=np.maximum(changed[first].mask_ids, 0))
+    made, work = register_tiles(tiles, views, changed, parts=tmp_path / "parts")
+    assert work.views == 1
+    assert work.runs_before == 0
+    expected = ds.register(tiles.gaussians(), views, changed)
+    assert_array_equal(made.weights.toarray(), expected.weights.toarray())
+
+
+def test_a_damaged_part_is_made_again(toy, tmp_path):
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = inputs(toy)
+    whole, _ = register_tiles(tiles, views, features, parts=tmp_path / "parts")
+    expected = whole.weights.toarray()
+    for file in [*tmp_path.glob("parts/*.columns.safetensors")][:1] + [*tmp_path.glob("parts/rows/*.rows.safetensors")][
+        :1
+    ]:
+        file.write_bytes(file.read_bytes()[:-5])
+    made, work = register_tiles(tiles, views, features, parts=tmp_path / "parts")
+    assert (work.views, work.runs) == (1, 1)
+    assert_array_equal(made.weights.toarray(), expected)
+
+
+def _dies_once(item: Path) -> str:
+    if not item.exists():
+        item.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item.name
+
+
+def _always_dies(item: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _fails(item: int) -> None:
+    raise InputError(f"bad {item}")
+
+
+def test_work_of_a_killed_process_is_done_again(tmp_path):
+    items = [tmp_path / str(number) for number in range(5)]
+    for item in items[1:]:
+        item.touch()
+    assert sorted(Processes(2).results(_dies_once, items)) == ["0", "1", "2", "3", "4"]
+
+
+def test_work_that_kills_is_given_up():
+    with pytest.raises(ds.errors.DrSplatError, match="killed 3 times"):
+        list(Processes(1).results(_always_dies, [1, 2]))
+
+
+def test_an_error_of_a_worker_is_that_of_the_run():
+    with pytest.raises(InputError, match="bad 1"):
+        list(Processes(1).results(_fails, [1]))
+
+
+# --- the command line ---------------------------------------------------------------------------------
+
+
+def fields_of(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted(folder.glob("*.safetensors"))}
+
+
+def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
+    tiles, plain = tmp_path / "s.tiles", tmp_path / "s.field"
+    assert main(["tile", str(toy / "scene.ply"), "-o", str(tiles), "--rows", "60", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["num_tiles"] > 4
+    features = ["--features", str(toy / "capture/language_features")]
+    register = ["register", str(tiles), str(toy / "capture"), *features]
+    assert main([*register, "-o", str(plain), "--workers", "2", "--threads", "1"]) == 0
+    assert main(["locate", str(plain), "red mug", "--scene", str(tiles), "--json"]) == 0
+    assert not (tmp_path / "s.field.parts").exists()
+    ds.register(ds.read_gaussians(tiles), *inputs(toy)).to_field(ds.codes.Smaller()).save(tmp_path / "t.field")
+    assert fields_of(plain) == fields_of(tmp_path / "t.field")
+
+
+def test_workers_are_for_tiles(toy, tmp_path, capsys):
+    features = ["--features", str(toy / "capture/language_features")]
+    register = ["register", str(toy / "scene.ply"), str(toy / "capture"), *features, "-o", str(tmp_path / "f")]
+    assert main([*register, "--workers", "2"]) == 1
+    assert "drsplat tile" in capsys.readouterr().err
+    register[1] = str(toy / "scene.tiles")
+    assert main([*register, "--workers", "2", "--ray", "local"]) == 1
+    assert "two ways" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_killed_registration_goes_on(toy, tmp_path):
+    """Killed at moments through the run; what it left is used, and the field is the same."""
+    command = [sys.executable, "-m", "drsplat", "register", str(toy / "scene.tiles"), str(toy / "capture")]
+    command += ["--features", str(toy / "capture/language_features"), "--threads", "1", "--output"]
+    assert subprocess.run([*command, str(tmp_path / "whole.field")], check=False).returncode == 0
+    for moment in np.linspace(0.3, 1.6, 5):
+        run = subprocess.Popen(
+            [*command, str(tmp_path / "killed.field")], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        )
+        time.sleep(moment)
+        run.kill()
+        run.wait()
+    if not (tmp_path / "killed.field").exists():
+        assert subprocess.run([*command, str(tmp_path / "killed.field")], check=False).returncode == 0
+    assert fields_of(tmp_path / "killed.field") == fields_of(tmp_path / "whole.field")
