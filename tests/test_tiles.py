@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat.cli import main
+from drsplat.codes import Smaller
 from drsplat.errors import FormatError, InputError
 from drsplat.formats.sources import Block, Keep, blocks_of, read_blocks, sources_of
 from drsplat.formats.tiles import TILES, Tiles, read_tiles
@@ -354,11 +355,13 @@ def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
     assert main(["tile", str(toy / "scene.ply"), "-o", str(tiles), "--rows", "60", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["num_tiles"] > 4
     features = ["--features", str(toy / "capture/language_features")]
-    register = ["register", str(tiles), str(toy / "capture"), *features]
+    register = ["register", str(tiles), str(toy / "capture"), *features, "--encoder-name", "drsplat-words"]
     assert main([*register, "-o", str(plain), "--workers", "2", "--threads", "1"]) == 0
     assert main(["locate", str(plain), "red mug", "--scene", str(tiles), "--json"]) == 0
     assert not (tmp_path / "s.field.parts").exists()
-    ds.register(ds.read_gaussians(tiles), *inputs(toy)).to_field(ds.codes.Smaller()).save(tmp_path / "t.field")
+    views = ds.read_views(toy / "capture")
+    features = ds.read_features(toy / "capture/language_features", encoder=ds.WordEncoder.identity)
+    ds.register(ds.read_gaussians(tiles), views, features).to_field(Smaller()).save(tmp_path / "t.field")
     assert fields_of(plain) == fields_of(tmp_path / "t.field")
 
 

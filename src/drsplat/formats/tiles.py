@@ -82,12 +82,10 @@ class Tiles:
     def shapes(self, tile: Tile) -> Gaussians:
         """A tile without its colours, which registration does not need. Raises: FormatError: damaged."""
         arrays = self._read(tile, "shapes", _SHAPES)
-        if arrays["means"].shape != (tile.num_rows, 3) or arrays["quats"].shape[1] != 4:
-            raise FormatError(
-                f"{self.path}: tile {tile.name} is not of the {tile.num_rows} rows that {TILES} names. {CURE}"
-            )
-        colourless = np.zeros((tile.num_rows, 1, 3), np.float32)
-        return Gaussians(*(arrays[name] for name in _SHAPES), sh=colourless, origin=self.origin)
+        means, quats, widths, opacities = (arrays[name] for name in _SHAPES)
+        return Gaussians(
+            means, quats, widths, opacities, np.zeros((tile.num_rows, 1, 3), np.float32), origin=self.origin
+        )
 
     def gaussians(self) -> Gaussians:
         """The whole scene in memory, with the block and the row there that each Gaussian came from as extra columns.

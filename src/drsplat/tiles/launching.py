@@ -4,6 +4,8 @@ Tasks are idempotent: one that was cut off is done again, one whose files are th
 be killed at any moment, and another may go on.
 """
 
+import logging
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -117,8 +119,10 @@ class Ray:
             {"num_cpus": threads, "max_retries": TRIES} | ({"memory": memory} if memory else {}),
         )
         if not ray.is_initialized():
+            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anybody
+            start: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
             try:
-                ray.init(address=None if address == "local" else address, log_to_driver=False, logging_level="error")
+                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **start)
             except (ConnectionError, ValueError, RuntimeError) as error:
                 raise InputError(
                     f"no Ray cluster answers at '{address}': {error}. Start one: ray start --head"

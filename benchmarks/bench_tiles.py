@@ -1,0 +1,133 @@
+"""A street of rooms, registered in tiles: time and memory against views, blocks and Gaussians, up to a city's block.
+
+    drsplat demo --output demo
+    python benchmarks/bench_tiles.py demo [--rooms 4 8 16 30] [--views 50] [--side 160] [--workers 1] [--check]
+
+The demo's room (100,000 Gaussians) is repeated along a road, each copy with its photos from slightly other places; a
+block of 30 rooms has 3 million Gaussians. views: of each room. side: pixels of a photo's longer side. CPU time is of
+all processes; memory the most that one held, resident, with the files that it had mapped. --check compares the field
+with that of one registration of the whole, to the bit (in the memory that this takes).
+"""
+
+import argparse
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import drsplat as ds
+from drsplat.codes import Smaller
+from drsplat.formats.sources import Block, sources_of
+from drsplat.formats.tiles import Tiles
+from drsplat.masks.features import ViewFeatures
+from drsplat.scene.similarity import Similarity
+from drsplat.tiles.cutting import cut
+from drsplat.tiles.launching import Here, Processes
+from drsplat.tiles.registering import register_tiles
+
+JITTER = 0.05  # scene units by which cameras of one photo are apart
+
+
+@dataclass(frozen=True, eq=False)
+class Repeated(Mapping[str, ViewFeatures]):
+    """The features of the room's photos, by the names of the street's views."""
+
+    folder: Mapping[str, ViewFeatures]
+    keys_of: dict[str, str]
+
+    def __getitem__(self, name: str) -> ViewFeatures:
+        return self.folder[self.keys_of[name]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.keys_of)
+
+    def __len__(self) -> int:
+        return len(self.keys_of)
+
+
+def street(room: ds.Gaussians, folder: Path, scene: Path, rooms: int) -> Tiles:
+    (source,) = sources_of(scene)
+    step = np.array([np.quantile(room.means[:, 0], 0.999) - np.quantile(room.means[:, 0], 0.001), 0, 0])
+    return cut([Block(source, Similarity(1.0, np.eye(3), k * step)) for k in range(rooms)], folder / "street.tiles")
+
+
+def walk(
+    views: list[ds.View], rooms: int, per_room: int, step: float, side: int
+) -> tuple[list[ds.View], dict[str, str]]:
+    rng, walked, keys = np.random.default_rng(0), [], {}
+    for k in range(rooms):
+        for n in range(per_room):
+            view = views[n % len(views)].limited(side)
+            pose = view.cam_from_world.copy()
+            eye = view.center + [k * step, 0, 0] + (JITTER * rng.normal(size=3) if n >= len(views) else 0)
+            pose[:3, 3] = -pose[:3, :3] @ eye
+            name = f"room{k:03d}_{n:04d}.jpg"
+            walked.append(replace(view, name=name, cam_from_world=pose, image_path=None))
+            keys[name.removesuffix(".jpg")] = Path(view.name).stem
+    return walked, keys
+
+
+def cpu() -> float:
+    kinds = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return sum(used.ru_utime + used.ru_stime for used in kinds)
+
+
+def most_memory() -> float:
+    kinds = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return max(used.ru_maxrss for used in kinds) / 2**20
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("demo", type=Path)
+    parser.add_argument("--rooms", type=int, nargs="+", default=[4, 8, 16, 30])
+    parser.add_argument("--views", type=int, default=50)
+    parser.add_argument("--side", type=int, default=160)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--check", action="store_true")
+    given = parser.parse_args()
+    scene = given.demo / "scene.compressed.ply"
+    room, folder = ds.read_gaussians(scene), ds.read_features(given.demo / "language_features")
+    views = [view for view in ds.read_views(given.demo) if view.name in folder]
+    step = float(np.quantile(room.means[:, 0], 0.999) - np.quantile(room.means[:, 0], 0.001))
+    heads = "rooms", "Gaussians", "views", "cut s", "columns s", "CPU ms a view", "field s", "W", "GiB on disk", "GiB"
+    print("|".join(("", *heads, "same bits", "")))
+    print("|---" * (len(heads) + 1) + "|")
+    for rooms in given.rooms:
+        place = Path(tempfile.mkdtemp(prefix="street-"))
+        start = time.perf_counter()
+        tiles = street(room, place, scene, rooms)
+        cut_s = time.perf_counter() - start
+        walked, keys = walk(views, rooms, given.views, step, given.side)
+        features = Repeated(folder, keys)
+        start, before = time.perf_counter(), cpu()
+        launcher = Processes(given.workers) if given.workers > 1 else Here()
+        made, _ = register_tiles(
+            tiles, walked, features, parts=place / "parts", launcher=launcher, threads=2 // given.workers
+        )
+        columns_s, used = time.perf_counter() - start, cpu() - before
+        start = time.perf_counter()
+        field = made.to_field(Smaller())
+        field.save(place / "street.field")
+        field_s = time.perf_counter() - start
+        disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
+        memory, same = most_memory(), ""
+        if given.check:
+            whole = ds.register(tiles.gaussians(), walked, features).to_field(Smaller())
+            same = str(whole.equals(ds.load_field(place / "street.field")))
+        numbers = (
+            rooms, f"{len(tiles):,}", f"{len(walked):,}", f"{cut_s:.0f}", f"{columns_s:.0f}",
+            f"{1000 * used / len(walked):.0f}", f"{field_s:.0f}", f"{made.weights.nnz:,}", f"{disk:.2f}",
+            f"{memory:.2f}",
+        )  # fmt: skip
+        print("|".join(("", *map(str, numbers), same, "")), flush=True)
+        shutil.rmtree(place)
+
+
+if __name__ == "__main__":
+    main()
