@@ -107,7 +107,7 @@ def main() -> None:
         features = Repeated(folder, keys)
         start, before = time.perf_counter(), cpu()
         launcher = Processes(given.workers) if given.workers > 1 else Here()
-        made, _ = register_tiles(
+        made = register_tiles(
             tiles, walked, features, parts=place / "parts", launcher=launcher, threads=2 // given.workers
         )
         columns_s, used = time.perf_counter() - start, cpu() - before

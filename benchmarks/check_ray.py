@@ -10,6 +10,7 @@ Printed: whether its files are those of a run without Ray, and how many views we
 import argparse
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PORT = 26379
-RAY = Path(sys.executable).with_name("ray")
+RAY = [sys.executable, "-m", "ray.scripts.scripts"]
 
 
 def command(tiles: Path, demo: Path, output: Path, *options: str) -> list[str]:
@@ -44,20 +45,22 @@ def children(name: str) -> list[int]:
 
 
 @contextmanager
-def cluster() -> Iterator[Callable[[], None]]:
-    """Two nodes; what is yielded starts a further one."""
-    start = [str(RAY), "start", "--disable-usage-stats", "--num-cpus=1", "--object-store-memory=100000000"]
+def cluster() -> Iterator[tuple[str, Callable[[], None]]]:
+    """Two nodes: their address, and what starts a further one."""
+    start = [*RAY, "start", "--disable-usage-stats", "--num-cpus=1", "--object-store-memory=100000000"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    subprocess.run([*start, "--head", f"--port={PORT}", "--include-dashboard=false"], check=True, **quiet)
+    head = [*start, "--head", f"--port={PORT}", "--include-dashboard=false"]
+    told = subprocess.run(head, check=True, capture_output=True, text=True)
+    address = re.findall(r"--address='([^']+)'", told.stdout + told.stderr)[0]
 
     def another() -> None:
-        subprocess.run([*start, f"--address=127.0.0.1:{PORT}"], check=True, **quiet)
+        subprocess.run([*start, f"--address={address}"], check=True, **quiet)
 
     another()
     try:
-        yield another
+        yield address, another
     finally:
-        subprocess.run([str(RAY), "stop", "--force"], check=False, **quiet)
+        subprocess.run([*RAY, "stop", "--force"], check=False, **quiet)
 
 
 def files(field: Path) -> dict[str, bytes]:
@@ -65,6 +68,7 @@ def files(field: Path) -> dict[str, bytes]:
 
 
 def main() -> None:
+    os.environ["RAY_AUTH_MODE"] = "disabled"  # nobody else is on this machine's port
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("demo", type=Path)
     parser.add_argument("--rows", type=int, default=8192)
@@ -74,10 +78,10 @@ def main() -> None:
     cut = [sys.executable, "-m", "drsplat", "tile", str(given.demo / "scene.compressed.ply"), "-o", str(tiles)]
     subprocess.run([*cut, "--rows", str(given.rows)], check=True, stdout=subprocess.DEVNULL)
     subprocess.run(command(tiles, given.demo, place / "plain.field"), check=True, stdout=subprocess.DEVNULL)
-    with cluster() as another:
+    with cluster() as (address, another):
         for victim in ("nobody", "a worker", "a node", "the driver"):
             output, parts = place / f"{victim.replace(' ', '_')}.field", place / f"{victim.replace(' ', '_')}.parts"
-            run = command(tiles, given.demo, output, "--ray", f"127.0.0.1:{PORT}", "--parts", str(parts))
+            run = command(tiles, given.demo, output, "--ray", address, "--parts", str(parts))
             made: Counter[str] = Counter()
             seen: dict[str, int] = {}
             tries, killed = 0, victim == "nobody"
@@ -108,7 +112,7 @@ def kill(victim: str, driver: subprocess.Popen[bytes], rng: random.Random) -> No
     if victim == "the driver":
         driver.kill()
         return
-    found = children("ray::") if victim == "a worker" else sorted(children("raylet/raylet"))[1:]
+    found = children("ray::_of_shared") if victim == "a worker" else sorted(children("--raylet_socket_name"))[1:]
     if found:
         os.kill(rng.choice(found), signal.SIGKILL)
     print(f"  ({victim}: {len(found)} to choose from)", flush=True)

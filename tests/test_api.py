@@ -74,6 +74,7 @@ ORDER = (
     "field",
     "objects",
     "registration",
+    "tiles",
     "models",
     "drawing",
     "query",

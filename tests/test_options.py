@@ -141,6 +141,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
         ],
         "objects": [field, *asked],
         "select": [field, "red mug", *asked],
+        "tile": [scene, "-o", str(out / "s.tiles"), "--overwrite"],
         "locate": [field, "red mug", *asked],
         "segment": [field, "--classes", "red mug,blue plate", *asked],
         "render": [scene, "--views", capture, "--view", "photo_0", "-o", str(out), "--overwrite"],

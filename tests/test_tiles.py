@@ -25,7 +25,7 @@ from drsplat.kernels import splat_arrays, view_weights
 from drsplat.scene.morton import morton_codes, morton_order
 from drsplat.tiles.cutting import cut
 from drsplat.tiles.launching import Here, Processes
-from drsplat.tiles.registering import register_tiles
+from drsplat.tiles.registering import Work, register_tiles
 from drsplat.tiles.seeing import Gallery, seen_tiles
 from scenes import look_at_view
 from toy_capture import write_toy_capture
@@ -262,6 +262,13 @@ def inputs(toy: Path) -> tuple[list[ds.View], ds.formats.langsplat.FeatureFolder
     return ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
 
 
+def counted(*given: object, **more: object) -> tuple[ds.Registration, Work]:
+    """A registration in tiles, and how much was done for it."""
+    told: list[Work] = []
+    made = register_tiles(*given, **more, tell=told.append)  # type: ignore[arg-type]
+    return made, told[0]
+
+
 def saved(field: ds.LanguageField, path: Path) -> dict[str, bytes]:
     field.save(path)
     return {file.name: file.read_bytes() for file in sorted(path.iterdir())}
@@ -273,12 +280,12 @@ def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, mo
     monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)  # several runs
     tiles = read_tiles(toy / "scene.tiles")
     views, features = inputs(toy)
-    made, work = register_tiles(tiles, views, features, parts=tmp_path / "parts", launcher=launcher, threads=1)
+    made, work = counted(tiles, views, features, parts=tmp_path / "parts", launcher=launcher, threads=1)
     assert (work.views, work.views_before, work.runs_before) == (4, 0, 0)
     assert work.runs > 1
     at_once = ds.register(tiles.gaussians(), views, features)
     assert saved(made.to_field(code), tmp_path / "a.field") == saved(at_once.to_field(code), tmp_path / "b.field")
-    again, work = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    again, work = counted(tiles, views, features, parts=tmp_path / "parts", threads=1)
     assert (work.views, work.runs) == (0, 0)
     assert_array_equal(again.weights.data, made.weights.data)
 
@@ -290,7 +297,7 @@ def test_a_changed_mask_is_seen(toy, tmp_path):
     changed = {name: features[name] for name in features}
     first = next(iter(changed))
     changed[first] = replace(changed[first], mask_ids=np.maximum(changed[first].mask_ids, 0))
-    made, work = register_tiles(tiles, views, changed, parts=tmp_path / "parts")
+    made, work = counted(tiles, views, changed, parts=tmp_path / "parts")
     assert work.views == 1
     assert work.runs_before == 0
     expected = ds.register(tiles.gaussians(), views, changed)
@@ -300,13 +307,13 @@ def test_a_changed_mask_is_seen(toy, tmp_path):
 def test_a_damaged_part_is_made_again(toy, tmp_path):
     tiles = read_tiles(toy / "scene.tiles")
     views, features = inputs(toy)
-    whole, _ = register_tiles(tiles, views, features, parts=tmp_path / "parts")
+    whole = register_tiles(tiles, views, features, parts=tmp_path / "parts")
     expected = whole.weights.toarray()
     for file in [*tmp_path.glob("parts/*.columns.safetensors")][:1] + [*tmp_path.glob("parts/rows/*.rows.safetensors")][
         :1
     ]:
         file.write_bytes(file.read_bytes()[:-5])
-    made, work = register_tiles(tiles, views, features, parts=tmp_path / "parts")
+    made, work = counted(tiles, views, features, parts=tmp_path / "parts")
     assert (work.views, work.runs) == (1, 1)
     assert_array_equal(made.weights.toarray(), expected)
 

@@ -13,7 +13,7 @@ from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles
 from drsplat.tiles.cutting import cut
 from drsplat.tiles.launching import Ray
-from drsplat.tiles.registering import register_tiles
+from drsplat.tiles.registering import Work, register_tiles
 from toy_capture import write_toy_capture
 
 ray = pytest.importorskip("ray", reason="needs ray")
@@ -47,8 +47,10 @@ def cluster() -> Iterator[Ray]:
 def test_a_field_made_on_a_cluster_has_the_same_bits(toy, cluster, tmp_path):
     tiles = read_tiles(toy / "scene.tiles")
     views, features = ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
-    made, work = register_tiles(tiles, views, features, parts=tmp_path / "parts", launcher=cluster, threads=1)
-    assert work.views == 4
+    told: list[Work] = []
+    how = {"parts": tmp_path / "parts", "launcher": cluster, "threads": 1}
+    made = register_tiles(tiles, views, features, **how, tell=told.append)
+    assert told[0].views == 4
     at_once = ds.register(tiles.gaussians(), views, features)
     made.to_field().save(tmp_path / "a.field")
     at_once.to_field().save(tmp_path / "b.field")

@@ -22,7 +22,7 @@ from .options import (
     words,
 )
 from .parts import COMPLETE, new_or_complete, parts_of, was_complete
-from .workers import add_workers, in_memory, registered, scene_of
+from .workers import add_workers, in_memory, scene_of
 
 if TYPE_CHECKING:
     from ..codes import Codebook, CodeSpecification
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ..registration import Registration
     from ..scene.gaussians import Gaussians
     from ..scene.views import View
+    from .workers import Register
 
 DEFAULT_TOPK = 40
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
@@ -50,6 +51,7 @@ A stopped run resumes when the same command is given again."""
 
 class _Inputs(NamedTuple):
     scene: "Gaussians | Tiles"
+    register: "Register"
     views: "Sequence[View]"
     left_out: set[str]
     features: "Mapping[str, ViewFeatures]"
@@ -142,12 +144,12 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)
     sampling = _sampling(arguments, how)
-    scene, views, without, features, code = _read(arguments)
+    scene, register, views, without, features, code = _read(arguments)
     watch.lap("read")
     parts = Path(arguments.parts or parts_of(output))
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
-    registration = registered(arguments, scene, views, features, sampling, parts=parts, **shared)
+    registration = register(scene, views, features, sampling, parts=parts, **shared)
     watch.lap("register")
     registration = replace(registration, left_out=tuple(sorted(without)))
     gaussians = in_memory(scene) if how.voting else None
@@ -178,12 +180,13 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
 def _read(arguments: argparse.Namespace) -> "_Inputs":
     from .. import read_features
 
-    scene, views = scene_of(arguments), views_of(arguments, arguments.capture)
+    (scene, register), views = scene_of(arguments), views_of(arguments, arguments.capture)
     without = left_out([view.name for view in views], arguments.without)
     codebook = _codebook(arguments)
     code = _code(arguments, codebook)
     features = read_features(arguments.features, level=arguments.level, encoder=_encoder(arguments, codebook))
-    return _Inputs(scene, [view for view in views if view.name not in without], without, features, code)
+    kept = [view for view in views if view.name not in without]
+    return _Inputs(scene, register, kept, without, features, code)
 
 
 def _facts(registration: "Registration", field: "LanguageField") -> dict[str, Any]:

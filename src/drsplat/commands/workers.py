@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .options import count, words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable
 
-    from ..evidence.aggregation import Sampling
     from ..formats.tiles import Tiles
-    from ..masks.features import ViewFeatures
     from ..registration import Registration
     from ..scene.gaussians import Gaussians
-    from ..scene.views import View
     from ..tiles.launching import Launcher
+
+    Register = Callable[..., Registration]
 
 
 def add_workers(group: argparse._ArgumentGroup) -> None:
@@ -35,46 +35,32 @@ def add_workers(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def scene_of(arguments: argparse.Namespace) -> Gaussians | Tiles:
-    """The scene; tiles stay on disk. Raises: InputError: workers for a scene without tiles."""
-    from .. import read_gaussians
+def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Tiles, Register]:
+    """The scene, of which tiles stay on disk, and how it is registered: as `register`, by whom the options say.
+
+    Raises: InputError: workers for a scene without tiles, or two kinds of them.
+    """
+    from .. import read_gaussians, register
     from ..errors import InputError
     from ..formats.scenes import scene_file
     from ..formats.tiles import TILES, read_tiles
+    from ..tiles.registering import register_tiles
 
     file = scene_file(Path(arguments.scene))
     if file.name == TILES:
-        return read_tiles(file.parent)
+        return read_tiles(file.parent), partial(register_tiles, launcher=_launcher(arguments))
     if arguments.workers or arguments.ray:
         given = "--workers" if arguments.workers else "--ray"
         raise InputError(
             f"{given} is for a scene in tiles: drsplat tile {arguments.scene} --output NAME.tiles, then register those"
         )
-    return read_gaussians(arguments.scene)
+    return read_gaussians(arguments.scene), register
 
 
 def in_memory(scene: Gaussians | Tiles) -> Gaussians:
     from ..formats.tiles import Tiles
 
     return scene.gaussians() if isinstance(scene, Tiles) else scene
-
-
-def registered(
-    arguments: argparse.Namespace,
-    scene: Gaussians | Tiles,
-    views: Sequence[View],
-    features: Mapping[str, ViewFeatures],
-    sampling: Sampling,
-    **how: Any,
-) -> Registration:
-    """By whom the options say."""
-    from .. import register
-    from ..formats.tiles import Tiles
-    from ..tiles.registering import register_tiles
-
-    if not isinstance(scene, Tiles):
-        return register(scene, views, features, sampling, **how)
-    return register_tiles(scene, views, features, sampling, launcher=_launcher(arguments), **how)[0]
 
 
 def _launcher(arguments: argparse.Namespace) -> Launcher:

@@ -9,7 +9,7 @@ run of tiles, and some tens of bytes a Gaussian for its code.
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -84,12 +84,13 @@ def register_tiles(
     launcher: Launcher = HERE,
     threads: int = 0,
     track: Track = untracked,
-) -> tuple[Registration, Work]:
+    tell: Callable[[Work], None] = lambda _: None,
+) -> Registration:
     """As `registration.register`, equal to the bit, in the memory of a few tiles.
 
     parts: folder of the finished work, which every worker sees; the registration's arrays are maps of files there, so
     it has to stay until a field is saved. launcher: who works; features have to be picklable for other processes.
-    threads: of each worker.
+    threads: of each worker. tell: is told how much was done.
 
     Raises: as there, and as `Launcher.results`.
     """
@@ -107,12 +108,12 @@ def register_tiles(
     embeddings = _embeddings(files, sum(widths), made[0].dim, parts)
     masks = masks_of([one.view_name for one in made], widths)
     evidence = Evidence(joined_rows(runs, parts / "rows", sum(widths)), masks, embeddings)
-    registration = Registration(
+    new = sum(one.is_new for one in made)
+    tell(Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))
+    return Registration(
         evidence, tiles.fingerprint, encoder_of(features, made[0].dim), replace(sampling, near=gallery.near),
         up_of([view for view, _ in chosen]),
     )  # fmt: skip
-    new = sum(one.is_new for one in made)
-    return registration, Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows))
 
 
 def _followed(results: Iterable[T], track: Track, items: Sequence[str], description: str) -> Iterator[T]:
