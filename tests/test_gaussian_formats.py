@@ -15,7 +15,7 @@ import scene_files
 from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
 from drsplat.scene.gaussians import Gaussians
-from scene_files import random_gaussians, turned
+from scene_files import random_gaussians, sog_files, turned, zip_bytes
 
 SPLATS = Path(__file__).resolve().parents[2] / "shared" / "data" / "splats"
 no_splats = pytest.mark.skipif(not SPLATS.is_dir(), reason=f"no real captures at {SPLATS}")
@@ -353,6 +353,25 @@ def biker() -> tuple[Gaussians, Gaussians]:
     assert len(packed) == len(spz) == 152_746
     _, nearest = cKDTree(spz.means).query(packed.means)
     return packed, spz.subset(nearest)
+
+
+@pytest.mark.data
+@no_splats
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_sog_of_a_real_capture_is_that_of_its_compressed_ply(
+    biker: tuple[Gaussians, Gaussians], version: int
+) -> None:
+    """As coarse as its 256 steps: the bulk of a real capture, colours included."""
+    packed = biker[0].subset(np.arange(0, len(biker[0]), 7))
+    solid = packed.subset((packed.opacities > 0.02) & (packed.opacities < 0.98))
+    sog = parse_gaussians(memoryview(zip_bytes(sog_files(solid, version))))
+    assert len(sog) > 1000
+    extent = 2 * np.log1p(np.abs(solid.means)).max()
+    np.testing.assert_allclose(sog.means, solid.means, atol=extent / 65535 * (1 + np.abs(solid.means).max()))
+    np.testing.assert_allclose(np.abs(np.einsum("ni,ni->n", sog.quats, solid.quats)), 1, atol=1e-4)
+    for values, truth in ((np.log(sog.scales), np.log(solid.scales)), (sog.sh[:, 0], solid.sh[:, 0])):
+        np.testing.assert_allclose(values, truth, atol=0.51 * np.ptp(truth) / 255)
+    np.testing.assert_allclose(sog.opacities, solid.opacities, atol=0.02 if version == 1 else 0.003)
 
 
 @pytest.mark.data
