@@ -2,21 +2,27 @@
 
     drsplat demo --output demo
     python benchmarks/bench_tiles.py demo [--rooms 4 8 16 30] [--views 50] [--side 160] [--workers 1] [--check]
+    python benchmarks/bench_tiles.py demo --rooms 30 --views 400     # a city's block: 3 million Gaussians, 12,000 views
 
 The demo's room (100,000 Gaussians) is repeated along a road, each copy with its photos from slightly other places; a
 block of 30 rooms has 3 million Gaussians. views: of each room. side: pixels of a photo's longer side. CPU time is of
 all processes; memory the most that one held, resident, with the files that it had mapped. --check compares the field
 with that of one registration of the whole, to the bit (in the memory that this takes).
+
+The second table is computed, not measured: what 1 to 64 nodes of 16 cores would take for as many such streets, if each
+task took what it took here, and a store delivered and took so many bytes a second in all; one node codes all rows.
 """
 
 import argparse
+import heapq
 import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +33,12 @@ from drsplat.formats.tiles import Tiles
 from drsplat.masks.features import ViewFeatures
 from drsplat.scene.similarity import Similarity
 from drsplat.tiles.cutting import cut
-from drsplat.tiles.launching import Here, Processes
+from drsplat.tiles.launching import Processes
 from drsplat.tiles.registering import register_tiles
+from drsplat.tiles.seeing import seen_tiles
 
+BYTES = 44  # of a Gaussian's shape
+CORES = 16  # of a node
 JITTER = 0.05  # scene units by which cameras of one photo are apart
 
 
@@ -72,6 +81,42 @@ def walk(
     return walked, keys
 
 
+class Timed:
+    """In this process, with the CPU seconds of each task."""
+
+    def __init__(self) -> None:
+        self.seconds: list[list[float]] = []  # of each kind of task
+
+    def results(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+        self.seconds.append([])
+        for item in items:
+            start = time.process_time()
+            result = work(item)
+            self.seconds[-1].append(time.process_time() - start)
+            yield result
+
+
+def makespan(seconds: Sequence[float], workers: int) -> float:
+    """Of tasks in their order, each on the worker that is free first."""
+    free = [0.0] * workers
+    for task in seconds:
+        heapq.heapreplace(free, free[0] + task)
+    return max(free)
+
+
+def weak_scaling(kinds: list[list[float]], code_s: float, moved: float) -> None:
+    """As many streets as nodes, one scene. moved: bytes of one street that tasks read and write."""
+    heads = "nodes", "columns s", "rows s", "codes on one node s", "store at 1 GB/s: s", "at 10 GB/s: s", "in all s"
+    print("\n" + "|".join(("", *heads, "")))
+    print("|---" * len(heads) + "|")
+    for nodes in (1, 2, 4, 8, 16, 32, 64):
+        columns, rows = (makespan(kind * nodes, CORES * nodes) for kind in kinds)
+        slow, quick = moved * nodes / 1e9, moved * nodes / 1e10
+        whole = max(columns + rows, quick) + code_s * nodes
+        seconds = (f"{value:.1f}" for value in (columns, rows, code_s * nodes, slow, quick, whole))
+        print("|".join(("", str(nodes), *seconds, "")))
+
+
 def cpu() -> float:
     kinds = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     return sum(used.ru_utime + used.ru_stime for used in kinds)
@@ -98,6 +143,7 @@ def main() -> None:
     heads = "rooms", "Gaussians", "views", "cut s", "columns s", "CPU ms a view", "field s", "W", "GiB on disk", "GiB"
     print("|".join(("", *heads, "same bits", "")))
     print("|---" * (len(heads) + 1) + "|")
+    last: tuple[list[list[float]], float, float] | None = None
     for rooms in given.rooms:
         place = Path(tempfile.mkdtemp(prefix="street-"))
         start = time.perf_counter()
@@ -106,15 +152,15 @@ def main() -> None:
         walked, keys = walk(views, rooms, given.views, step, given.side)
         features = Repeated(folder, keys)
         start, before = time.perf_counter(), cpu()
-        launcher = Processes(given.workers) if given.workers > 1 else Here()
+        launcher = Processes(given.workers) if given.workers > 1 else Timed()
         made = register_tiles(
             tiles, walked, features, parts=place / "parts", launcher=launcher, threads=2 // given.workers
         )
         columns_s, used = time.perf_counter() - start, cpu() - before
-        start = time.perf_counter()
+        start, code_cpu = time.perf_counter(), time.process_time()
         field = made.to_field(Smaller())
         field.save(place / "street.field")
-        field_s = time.perf_counter() - start
+        field_s, code_cpu = time.perf_counter() - start, time.process_time() - code_cpu
         disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
         memory, same = most_memory(), ""
         if given.check:
@@ -126,7 +172,14 @@ def main() -> None:
             f"{memory:.2f}",
         )  # fmt: skip
         print("|".join(("", *map(str, numbers), same, "")), flush=True)
+        if isinstance(launcher, Timed):
+            sizes = np.array([tile.num_rows for tile in tiles.tiles]) * BYTES
+            read = sum(float(sizes[seen_tiles(tiles, view, tiles.near)].sum()) for view in walked[::20]) * 20
+            written = sum(file.stat().st_size for file in (place / "parts").rglob("*.safetensors"))
+            last = launcher.seconds, code_cpu / 2, read + 2 * written
         shutil.rmtree(place)
+    if last is not None:
+        weak_scaling(*last)
 
 
 if __name__ == "__main__":

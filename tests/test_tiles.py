@@ -27,6 +27,7 @@ from drsplat.tiles.cutting import cut
 from drsplat.tiles.launching import Here, Processes
 from drsplat.tiles.registering import Work, register_tiles
 from drsplat.tiles.seeing import Gallery, seen_tiles
+from drsplat.tiles.store import Remote
 from scenes import look_at_view
 from toy_capture import write_toy_capture
 
@@ -316,6 +317,32 @@ def test_a_damaged_part_is_made_again(toy, tmp_path):
     made, work = counted(tiles, views, features, parts=tmp_path / "parts")
     assert (work.views, work.runs) == (1, 1)
     assert_array_equal(made.weights.toarray(), expected)
+
+
+@pytest.mark.parametrize("launcher", [Here(), Processes(2)], ids=["here", "processes"])
+def test_an_object_store_holds_the_work(toy, tmp_path, launcher, monkeypatch):
+    """Of workers that see neither the tiles' folder nor that of the features."""
+    pytest.importorskip("fsspec", reason="needs fsspec")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    url = f"local://{tmp_path}/bucket"
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = inputs(toy)
+    made, work = counted(tiles, views, features, parts=url, launcher=launcher, threads=1)
+    assert work.views == 4
+    at_once = ds.register(tiles.gaussians(), views, features)
+    assert saved(made.to_field(), tmp_path / "a.field") == saved(at_once.to_field(), tmp_path / "b.field")
+    for cached in tmp_path.glob("drsplat-store-*"):  # another machine has none of it
+        cached.rename(tmp_path / "gone")
+    again, work = counted(tiles, views, features, parts=url, threads=1)
+    assert (work.views, work.runs) == (0, 0)
+    assert_array_equal(again.weights.data, at_once.weights.data)
+
+
+def test_an_address_that_nobody_knows(tmp_path):
+    pytest.importorskip("fsspec", reason="needs fsspec")
+    with pytest.raises(InputError, match="nowhere"):
+        Remote("nowhere://bucket").bring("a")
 
 
 def _dies_once(item: Path) -> str:

@@ -74,7 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_method(parser.add_argument_group("method"))
     parser.add_argument(
         "--parts", metavar="DIR",
-        help="folder for the finished views of an unfinished run; kept (default: FIELD.parts, removed at the end)",
+        help="folder for the finished views of an unfinished run, of tiles also an address such as s3://bucket/run; "
+        "kept (default: FIELD.parts, removed at the end)",
     )  # fmt: skip
     add_workers(parser.add_argument_group("tiles"))
     add_capture_options(parser)
@@ -146,7 +147,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     sampling = _sampling(arguments, how)
     scene, register, views, without, features, code = _read(arguments)
     watch.lap("read")
-    parts = Path(arguments.parts or parts_of(output))
+    parts = arguments.parts or parts_of(output)
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
     registration = register(scene, views, features, sampling, parts=parts, **shared)
@@ -167,7 +168,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         "field": str(output),
         "was_complete": complete,
         **_facts(registration, field),
-        "num_views_reused": len(registration.masks.view_names) - computed,
+        "num_views_reused": None if "://" in str(parts) else len(registration.masks.view_names) - computed,
         "left_out": sorted(without),
         "topk": sampling.topk,
         "seconds": sum(watch.seconds.values()),
@@ -252,9 +253,9 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _written(parts: Path) -> dict[str, int]:
+def _written(parts: str | Path) -> dict[str, int]:
     """Time of writing of each finished view's file."""
-    return {file.name: file.stat().st_mtime_ns for file in parts.glob("*.columns.safetensors")}
+    return {file.name: file.stat().st_mtime_ns for file in Path(parts).glob("*.columns.safetensors")}
 
 
 def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":

@@ -27,8 +27,8 @@ def add_workers(group: argparse._ArgumentGroup) -> None:
     )  # fmt: skip
     group.add_argument(
         "--ray", type=words, metavar="ADDRESS",
-        help="Ray cluster that does, e.g. auto or ray://head:10001; local starts one on this machine. All of its nodes "
-        "must see TILES, DIR and the folder of --parts under the same names",
+        help="Ray cluster that does, e.g. auto or ray://head:10001; local starts one on this machine. Its nodes see "
+        "scene, DIR and the folder of --parts under the same names, or --parts is an address",
     )  # fmt: skip
     group.add_argument(
         "--ray-memory", type=count, metavar="MB", help="memory of a task, by which Ray limits how many run on a node"
@@ -49,6 +49,10 @@ def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Tiles, Register
     file = scene_file(Path(arguments.scene))
     if file.name == TILES:
         return read_tiles(file.parent), partial(register_tiles, launcher=_launcher(arguments))
+    if "://" in str(arguments.parts or ""):
+        raise InputError(
+            "--parts: an address is for a scene in tiles: give a folder, or cut the scene with drsplat tile"
+        )
     if arguments.workers or arguments.ray:
         given = "--workers" if arguments.workers else "--ray"
         raise InputError(

@@ -112,6 +112,10 @@ class Tiles:
         return arrays
 
 
+def shapes_name(tile: Tile) -> str:
+    return f"{tile.name}.shapes.safetensors"
+
+
 def read_tiles(path: Path) -> Tiles:
     """The tiles of a folder; only the manifest is read.
 

@@ -47,14 +47,14 @@ class Processes:
     count: int
 
     def results(self, work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-        left = dict(enumerate(items))
+        left = set(range(len(items)))
         for _ in range(TRIES):
             done_before = len(left)
             try:
-                yield from self._of_one_pool(work, left)
+                yield from self._of_one_pool(work, items, left)
             except BrokenProcessPool:
                 if len(left) < done_before:  # not stuck: what else is there gets its tries
-                    yield from self.results(work, list(left.values()))
+                    yield from self.results(work, [items[number] for number in sorted(left)])
                     return
             if not left:
                 return
@@ -63,20 +63,20 @@ class Processes:
             f"{self.count} at once. Start fewer; the same command goes on where this one ended"
         )
 
-    def _of_one_pool(self, work: Callable[[T], R], left: dict[int, T]) -> Iterator[R]:
-        """Of what is `left`; takes out what is done."""
+    def _of_one_pool(self, work: Callable[[T], R], items: Sequence[T], left: set[int]) -> Iterator[R]:
+        """Of those items that are `left`; takes out what is done."""
         with ProcessPoolExecutor(self.count, get_context("spawn"), _take, (work,)) as pool:
-            waiting = iter(list(left.items()))
+            waiting = iter(sorted(left))
             running: dict[Future[Any], int] = {}
             try:
                 while True:
-                    for number, item in _next(waiting, self.count * AHEAD - len(running)):
-                        running[pool.submit(_do, item)] = number
+                    for number in _next(waiting, self.count * AHEAD - len(running)):
+                        running[pool.submit(_do, items[number])] = number
                     if not running:
                         return
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
                         result = future.result()
-                        del left[running.pop(future)]
+                        left.remove(running.pop(future))
                         yield result
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)

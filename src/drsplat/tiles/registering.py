@@ -9,6 +9,7 @@ run of tiles, and some tens of bytes a Gaussian for its code.
 """
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +29,8 @@ from ..registration import Registration, check_one_size, encoder_of, masks_of, v
 from ..scene.boxes import up_of
 from ..scene.views import View
 from .launching import HERE, Launcher
-from .seeing import Gallery
+from .seeing import Gallery, with_tiles
+from .store import Shared, Store, store_of
 from .transposing import RowMaker, joined_rows, runs_of
 
 T = TypeVar("T")
@@ -47,18 +49,42 @@ class Made(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ColumnTask:
-    """Registers a view: leaves its columns and its masks' embeddings in `folder`."""
+    """Registers a view: leaves its columns and its masks' embeddings in the store.
+
+    features: where a task that names a key finds them; a task may bring its own.
+    """
 
     maker: ColumnMaker
+    store: Store
     features: Mapping[str, ViewFeatures]
 
-    def __call__(self, view_and_key: tuple[View, str]) -> Made:
-        view, key = view_and_key
-        features = self.features[key]
-        columns, digest, is_new = self.maker.made(view, features)
+    def __call__(self, task: tuple[View, str | ViewFeatures]) -> Made:
+        view, given = task
+        features = self.features[given] if isinstance(given, str) else given
+        name = part_name(view.name)
+        self.store.bring(name)
+        columns, digest, is_new = replace(self.maker, folder=self.store.folder).made(view, features)
         write_tensors(embeddings_file(columns.path), {"embeddings": features.embeddings}, overwrite=True)
+        self.store.send(embeddings_file(columns.path).name)
+        if is_new:
+            self.store.send(name)
         count, dim = features.embeddings.shape
         return Made(view.name, count, dim, len(columns.triples().weights), digest, is_new)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bringing(Sequence[tuple[View, str | ViewFeatures]]):
+    """Tasks that bring their features, read when they are given away: for workers that do not see the folder."""
+
+    chosen: Sequence[tuple[View, str]]
+    features: Mapping[str, ViewFeatures]
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def __getitem__(self, number: int) -> tuple[View, ViewFeatures]:  # type: ignore[override]
+        view, key = self.chosen[number]
+        return view, self.features[key]
 
 
 def embeddings_file(columns: Path) -> Path:
@@ -80,7 +106,7 @@ def register_tiles(
     features: Mapping[str, ViewFeatures],
     sampling: Sampling = Sampling(),
     *,
-    parts: Path,
+    parts: str | os.PathLike[str],
     launcher: Launcher = HERE,
     threads: int = 0,
     track: Track = untracked,
@@ -88,26 +114,30 @@ def register_tiles(
 ) -> Registration:
     """As `registration.register`, equal to the bit, in the memory of a few tiles.
 
-    parts: folder of the finished work, which every worker sees; the registration's arrays are maps of files there, so
-    it has to stay until a field is saved. launcher: who works; features have to be picklable for other processes.
+    parts: folder of the finished work, which every worker sees, or the address of an object store as fsspec takes it;
+    the registration's arrays are maps of files there, or of its copies here, so they have to stay until a field is
+    saved. launcher: who works; features have to be picklable for other processes.
     threads: of each worker. tell: is told how much was done.
 
     Raises: as there, and as `Launcher.results`.
     """
     chosen = views_with_features(views, features)
-    gallery = Gallery(tiles, sampling.near)
-    maker = ColumnMaker(gallery, parts, sampling, threads)
-    told = launcher.results(ColumnTask(maker, features), chosen)
+    store = store_of(parts)
+    gallery = Gallery(tiles, sampling.near, with_tiles(store, tiles))
+    task = ColumnTask(ColumnMaker(gallery, store.folder, sampling, threads), store, features)
+    tasks = chosen if isinstance(store, Shared) else _Bringing(chosen, features)
+    if not isinstance(store, Shared):
+        task = replace(task, features={})
+    told = launcher.results(task, tasks)
     made = sorted(_followed(told, track, [view.name for view, _ in chosen], "registering views"))
     check_one_size({one.dim: one.view_name for one in made})
-    files = [parts / part_name(one.view_name) for one in made]
-    widths = [one.num_masks for one in made]
+    names, widths = [part_name(one.view_name) for one in made], [one.num_masks for one in made]
     runs = runs_of(tiles.tiles, sum(one.num_weights for one in made))
-    rows = RowMaker(files, widths, parts / "rows", _key(tiles, made))
+    rows = RowMaker(store, names, widths, _key(tiles, made))
     new_rows = list(_followed(launcher.results(rows, runs), track, [run[0].name for run in runs], "gathering rows"))
-    embeddings = _embeddings(files, sum(widths), made[0].dim, parts)
+    embeddings = _embeddings(store, names, sum(widths), made[0].dim)
     masks = masks_of([one.view_name for one in made], widths)
-    evidence = Evidence(joined_rows(runs, parts / "rows", sum(widths)), masks, embeddings)
+    evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
     new = sum(one.is_new for one in made)
     tell(Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))
     return Registration(
@@ -127,15 +157,14 @@ def _key(tiles: Tiles, made: Sequence[Made]) -> str:
     return hashlib.blake2b(f"{tiles.digest} {told}".encode(), digest_size=16).hexdigest()
 
 
-def _embeddings(files: Sequence[Path], count: int, dim: int, parts: Path) -> Float32[np.ndarray, "m d"]:
+def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
     """Of all masks, in a file that is mapped."""
-    path = parts / "embeddings.npy"
     if not count:
         return np.empty((0, dim), np.float32)
-    whole = np.lib.format.open_memmap(path, "w+", np.dtype(np.float32), (count, dim))
+    whole = np.lib.format.open_memmap(store.folder / "embeddings.npy", "w+", np.dtype(np.float32), (count, dim))
     at = 0
-    for file in files:
-        part = map_tensors(embeddings_file(file))[0]["embeddings"]
+    for name in columns:
+        part = map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"]
         whole[at : at + len(part)] = part
         at += len(part)
     return whole

@@ -1,15 +1,17 @@
 """Which tiles a camera may see, and their Gaussians laid out for the kernels."""
 
+import shutil
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from ..evidence.columns import Seen
-from ..formats.tiles import Tile, Tiles
+from ..formats.tiles import Tile, Tiles, shapes_name
 from ..kernels import SplatArrays, laid_out
 from ..scene.views import View
+from .store import Shared, Store
 
 BLUR = 0.3  # pixels squared that a projected covariance is widened by (3DGS)
 CLAMP = 1.3  # times half the field of view: where the Jacobian of the projection stops growing
@@ -63,11 +65,13 @@ def _furthest(
 class Gallery:
     """The Gaussians in front of cameras: a `Scenery`. Tiles looked at last are held, up to `held_bytes`.
 
-    given_near: camera z up to which nothing is drawn; None: the scene's own.
+    given_near: camera z up to which nothing is drawn; None: the scene's own. store: where the tiles are; None: in
+    their folder.
     """
 
     tiles: Tiles
     given_near: float | None = None
+    store: Store | None = None
     held_bytes: int = HELD_BYTES
     _held: OrderedDict[str, SplatArrays] = field(default_factory=OrderedDict, repr=False)
 
@@ -97,11 +101,31 @@ class Gallery:
 
     def _splats(self, tile: Tile) -> SplatArrays:
         if tile.name not in self._held:
-            self._held[tile.name] = laid_out(self.tiles.shapes(tile), self.near)
+            self._held[tile.name] = laid_out(self._here(tile).shapes(tile), self.near)
         self._held.move_to_end(tile.name)
         while len(self._held) > 1 and self._bytes() > self.held_bytes:
             self._held.popitem(last=False)
         return self._held[tile.name]
 
+    def _here(self, tile: Tile) -> Tiles:
+        """The tiles in the folder where this one is."""
+        if self.store is None:
+            return self.tiles
+        return replace(self.tiles, path=self.store.bring(shapes_name(tile)).parent)
+
     def _bytes(self) -> int:
         return sum(array.nbytes for part in self._held.values() for array in part[:3])
+
+
+def with_tiles(store: Store, tiles: Tiles) -> Store | None:
+    """The store, with the shapes of all tiles in it for workers that do not see their folder; None: they do."""
+    if isinstance(store, Shared):
+        return None
+    for tile in tiles.tiles:
+        here = store.bring(shapes_name(tile))
+        source = tiles.path / shapes_name(tile)
+        if not here.exists() or here.stat().st_size != source.stat().st_size:
+            here.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, here)
+            store.send(shapes_name(tile))
+    return store

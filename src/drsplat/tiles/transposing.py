@@ -12,6 +12,7 @@ from ..evidence.columns import is_finished, stacked
 from ..formats.tensors import map_tensors, write_tensors
 from ..formats.tiles import Tile
 from ..kernels import Triples
+from .store import Store
 
 RUN_BYTES = 256 << 20  # of W that one task makes
 WEIGHT_BYTES = 20  # while it does
@@ -21,25 +22,26 @@ WEIGHT_BYTES = 20  # while it does
 class RowMaker:
     """Makes the rows of a run of tiles from the columns of all views: a task.
 
-    views: the file of each. widths: their numbers of masks. key: of all those columns.
+    views: the name of the file of each. widths: their numbers of masks. key: of all those columns.
     """
 
-    views: Sequence[Path]
+    store: Store
+    views: Sequence[str]
     widths: Sequence[int]
-    folder: Path
     key: str
 
     def __call__(self, run: Sequence[Tile]) -> bool:
         """Whether they were made, and not there already."""
-        path = rows_file(self.folder, run)
+        path = self.store.bring(rows_name(run))
         if is_finished(path, self.key):
             return False
         first, count = run[0].first, sum(tile.num_rows for tile in run)
-        parts = [_held(_part(view, first, count)) for view in self.views]
+        parts = [_held(_part(self.store.bring(view), first, count)) for view in self.views]
         w = stacked(parts, self.widths, count)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         tensors = {"indptr": w.indptr.astype(np.int64), "indices": w.indices, "data": w.data}
         write_tensors(path, tensors, {"key": self.key}, overwrite=True)
+        self.store.send(rows_name(run))
         return True
 
 
@@ -71,13 +73,14 @@ def runs_of(tiles: Sequence[Tile], num_weights: int) -> list[tuple[Tile, ...]]:
     return [tuple(run) for run in runs]
 
 
-def rows_file(folder: Path, run: Sequence[Tile]) -> Path:
-    return folder / f"{run[0].name}.rows.safetensors"
+def rows_name(run: Sequence[Tile]) -> str:
+    return f"rows/{run[0].name}.rows.safetensors"
 
 
-def joined_rows(runs: Sequence[Sequence[Tile]], folder: Path, num_masks: int) -> csr_array:
-    """W, all rows one after another, in files of `folder` that are mapped: memory holds those in use."""
-    files = [map_tensors(rows_file(folder, run))[0] for run in runs]
+def joined_rows(runs: Sequence[Sequence[Tile]], store: Store, num_masks: int) -> csr_array:
+    """W, all rows one after another, in files that are mapped: memory holds those in use."""
+    files = [map_tensors(store.bring(rows_name(run)))[0] for run in runs]
+    folder = store.folder / "rows"
     count = runs[-1][-1].first + runs[-1][-1].num_rows
     entries = sum(len(file["data"]) for file in files)
     indptr = _new(folder, "indptr", count + 1, np.int32 if entries < 1 << 31 else np.int64)
