@@ -72,6 +72,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("demo", type=Path)
     parser.add_argument("--rows", type=int, default=8192)
+    parser.add_argument("--victims", nargs="+", default=["nobody", "a worker", "a node", "the driver"])
     given = parser.parse_args()
     place, rng = Path(tempfile.mkdtemp(prefix="ray-")), random.Random(0)
     tiles = place / "demo.tiles"
@@ -79,7 +80,7 @@ def main() -> None:
     subprocess.run([*cut, "--rows", str(given.rows)], check=True, stdout=subprocess.DEVNULL)
     subprocess.run(command(tiles, given.demo, place / "plain.field"), check=True, stdout=subprocess.DEVNULL)
     with cluster() as (address, another):
-        for victim in ("nobody", "a worker", "a node", "the driver"):
+        for victim in given.victims:
             output, parts = place / f"{victim.replace(' ', '_')}.field", place / f"{victim.replace(' ', '_')}.parts"
             run = command(tiles, given.demo, output, "--ray", address, "--parts", str(parts))
             made: Counter[str] = Counter()

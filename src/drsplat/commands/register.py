@@ -147,7 +147,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     sampling = _sampling(arguments, how)
     scene, register, views, without, features, code = _read(arguments)
     watch.lap("read")
-    parts = arguments.parts or parts_of(output)
+    parts = _parts(arguments, output)
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
     registration = register(scene, views, features, sampling, parts=parts, **shared)
@@ -251,6 +251,12 @@ def show(answer: dict[str, Any]) -> None:
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
+
+
+def _parts(arguments: argparse.Namespace, output: Path) -> str | Path:
+    """A folder, or an address of `tiles.store`."""
+    given = arguments.parts or parts_of(output)
+    return given if "://" in str(given) else Path(given)
 
 
 def _written(parts: str | Path) -> dict[str, int]:
