@@ -74,6 +74,7 @@ ORDER = (
     "field",
     "objects",
     "registration",
+    "growing",
     "models",
     "drawing",
     "query",

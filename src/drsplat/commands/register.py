@@ -143,7 +143,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     watch.lap("register")
     registration = replace(registration, left_out=tuple(sorted(without)))
     field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
-    field = _with_words(field, arguments.features)
+    field = with_words(field, arguments.features)
     watch.lap("code")
     complete = was_complete(output, arguments.overwrite, lambda: load_field(output).equals(field))
     if not complete:
@@ -192,7 +192,7 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
     }
 
 
-def _with_words(field: "LanguageField", features: str) -> "LanguageField":
+def with_words(field: "LanguageField", features: str) -> "LanguageField":
     """With the words that queries are contrasted with, where `drsplat embed` embedded them."""
     from ..embedding.embed import recorded_words
 

@@ -1,7 +1,7 @@
 """The columns of W that one view makes: computed once, kept on disk, stacked into a sparse matrix."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,17 +17,19 @@ from ..masks.features import ViewFeatures
 from ..scene.photos import undistort_ids
 from ..scene.views import View, same_aspect
 from .aggregation import Sampling
+from .provenance import KEY_BYTES
 
-COLUMNS_VERSION = "1"
+COLUMNS_VERSION = "2"
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """One view's part of W: its triples are on disk at `path`; mask s is column s of this view."""
+    """One view's part of W: its triples are on disk at `path`; mask s is column s of this view. key: of its inputs."""
 
     view_name: str
     path: Path
     embeddings: Float32[np.ndarray, "s d"]
+    key: bytes
 
     def triples(self) -> Triples:
         tensors, _ = map_tensors(self.path)
@@ -49,24 +51,35 @@ class ColumnMaker:
         Raises: MismatchError: the map has another shape than the photo.
         """
         mask_ids = _mask_ids(view, features)
-        key = _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
+        key = self._key(view, mask_ids)
+        marks = {"key": key.hex(), "isa": default_isa()}  # another instruction set changes the last bits
         path = self.folder / part_name(view.name)
-        if not _is_finished(path, key):
+        if not _is_finished(path, marks):
             triples = self.sampling.triples(self.splats, view, mask_ids, self.threads)
             self.folder.mkdir(parents=True, exist_ok=True)
             tensors = dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
-            write_tensors(path, tensors, {"key": key, "view": view.name}, overwrite=True)
-        return Columns(view.name, path, features.embeddings)
+            write_tensors(path, tensors, marks | {"view": view.name}, overwrite=True)
+        return Columns(view.name, path, features.embeddings, key)
+
+    def key(self, view: View, features: ViewFeatures) -> bytes:
+        """A hash of all that the view's columns are made from: two of one key are equal, on one instruction set.
+
+        Raises: MismatchError: the map has another shape than the photo.
+        """
+        return self._key(view, _mask_ids(view, features))
+
+    def _key(self, view: View, mask_ids: Int32[np.ndarray, "h w"]) -> bytes:
+        return _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
 
     @cached_property
     def _settings(self) -> str:
-        """Of all that every view shares: another instruction set changes the last bits."""
+        """Of all that every view shares."""
         splats, sampling = self.splats, self.sampling
-        scene = _digest(*splats[:3], splats.origin, salt=repr(splats.near))
+        scene = _digest(*splats[:3], splats.origin, salt=repr(splats.near)).hex()
         counted = f"{sampling.topk} {sampling.first_hits}"
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"
-        return f"{COLUMNS_VERSION} {counted} {default_isa()} {scene}"
+        return f"{COLUMNS_VERSION} {counted} {scene}"
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
@@ -86,19 +99,19 @@ def part_name(view_name: str) -> str:
     return f"{digest}.columns.safetensors"
 
 
-def _digest(*arrays: np.ndarray, salt: str = "") -> str:
-    digest = hashlib.blake2b(salt.encode(), digest_size=16)
+def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
+    digest = hashlib.blake2b(salt.encode(), digest_size=KEY_BYTES)
     for array in arrays:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()
+    return digest.digest()
 
 
-def _is_finished(path: Path, key: str) -> bool:
+def _is_finished(path: Path, marks: Mapping[str, str]) -> bool:
     if not path.exists():
         return False
     try:
-        return read_tensors(path)[1].get("key") == key
+        return marks.items() <= read_tensors(path)[1].items()
     except FormatError:  # a damaged part is computed again
         return False
 

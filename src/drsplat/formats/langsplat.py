@@ -100,6 +100,12 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         key = self._known(name)
         return stored_features(self.directory, key, self._keys[key])
 
+    def files(self, name: str) -> list[Path]:
+        """Where the features of a photo are stored. Raises: KeyError: no such photo."""
+        key = self._known(name)
+        endings = (COMPACT,) if self._keys[key] == "compact" else (EMBEDDINGS, MAPS)
+        return [self.directory / f"{key}{ending}" for ending in endings]
+
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self.key(name) is not None
 
