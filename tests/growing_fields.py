@@ -47,9 +47,8 @@ def features(seed: int = 0) -> dict[str, ViewFeatures]:
         rows = np.random.default_rng([seed, number]).normal(size=(3, DIM)).astype(np.float32)
         rows /= np.linalg.norm(rows, axis=1, keepdims=True)
         masks = random_mask_map(view.height, view.width, 3, hole_share=0.4, seed=max(number, 1))
-        if number == 1:
-            largest = np.bincount(masks[masks >= 0]).argmax()
-            rows[largest] = -found[views()[0].name].embeddings[largest]
+        if number < 2:  # along an axis: products are then exact
+            rows[np.bincount(masks[masks >= 0]).argmax()] = np.eye(DIM)[0] * (1 - 2 * number)
         found[view.name] = ViewFeatures(masks, rows)
     return found
 

@@ -229,8 +229,8 @@ def register(
     )  # fmt: skip
 
 
-def with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
-    """The views that have features, by name, and the names of these.
+def with_features(views: Sequence[View], features: Collection[str]) -> list[tuple[View, str]]:
+    """The views that have features, by name, and the names of these. features: the names that there are.
 
     Raises: InputError: no view has any, or two have the same.
     """

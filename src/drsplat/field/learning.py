@@ -44,7 +44,8 @@ def learning_views(evidence: Evidence) -> tuple[str, ...]:
     One view more changes them with a probability of LEARNT_FROM / V, whenever it comes.
     """
     masks = evidence.masks
-    has_weight = np.bincount(evidence.weights.indices, minlength=len(masks)) > 0
+    has_weight = np.zeros(len(masks), np.bool_)
+    has_weight[evidence.weights.indices] = True
     names = [masks.view_names[view] for view in np.unique(masks.views[has_weight]).tolist()]
     return tuple(sorted(sorted(names, key=_drawn)[:LEARNT_FROM]))
 

@@ -55,7 +55,7 @@ class Watch:
             return None
         before, self._stamps = self._stamps, {view.name: _stamp(view, features.files(key)) for view, key in found}
         ready = [
-            view for view, key in found if before.get(view.name) == self._stamps[view.name] and _is_whole(features, key)
+            view for view, key in found if before.get(view.name) == self._stamps[view.name] and features.can_read(key)
         ]
         return Batch(ready, features) if ready else None
 
@@ -83,11 +83,3 @@ def _stamp(view: View, files: Sequence[Path]) -> object:
     except OSError:
         return object()  # equal to none
     return view.cam_from_world.tobytes(), view.K.tobytes(), view.width, view.height, stats
-
-
-def _is_whole(features: FeatureFolder, key: str) -> bool:
-    try:
-        _ = features[key]
-    except (DrSplatError, OSError):
-        return False
-    return True

@@ -88,11 +88,15 @@ class Gaussians:
 
         Float32 arithmetic on them is then as exact as about zero; what float32 positions have lost stays lost.
         """
-        by = local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
+        by = self._local_origin
         if not by.any():
             return self
         means = (self.means.astype(np.float64) - by).astype(np.float32)
         return replace(self, means=means, origin=self.origin + by)
+
+    @cached_property
+    def _local_origin(self) -> Float64[np.ndarray, " 3"]:
+        return local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
