@@ -75,6 +75,7 @@ ORDER = (
     "objects",
     "registration",
     "tiles",
+    "growing",
     "models",
     "drawing",
     "query",

@@ -6,7 +6,7 @@ where i is among the top k of p. Everything after that is algebra on W and the m
 """
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,19 +14,22 @@ from warnings import warn
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array
 
 from .codes import PQ, CodeSpecification, Track, untracked
 from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError
 from .evidence.aggregation import Aggregator, Sampling
 from .evidence.aggregation import aggregator as named
+from .evidence.changing import with_views, without_views
 from .evidence.columns import ColumnMaker, Whole, stack_columns
 from .evidence.evidence import Evidence, MaskIds
-from .field import LanguageField, build_field
-from .kernels import splat_arrays
+from .evidence.provenance import Provenance
+from .field import LanguageField, build_field, whole_evidence
+from .kernels import default_isa
 from .masks.features import ViewFeatures
-from .scene.boxes import up_of
+from .masks.masks import LEVELS
+from .scene.boxes import camera_axes
 from .scene.gaussians import Gaussians
 from .scene.units import doubts
 from .scene.views import View
@@ -42,7 +45,8 @@ class Registration:
     evidence: the weights (N, M), the view and mask behind each column, one embedding per column.
     scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
     looked at; None: unknown. up: the direction that is up in the photos (`boxes.upward`); None: they do not tell.
-    left_out: names of photos that were kept from it on purpose.
+    left_out: names of photos that were kept from it on purpose. provenance: how the columns came about; None: unknown,
+    as of fields of older versions.
     """
 
     evidence: Evidence
@@ -51,6 +55,7 @@ class Registration:
     sampling: Sampling | None = None
     up: Float64[np.ndarray, " 3"] | None = None
     left_out: tuple[str, ...] = ()
+    provenance: Provenance | None = None
 
     def __repr__(self) -> str:
         count, masks = self.weights.shape
@@ -68,14 +73,10 @@ class Registration:
         """
         if field.evidence is None:
             raise InputError("this field holds no evidence: register again and keep it")
-        kept = field.evidence.weights
-        starts = np.zeros(field.num_gaussians + 1, np.int64)
-        starts[1 + field.gaussian_ids.astype(np.int64)] = np.diff(kept.indptr)
-        shape = (field.num_gaussians, kept.shape[1])
-        indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
-        weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
-        evidence = replace(field.evidence, weights=weights)
-        return cls(evidence, field.scene, field.encoder, field.aggregator.sampling, field.up, field.left_out)
+        evidence, growth = whole_evidence(field), field.growth
+        provenance = None if growth is None else growth.provenance
+        sampling = field.aggregator.sampling
+        return cls(evidence, field.scene, field.encoder, sampling, field.up, field.left_out, provenance)
 
     @property
     def weights(self) -> csr_array:
@@ -119,8 +120,9 @@ class Registration:
         aggregated = how(self.evidence, gaussians, threads=threads)
         aggregated = replace(aggregated, record=how.record(self.sampling))
         field = build_field(
-            self.evidence, self.scene, self.encoder, code, aggregated=aggregated, threads=threads, track=track
-        )
+            self.evidence, self.scene, self.encoder, code,
+            aggregated=aggregated, provenance=self.provenance, threads=threads, track=track,
+        )  # fmt: skip
         return replace(field, up=self.up, left_out=self.left_out)
 
     def _check(self, how: Aggregator, gaussians: Gaussians | None) -> None:
@@ -161,9 +163,27 @@ class Registration:
         twice = sorted(set(self.masks.view_names) & set(other.masks.view_names))
         if twice:
             raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
-        evidence = _merge(self.evidence, other.evidence)
+        evidence = with_views(self.evidence, other.evidence)
         left_out = {*self.left_out, *other.left_out} - {*evidence.masks.view_names}
-        return replace(self, evidence=evidence, up=_between(self.up, other.up), left_out=tuple(sorted(left_out)))
+        both = _both(self, other)
+        up = _between(self.up, other.up) if both is None else both.up
+        return replace(self, evidence=evidence, up=up, left_out=tuple(sorted(left_out)), provenance=both)
+
+    def without(self, views: Collection[str]) -> "Registration":
+        """This registration without some of its views, by name: equal to one pass over the others.
+
+        Raises: InputError: a view that is not in it, or all of them.
+        """
+        names = self.masks.view_names
+        unknown = sorted(set(views) - set(names))
+        if unknown:
+            raise InputError(f"no view '{unknown[0]}' is registered: views are named like '{names[0]}'")
+        gone = np.isin(names, list(views))
+        if gone.all():
+            raise InputError(f"these are all {len(names)} views: leave one, or remove the field itself")
+        rest = None if self.provenance is None else self.provenance.of(np.flatnonzero(~gone))
+        up = self.up if rest is None else rest.up
+        return replace(self, evidence=without_views(self.evidence, gone), up=up, provenance=rest)
 
 
 def register(
@@ -189,51 +209,56 @@ def register(
     Raises: InputError: no view has features, two embedding sizes.
     Source: Dr. Splat Sec. A "Training stage".
     """
-    chosen = views_with_features(views, features)
+    chosen = with_features(views, features)
+    tell_missing(views, chosen)
     tell_doubts(gaussians, [view for view, _ in chosen])
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        scenery = Whole(splat_arrays(gaussians, sampling.near))
+        scenery = Whole(gaussians, sampling.near)
         maker = ColumnMaker(scenery, folder, sampling, threads)
         followed = track(chosen, "registering views")
         columns = [maker.columns(view, features[key]) for view, key in followed]
         check_one_size({c.embeddings.shape[1]: c.view_name for c in columns})
         weights = stack_columns(columns, len(gaussians))
-    evidence = Evidence(
-        weights,
-        masks_of([c.view_name for c in columns], [len(c.embeddings) for c in columns]),
-        np.concatenate([c.embeddings for c in columns]),
-    )
+    masks = masks_of([c.view_name for c in columns], [len(c.embeddings) for c in columns])
+    evidence = Evidence(weights, masks, np.concatenate([c.embeddings for c in columns]))
     encoder = encoder_of(features, evidence.embeddings.shape[1])
+    provenance = provenance_of([view for view, _ in chosen], [c.key for c in columns], features)
     return Registration(
-        evidence, gaussians.fingerprint, encoder, replace(sampling, near=scenery.near),
-        up_of([view for view, _ in chosen]),
+        evidence, gaussians.fingerprint, encoder, replace(sampling, near=scenery.near), provenance.up,
+        provenance=provenance,
     )  # fmt: skip
 
 
-def views_with_features(views: Sequence[View], features: Mapping[str, ViewFeatures]) -> list[tuple[View, str]]:
-    """In canonical order: by view name."""
-    chosen, missing = [], []
+def with_features(views: Sequence[View], features: Collection[str]) -> list[tuple[View, str]]:
+    """The views that have features, by name, and the names of these. features: the names that there are.
+
+    Raises: InputError: no view has any, or two have the same.
+    """
+    chosen = []
     keys = set(features)  # not `in features`: a folder of them finds one key by several names
     for view in sorted(views, key=lambda v: v.name):
         stem = str(Path(view.name).with_suffix("").as_posix())
         key = next((key for key in (view.name, stem, Path(stem).name) if key in keys), None)
-        if key is None:
-            missing.append(view.name)
-        else:
+        if key is not None:
             chosen.append((view, key))
     _refuse_shared_features(chosen)
     if not chosen:
         example = next(iter(features), "(there are none)")
         given = views[0].name if views else "(there are none)"
         raise InputError(f"no view has features: views are named like '{given}', features like '{example}'")
+    return chosen
+
+
+def tell_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> None:
+    found = {view.name for view, _ in chosen}
+    missing = sorted(view.name for view in views if view.name not in found)
     if missing:
         warn(
             f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}",
             DrSplatWarning,
             stacklevel=4,
         )
-    return chosen
 
 
 def tell_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
@@ -268,6 +293,13 @@ def masks_of(view_names: Sequence[str], counts: Sequence[int]) -> MaskIds:
     )
 
 
+def provenance_of(views: Sequence[View], keys: Sequence[bytes], features: Mapping[str, ViewFeatures]) -> Provenance:
+    """keys: of the columns of each view."""
+    hashes = np.frombuffer(b"".join(keys), np.uint8).reshape(len(keys), -1)
+    level = getattr(features, "level", None)
+    return Provenance(camera_axes(views), hashes, default_isa(), None if level is None else LEVELS[level])
+
+
 def encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
     encoder = getattr(features, "encoder", None)
     return encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
@@ -284,13 +316,9 @@ def _between(
     return total / length if length > 1 else None
 
 
-def _merge(a: Evidence, b: Evidence) -> Evidence:
-    names = sorted(a.masks.view_names + b.masks.view_names)
-    rank = {name: i for i, name in enumerate(names)}
-    views = np.concatenate([[rank[s.view_names[v]] for v in s.views] for s in (a.masks, b.masks)]).astype(np.int32)
-    ids = np.concatenate([a.masks.ids, b.masks.ids])
-    order = np.lexsort((ids, views))
-    weights = csr_array(hstack([a.weights, b.weights], format="csr")[:, order])
-    weights.sort_indices()
-    embeddings = np.concatenate([a.embeddings, b.embeddings])[order]
-    return Evidence(weights, MaskIds(tuple(names), views[order], ids[order]), embeddings)
+def _both(one: Registration, other: Registration) -> Provenance | None:
+    """Of views by name, where that of both is known."""
+    if one.provenance is None or other.provenance is None:
+        return None
+    order = np.argsort(np.array(one.masks.view_names + other.masks.view_names, object), kind="stable")
+    return one.provenance.with_views(other.provenance, order)

@@ -14,6 +14,7 @@ from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..kernels import QueryTables, lookup_tables, pq_encode
 from ..kernels.algebra import CENTROIDS
+from ..kernels.mixture import nearest_centres
 from .kmeans import Track, train_centroids, untracked
 
 BLOCK = 8192  # rows worked on at once: bounds what is decoded
@@ -105,7 +106,7 @@ class Codebook:
         coarse_ids = np.empty(len(features), np.uint16)
         for rows in _blocks(len(features)):
             block = features[rows]
-            coarse_ids[rows] = nearest = (block @ self.coarse.T).argmax(axis=1)
+            coarse_ids[rows] = nearest = nearest_centres(block, self.coarse, threads=threads)
             codes[rows] = pq_encode(block - self.coarse[nearest], self.centroids, threads=threads)
         return Codes(codes, coarse_ids)
 

@@ -155,7 +155,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     registration = replace(registration, left_out=tuple(sorted(without)))
     gaussians = in_memory(scene) if how.voting else None
     field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
-    field = _with_words(field, arguments.features)
+    field = with_words(field, arguments.features)
     watch.lap("code")
     complete = was_complete(output, arguments.overwrite, lambda: load_field(output).equals(field))
     if not complete:
@@ -205,7 +205,7 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
     }
 
 
-def _with_words(field: "LanguageField", features: str) -> "LanguageField":
+def with_words(field: "LanguageField", features: str) -> "LanguageField":
     """With the words that queries are contrasted with, where `drsplat embed` embedded them."""
     from ..embedding.embed import recorded_words
 

@@ -1,7 +1,7 @@
 """The columns of W that one view makes: computed once, kept on disk, stacked into a sparse matrix."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,22 +13,25 @@ from scipy.sparse import csr_array
 
 from ..errors import FormatError, MismatchError
 from ..formats.tensors import map_tensors, read_tensors, write_tensors
-from ..kernels import SplatArrays, Triples, default_isa
+from ..kernels import SplatArrays, Triples, default_isa, splat_arrays
 from ..masks.features import ViewFeatures
+from ..scene.gaussians import Gaussians, ShapesDigest
 from ..scene.photos import undistort_ids
 from ..scene.views import View, same_aspect
 from .aggregation import Sampling
+from .provenance import KEY_BYTES
 
-COLUMNS_VERSION = "1"
+COLUMNS_VERSION = "2"
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """One view's part of W: its triples are on disk at `path`; mask s is column s of this view."""
+    """One view's part of W: its triples are on disk at `path`; mask s is column s of this view. key: of its inputs."""
 
     view_name: str
     path: Path
     embeddings: Float32[np.ndarray, "s d"]
+    key: bytes
 
     def triples(self) -> Triples:
         tensors, _ = map_tensors(self.path)
@@ -57,15 +60,20 @@ class Scenery(Protocol):
 class Whole:
     """A scene in memory: every camera is given all of it."""
 
-    splats: SplatArrays
+    gaussians: Gaussians
+    given_near: float | None = None
+
+    @cached_property
+    def splats(self) -> SplatArrays:
+        return splat_arrays(self.gaussians, self.given_near)
 
     @property
     def near(self) -> float:
-        return self.splats.near
+        return self.gaussians.near if self.given_near is None else self.given_near
 
     @cached_property
     def digest(self) -> str:
-        return _digest(*self.splats[:3], self.splats.origin, salt=repr(self.splats.near))
+        return f"{ShapesDigest(self.gaussians.origin).add(self.gaussians).text()} {self.near!r}"
 
     def seen(self, view: View) -> Seen:
         return Seen(self.splats)
@@ -87,12 +95,13 @@ class ColumnMaker:
         """
         return self.made(view, features)[0]
 
-    def made(self, view: View, features: ViewFeatures) -> tuple[Columns, str, bool]:
-        """As `columns`, with the key of all that they depend on, and whether they were computed now."""
+    def made(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
+        """As `columns`, and whether they were computed now."""
         mask_ids = _mask_ids(view, features)
-        key = _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
+        key = self._key(view, mask_ids)
+        marks = {"key": key.hex(), "isa": default_isa()}  # another instruction set changes the last bits
         path = self.folder / part_name(view.name)
-        columns, is_new = Columns(view.name, path, features.embeddings), not is_finished(path, key)
+        columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
         if is_new:
             splats, rows = self.scenery.seen(view)
             triples = self.sampling.triples(splats, view, mask_ids, self.threads)
@@ -100,17 +109,27 @@ class ColumnMaker:
                 triples = triples._replace(gaussian_ids=rows[triples.gaussian_ids])
             self.folder.mkdir(parents=True, exist_ok=True)
             tensors = dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
-            write_tensors(path, tensors, {"key": key, "view": view.name}, overwrite=True)
-        return columns, key, is_new
+            write_tensors(path, tensors, marks | {"view": view.name}, overwrite=True)
+        return columns, is_new
+
+    def key(self, view: View, features: ViewFeatures) -> bytes:
+        """A hash of all that the view's columns are made from: two of one key are equal, on one instruction set.
+
+        Raises: MismatchError: the map has another shape than the photo.
+        """
+        return self._key(view, _mask_ids(view, features))
+
+    def _key(self, view: View, mask_ids: Int32[np.ndarray, "h w"]) -> bytes:
+        return _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
 
     @cached_property
     def _settings(self) -> str:
-        """Of all that every view shares: another instruction set changes the last bits."""
+        """Of all that every view shares."""
         sampling = self.sampling
         counted = f"{sampling.topk} {sampling.first_hits}"
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"
-        return f"{COLUMNS_VERSION} {counted} {default_isa()} {self.scenery.digest}"
+        return f"{COLUMNS_VERSION} {counted} {self.scenery.digest}"
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
@@ -130,20 +149,20 @@ def part_name(view_name: str) -> str:
     return f"{digest}.columns.safetensors"
 
 
-def _digest(*arrays: np.ndarray, salt: str = "") -> str:
-    digest = hashlib.blake2b(salt.encode(), digest_size=16)
+def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
+    digest = hashlib.blake2b(salt.encode(), digest_size=KEY_BYTES)
     for array in arrays:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()
+    return digest.digest()
 
 
-def is_finished(path: Path, key: str) -> bool:
-    """Whether a file is there that was made for the same key, and is not damaged."""
+def is_finished(path: Path, marks: Mapping[str, str]) -> bool:
+    """Whether a file is there that was made with the same marks, and is not damaged."""
     if not path.exists():
         return False
     try:
-        return read_tensors(path)[1].get("key") == key
+        return marks.items() <= read_tensors(path)[1].items()
     except FormatError:  # a damaged part is computed again
         return False
 

@@ -1,29 +1,31 @@
 """Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
 
-import numpy as np
-from jaxtyping import Bool
+from typing import NamedTuple
 
-from ..codes import (
-    PQ,
-    Code,
-    Codebook,
-    Codes,
-    CodeSpecification,
-    Mixture,
-    Smaller,
-    Track,
-    pq_code,
-    train_codebook,
-    untracked,
-)
-from ..codes.codebook import BLOCK, TRAINING_POINTS
-from ..codes.mixture import encode_mixture
+import numpy as np
+from jaxtyping import Bool, Int32, Integer, UInt32
+from scipy.sparse import csr_array
+
+from ..codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
+from ..codes.codebook import BLOCK
+from ..codes.mixture import encode_with
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..evidence.aggregation import MEAN, Aggregated
 from ..evidence.aggregation.entries import canonical
 from ..evidence.evidence import Evidence
+from ..evidence.provenance import Provenance
+from .growth import Growth
 from .language_field import LanguageField
+from .learning import Learnt, learn, source_of
+
+
+class Coded(NamedTuple):
+    """directed: of the rows, which have a direction and so a code. scene_places: of a mixture, as of `Growth`."""
+
+    code: Code
+    directed: Bool[np.ndarray, " r"]
+    scene_places: Int32[np.ndarray, " p"] | None = None
 
 
 def build_field(
@@ -33,6 +35,7 @@ def build_field(
     code: CodeSpecification = PQ(),
     *,
     aggregated: Aggregated | None = None,
+    provenance: Provenance | None = None,
     threads: int = 0,
     track: Track = untracked,
 ) -> LanguageField:
@@ -40,8 +43,8 @@ def build_field(
 
     evidence: one row per Gaussian of the scene; the field keeps all of it, whatever the features are made
     of. scene: fingerprint of those Gaussians. code: what features are kept as. aggregated: the features of
-    the rows, as an aggregator makes them of the evidence, None for their mean. track: shows progress. The
-    same to the bit for any number of threads.
+    the rows, as an aggregator makes them of the evidence, None for their mean. provenance: of the evidence's columns;
+    a field that is to grow needs it. track: shows progress. The same to the bit for any number of threads.
 
     Raises: InputError: no Gaussian has evidence, or not one feature per row. MismatchError: the
     embeddings, the encoder and the codebook are not of one dimension.
@@ -55,54 +58,75 @@ def build_field(
     seen = np.flatnonzero(features.present)
     if not len(seen):
         raise InputError("no Gaussian is under any mask: check that poses, photos and scene belong together")
-    if isinstance(code, Smaller):
-        code = code.chosen(evidence.num_seen, len(evidence.masks), evidence.dim)
-    if isinstance(code, Mixture):
+    chosen = chosen_code(code, evidence)
+    if isinstance(chosen, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
-    coded, directed = _coded(features.rows(seen), code, encoder, threads, track)
-    ids, kept = seen[directed].astype(np.uint32), evidence.rows(seen[directed])
-    return LanguageField(ids, coded, encoder, scene, len(evidence), kept, aggregator=features.record)
+    learnt = learn(features, chosen, encoder, threads, track)
+    coded = _coded(features.rows(seen), chosen, learnt, threads, track)
+    ids = seen[coded.directed].astype(np.uint32)
+    growth = None if provenance is None else grown_of(provenance, code, evidence, ids, learnt, coded.scene_places)
+    return LanguageField(
+        ids, coded.code, encoder, scene, len(evidence), evidence.rows(ids), aggregator=features.record, growth=growth
+    )
 
 
-def _coded(
-    features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track
-) -> tuple[Code, Bool[np.ndarray, " r"]]:
+def chosen_code(code: CodeSpecification, evidence: Evidence) -> PQ | Mixture | Codebook:
+    """The smaller one where that is wished for."""
+    if isinstance(code, Smaller):
+        return code.chosen(evidence.num_seen, len(evidence.masks), evidence.dim)
+    return code
+
+
+def grown_of(
+    provenance: Provenance,
+    code: CodeSpecification,
+    evidence: Evidence,
+    gaussian_ids: UInt32[np.ndarray, " r"],
+    learnt: Learnt,
+    scene_places: Int32[np.ndarray, " p"] | None,
+) -> Growth:
+    """What a field of these Gaussians has to keep beside its rows of the evidence."""
+    has_rest = np.diff(evidence.weights.indptr) > 0
+    has_rest[gaussian_ids] = False
+    rest_ids = np.flatnonzero(has_rest).astype(np.uint32)
+    wish = None if isinstance(code, Codebook) else code
+    return Growth(
+        provenance, wish, rest_ids, _rows(evidence, rest_ids), learnt.views, learnt.atoms,
+        None if learnt.atoms is None else scene_places,
+    )  # fmt: skip
+
+
+def _rows(evidence: Evidence, index: Integer[np.ndarray, " q"]) -> csr_array:
+    """Some rows of W, with int32 columns."""
+    rows = evidence.weights[index]
+    arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
+    return csr_array(arrays, shape=rows.shape)
+
+
+def _coded(features: Aggregated, code: PQ | Mixture | Codebook, learnt: Learnt, threads: int, track: Track) -> Coded:
     """The code of the rows that have a direction, and which of all do."""
     if isinstance(code, Mixture):
-        return _mixed(features, code.atoms, threads, track)
-    if isinstance(code, PQ):
-        code = _scene_codebook(features, encoder, code.parts(encoder.dim), threads, track)
-    return _quantised(features, code, threads, track)
+        return _mixed(features, code.atoms, learnt, threads, track)
+    assert learnt.codebook is not None
+    return _quantised(features, learnt.codebook, threads, track)
 
 
-def _mixed(features: Aggregated, atoms_per_row: int, threads: int, track: Track) -> tuple[Code, Bool[np.ndarray, " r"]]:
-    source = features.evidence
-    if features.donors is not None:
-        source = source.rows(features.donors)
-    code = encode_mixture(canonical(source), atoms_per_row, threads=threads, track=track)
-    directed = code.blocks.scales > 0
-    return code if directed.all() else code.rows(np.flatnonzero(directed)), directed
+def _mixed(features: Aggregated, atoms_per_row: int, learnt: Learnt, threads: int, track: Track) -> Coded:
+    mixed = encode_with(source_of(features), atoms_per_row, learnt.atoms, threads=threads, track=track)
+    directed = mixed.code.blocks.scales > 0
+    code = mixed.code if directed.all() else mixed.code.rows(np.flatnonzero(directed))
+    return Coded(code, directed, mixed.scene_places)
 
 
-def _quantised(
-    features: Aggregated, codebook: Codebook, threads: int, track: Track
-) -> tuple[Code, Bool[np.ndarray, " r"]]:
+def _quantised(features: Aggregated, codebook: Codebook, threads: int, track: Track) -> Coded:
     """Embeddings can cancel out."""
-    codes, directed = _encode_rows(features, codebook, threads, track)
+    codes, directed = encode_features(features, codebook, threads, track)
     if not directed.all():
         codes = codes.rows(np.flatnonzero(directed))
-    return pq_code(codebook, codes), directed
+    return Coded(pq_code(codebook, codes), directed)
 
 
-def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:
-    count = min(len(features), TRAINING_POINTS)
-    spread = np.linspace(0, len(features) - 1, count).astype(np.int64)
-    points = features.rows(spread).features(0, count, threads=threads)
-    directed = points[points.any(axis=1)]
-    return train_codebook(directed, parts, encoder=encoder, threads=threads, track=track)
-
-
-def _encode_rows(
+def encode_features(
     aggregated: Aggregated, codebook: Codebook, threads: int, track: Track
 ) -> tuple[Codes, Bool[np.ndarray, " r"]]:
     """Codes of all rows, and which of them have a direction."""

@@ -19,11 +19,12 @@ from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..scene.gaussians import Gaussians
 from ..terminal import counted
+from .growth import Growth
 from .objects import Objects
 
 FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
-CONTRAST, OBJECTS = "contrast.safetensors", "objects.safetensors"
+CONTRAST, OBJECTS, GROWTH = "contrast.safetensors", "objects.safetensors", "growth.safetensors"
 TEMPERATURE = 10.0
 FEW = 16  # negatives scored at once, exactly
 
@@ -65,7 +66,8 @@ class LanguageField:
     contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
     up: the unit direction that is up in the photos, in the world; None where they do not tell. left_out: names of
     photos that were kept from it on purpose, such as labelled ones.
-    objects: what belongs together, None where nobody has looked.
+    objects: what belongs together, None where nobody has looked. growth: what adding and removing views needs; None in
+    fields of older versions.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -83,6 +85,7 @@ class LanguageField:
     up: Float64[np.ndarray, " 3"] | None = None
     left_out: tuple[str, ...] = ()
     objects: Objects | None = None
+    growth: Growth | None = None
 
     def __repr__(self) -> str:
         rows = f"{len(self):,} of {counted(self.num_gaussians, 'Gaussian')}"
@@ -117,6 +120,9 @@ class LanguageField:
         if self.objects is not None:
             masks = None if self.evidence is None else len(self.evidence.masks)
             self.objects.check_field(rows, self.encoder.dim, masks)
+        if self.growth is not None and self.evidence is not None:
+            known = self.evidence.masks
+            self.growth.check_field(rows, self.num_gaussians, len(known), len(known.view_names))
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)
@@ -224,17 +230,27 @@ class LanguageField:
                 f"expected one or more negatives, one per text; got {len(embeddings)} and {len(texts)} texts"
             )
         unit = _unit(embeddings)
-        maxima = self.best(unit[:FEW], threads=threads).scores
+        return Negatives(texts, unit, self._maxima(unit, threads))
+
+    def _maxima(self, unit: Float32[np.ndarray, "n D"], threads: int) -> Float32[np.ndarray, " r"]:
+        maxima = self.code.best(unit[:FEW], threads=threads).scores
         for begin in range(FEW, len(unit), FEW):
-            more = self.best(unit[begin : begin + FEW], threads=threads).scores
+            more = self.code.best(unit[begin : begin + FEW], threads=threads).scores
             maxima = np.maximum(maxima, more)
-        return Negatives(texts, unit, maxima)
+        return maxima
 
     def with_negatives(
         self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> "LanguageField":
         """The same field with its negatives scored once and for all; `save` keeps them."""
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
+
+    def with_words_of(self, other: "LanguageField", *, threads: int = 0) -> "LanguageField":
+        """With the negatives of another field of the same encoder, scored anew, and the words of its contrast."""
+        known = other.negatives
+        if known is not None:
+            known = replace(known, maxima=self._maxima(known.embeddings, threads))
+        return replace(self, negatives=known, contrast=other.contrast)
 
     def with_contrast(self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]) -> "LanguageField":
         """The same field with the words that queries are contrasted with; `save` keeps them.
@@ -332,6 +348,8 @@ class LanguageField:
             files[CONTRAST] = TensorFile({"embeddings": self.contrast.embeddings}, tie)
         if self.objects is not None:
             files[OBJECTS] = TensorFile(self.objects.tensors(), tie)
+        if self.growth is not None:
+            files[GROWTH] = TensorFile(self.growth.tensors(), self.growth.metadata() | tie)
         return files
 
     def _manifest(self, files: list[str]) -> dict[str, object]:
@@ -352,6 +370,7 @@ class LanguageField:
             "negatives": list(self.negatives.texts) if self.negatives else [],
             "contrast": list(self.contrast.texts) if self.contrast else [],
             "objects": None if self.objects is None else len(self.objects),
+            "growth": None if self.growth is None else self.growth.json(),
         }
 
     def _code_json(self) -> dict[str, object]:

@@ -18,11 +18,13 @@ from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector, is_text, shown
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
+from .growth import growth_from_tensors
 from .language_field import (
     CODES,
     CONTRAST,
     EVIDENCE,
     FORMAT,
+    GROWTH,
     NEGATIVES,
     OBJECTS,
     VERSION,
@@ -35,6 +37,8 @@ from .stored import StoredField
 
 SUMMED = 3  # the first version with checksums
 MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
+
+LATER = (OBJECTS, GROWTH)  # read when they are first asked for: a search needs neither
 
 CURE = "Restore the field from a copy, or register again"
 
@@ -62,7 +66,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
             f"to {VERSION}: upgrade, or register again"
         )
     check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
-    files = {name: _tied(path, name, manifest) for name in _names(manifest) if name != OBJECTS}
+    files = {name: _tied(path, name, manifest) for name in _names(manifest) if name not in LATER}
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
@@ -86,12 +90,12 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
     checks = {name: partial(_compare, file, evidence if name == EVIDENCE else None) for name, file in files.items()}
-    if OBJECTS not in _names(manifest):
-        return field.compared_by(checks)
-    if not (path / OBJECTS).exists():
-        raise FormatError(f"{path}: incomplete: there is no {OBJECTS}. {CURE}")
-    masks = None if evidence is None else len(evidence.masks)
-    return field.compared_by(checks | {OBJECTS: partial(_read_objects, path, manifest, masks)})
+    for name in LATER:
+        if name in _names(manifest):
+            if not (path / name).exists():
+                raise FormatError(f"{path}: incomplete: there is no {name}. {CURE}")
+            checks[name] = partial(_LATER_READ[name], path, manifest)
+    return field.compared_by(checks)
 
 
 class _File(NamedTuple):
@@ -158,7 +162,7 @@ def _names(manifest: dict[str, object]) -> list[str]:
     """The files that must be there."""
     files = manifest.get("files")
     listed = files if isinstance(files, list) else []
-    return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST, OBJECTS) if name in listed)]
+    return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST, *LATER) if name in listed)]
 
 
 def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
@@ -208,17 +212,38 @@ def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> Word
     return WordList(tuple(texts), embeddings)
 
 
-def _read_objects(path: Path, manifest: dict[str, object], masks: int | None, field: StoredField) -> None:
-    """Whoever does not ask for objects does not wait for them.
-
-    Raises: as `load_field`.
-    """
+def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -> None:
+    """Raises: as `load_field`."""
     file = _tied(path, OBJECTS, manifest)
     check_tensors(file.tensors, ARRAYS, str(file.path))
     try:
         objects = Objects(**{name: file.tensors[name] for name in ARRAYS})
-        objects.check_field(len(field), field.encoder.dim, masks)
+        objects.check_field(len(field), field.encoder.dim, _num_masks(field))
     except InputError as error:
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
     _compare(file, None)
     field.__dict__["objects"] = objects
+
+
+def _read_growth(path: Path, manifest: dict[str, object], field: StoredField) -> None:
+    """Raises: as `load_field`."""
+    file, evidence = _tied(path, GROWTH, manifest), field.__dict__["evidence"]
+    if evidence is None:
+        raise FormatError(f"{file.path}: belongs to evidence, and there is none. {CURE}")
+    masks = evidence.masks
+    try:
+        growth = growth_from_tensors(file.tensors, file.metadata, manifest.get("growth"), len(masks), f"{file.path}")
+        growth.check_field(len(field), field.num_gaussians, len(masks), len(masks.view_names))
+        growth.check_code(field.__dict__["code"])
+    except InputError as error:
+        raise FormatError(f"{file.path}: {error}. {CURE}") from error
+    _compare(file, None)
+    field.__dict__["growth"] = growth
+
+
+def _num_masks(field: StoredField) -> int | None:
+    evidence = field.__dict__["evidence"]
+    return None if evidence is None else len(evidence.masks)
+
+
+_LATER_READ = {OBJECTS: _read_objects, GROWTH: _read_growth}

@@ -6,7 +6,7 @@ docs/formats.md, Checksums.
 
 from collections.abc import Callable, Mapping
 
-from .language_field import CODES, CONTRAST, EVIDENCE, NEGATIVES, OBJECTS, LanguageField
+from .language_field import CODES, CONTRAST, EVIDENCE, GROWTH, NEGATIVES, OBJECTS, LanguageField
 
 
 def _guarded(name: str, file: str) -> property:
@@ -32,6 +32,7 @@ class StoredField(LanguageField):
     negatives = _guarded("negatives", NEGATIVES)  # type: ignore[assignment]
     contrast = _guarded("contrast", CONTRAST)  # type: ignore[assignment]
     objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]  # read as a whole when first used
+    growth = _guarded("growth", GROWTH)  # type: ignore[assignment]  # so is this
 
     def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
         """This field, with what is to be done once before a file's arrays are used."""

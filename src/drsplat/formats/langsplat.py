@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
 from ..encoders import EncoderIdentity
-from ..errors import FormatError, InputError, MismatchError
+from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..masks.features import ViewFeatures
 from ..masks.masks import LEVELS
 from ..terminal import counted
@@ -99,6 +99,20 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         """
         key = self._known(name)
         return stored_features(self.directory, key, self._keys[key])
+
+    def files(self, name: str) -> list[Path]:
+        """Where the features of a photo are stored. Raises: KeyError: no such photo."""
+        key = self._known(name)
+        endings = (COMPACT,) if self._keys[key] == "compact" else (EMBEDDINGS, MAPS)
+        return [self.directory / f"{key}{ending}" for ending in endings]
+
+    def can_read(self, name: str) -> bool:
+        """Whether the features of a photo are there and whole, as they are not while they are being written."""
+        try:
+            _ = self[name]
+        except (DrSplatError, KeyError, OSError):
+            return False
+        return True
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self.key(name) is not None

@@ -4,7 +4,6 @@ Rows follow a Morton curve; a tile holds a run of them, so a row of the scene is
 the tile. What a photo sees is loaded from the tiles in front of its camera, never the whole scene.
 """
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from jaxtyping import Float32, Float64
 
 from ..contents import open_file
 from ..errors import FormatError, InputError
-from ..scene.gaussians import Gaussians, filled
+from ..scene.gaussians import Gaussians, ShapesDigest, filled
 from ..scene.placing import near_plane
 from .checksums import check_seal, sealed
 from .field_folder import replacing_folder
@@ -51,20 +50,21 @@ class Tile(NamedTuple):
     low: Float64[np.ndarray, " 3"]
     high: Float64[np.ndarray, " 3"]
     largest: float
-    digest: str
 
 
 @dataclass(frozen=True, eq=False)
 class Tiles:
     """A scene on disk. near: as `Gaussians.near` of the whole. sources: names of what it was cut from, by block.
 
-    fingerprint: that of `gaussians()`. origin: that the tiles' positions are counted from, in the world.
+    fingerprint: that of `gaussians()`. digest: their `ShapesDigest`. origin: that the tiles' positions are counted
+    from, in the world.
     """
 
     path: Path
     tiles: tuple[Tile, ...]
     origin: Float64[np.ndarray, " 3"]
     near: float
+    digest: str
     fingerprint: str
     sources: tuple[str, ...]
 
@@ -73,11 +73,6 @@ class Tiles:
 
     def __len__(self) -> int:
         return self.tiles[-1].first + self.tiles[-1].num_rows
-
-    @property
-    def digest(self) -> str:
-        """Of all that photos are registered onto: shapes and places of every Gaussian."""
-        return hashlib.blake2b("".join(tile.digest for tile in self.tiles).encode(), digest_size=16).hexdigest()
 
     def shapes(self, tile: Tile) -> Gaussians:
         """A tile without its colours, which registration does not need. Raises: FormatError: damaged."""
@@ -134,7 +129,8 @@ def read_tiles(path: Path) -> Tiles:
         tiles.append(_tile(entry, tiles[-1].first + tiles[-1].num_rows if tiles else 0, where))
     return Tiles(
         path, tuple(tiles), as_vector(document.get("origin"), 3, f"{where}: origin"),
-        as_number(document.get("near"), f"{where}: near"), str(document.get("scene")), tuple(sources),
+        as_number(document.get("near"), f"{where}: near"), str(document.get("shapes")), str(document.get("scene")),
+        tuple(sources),
     )  # fmt: skip
 
 
@@ -154,21 +150,21 @@ def _manifest(path: Path) -> dict[str, object]:
 def _tile(entry: object, first: int, where: str) -> Tile:
     if not isinstance(entry, dict):
         raise FormatError(f"{where}: expected a tile, got {shown(entry)}")
-    name, digest = entry.get("name"), entry.get("digest")
-    if not isinstance(name, str) or not name.isalnum() or not isinstance(digest, str):
+    name = entry.get("name")
+    if not isinstance(name, str) or not name.isalnum():
         raise FormatError(f"{where}: expected a tile's name of letters and digits, got {shown(name)}")
     count = as_count(entry.get("count"), f"{where}: count")
     if not 0 < count <= MOST_ROWS - first:
         raise FormatError(f"{where}: tile {name}: expected 1 to {MOST_ROWS:,} rows in all, got {count}")
     low, high = (as_vector(entry.get(end), 3, f"{where}: {end}") for end in ("low", "high"))
-    return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"), digest)
+    return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"))
 
 
 class _Writer:
     """Tiles of a folder that is being made, one at a time."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, origin: Float64[np.ndarray, " 3"]) -> None:
+        self.folder, self.origin, self.digest = folder, origin, ShapesDigest(origin)
         self.tiles: list[dict[str, object]] = []
         self.means: list[Float32[np.ndarray, "n 3"]] = []
         self.opacities: list[Float32[np.ndarray, " n"]] = []
@@ -179,6 +175,7 @@ class _Writer:
         write_tensors(self.folder / f"{name}.shapes.safetensors", shapes)
         colours = {"sh": part.sh} | {key: part.extra[key] for key in ("block", "source_row")}
         write_tensors(self.folder / f"{name}.colours.safetensors", colours)
+        self.digest.add(part)
         self.means.append(part.means)
         self.opacities.append(part.opacities)
         self.tiles.append(
@@ -188,22 +185,21 @@ class _Writer:
                 "low": part.means.min(axis=0).tolist(),
                 "high": part.means.max(axis=0).tolist(),
                 "largest": float(part.scales[part.opacities >= FAINTEST].max(initial=0.0)),
-                "digest": _digest(shapes),
             }
         )
 
-    def manifest(self, origin: Float64[np.ndarray, " 3"], sources: Sequence[str]) -> dict[str, object]:
+    def manifest(self, sources: Sequence[str]) -> dict[str, object]:
         """What is told of the whole: its fingerprint and near plane need all positions, 16 bytes a Gaussian."""
         means = np.concatenate(self.means)
         bare = np.zeros((len(means), 4), np.float32)
         whole = Gaussians(
             means, bare, bare[:, :3], np.concatenate(self.opacities), np.zeros((len(means), 1, 3), np.float32),
-            origin=origin,
+            origin=self.origin,
         )  # fmt: skip
         return {
             "format": FORMAT, "version": VERSION, "scene": whole.fingerprint, "num_gaussians": len(means),
-            "near": near_plane(means, whole.opacities), "origin": origin.tolist(), "sources": list(sources),
-            "tiles": self.tiles,
+            "shapes": self.digest.text(), "near": near_plane(means, whole.opacities), "origin": self.origin.tolist(),
+            "sources": list(sources), "tiles": self.tiles,
         }  # fmt: skip
 
 
@@ -215,16 +211,9 @@ def write_tiles(
     Raises: InputError: as `replacing_folder`.
     """
     with replacing_folder(path, overwrite, TILES) as folder:
-        writer = _Writer(folder)
+        writer = _Writer(folder, origin)
         for part in parts:
             writer.add(part)
         with replacing(folder / TILES) as out:
-            out.write((json.dumps(sealed(writer.manifest(origin, sources)), indent=1) + "\n").encode())
+            out.write((json.dumps(sealed(writer.manifest(sources)), indent=1) + "\n").encode())
     return read_tiles(path)
-
-
-def _digest(arrays: Mapping[str, np.ndarray]) -> str:
-    digest = hashlib.blake2b(digest_size=12)
-    for name in sorted(arrays):
-        digest.update(np.ascontiguousarray(arrays[name]).data)
-    return digest.hexdigest()

@@ -41,14 +41,24 @@ def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
 
     Raises: InputError: no views, or they look up and down alike.
     """
-    if not views:
+    return upward_of(camera_axes(views))
+
+
+def camera_axes(views: Sequence[View]) -> Float64[np.ndarray, "v 2 3"]:
+    """Right and down of each camera, in the world: all that `upward` looks at."""
+    return np.array([view.cam_from_world[:2, :3] for view in views], np.float64).reshape(-1, 2, 3)
+
+
+def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Float64[np.ndarray, " 3"]:
+    """As `upward`, of `camera_axes`. Raises: InputError: as `upward`."""
+    if not len(axes):
         raise InputError("which way is up is told by the photos, and this scene has none")
-    total = -np.sum([view.cam_from_world[1, :3] for view in views], axis=0)
+    total = -axes[:, 1].sum(axis=0)
     length = float(np.linalg.norm(total))
-    if length < 0.1 * len(views):
+    if length < 0.1 * len(axes):
         raise InputError("the photos of this scene do not agree on which way is up")
-    level = np.stack([view.cam_from_world[0, :3] for view in views])
-    spread, directions = np.linalg.eigh(level.T @ level / len(views))
+    level = axes[:, 0]
+    spread, directions = np.linalg.eigh(level.T @ level / len(axes))
     square = directions[:, 0] * np.sign(directions[:, 0] @ total)
     if spread[1] < LEVEL or square @ total < 0.5 * length:
         return np.asarray(total / length)

@@ -88,11 +88,15 @@ class Gaussians:
 
         Float32 arithmetic on them is then as exact as about zero; what float32 positions have lost stays lost.
         """
-        by = local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
+        by = self._local_origin
         if not by.any():
             return self
         means = (self.means.astype(np.float64) - by).astype(np.float32)
         return replace(self, means=means, origin=self.origin + by)
+
+    @cached_property
+    def _local_origin(self) -> Float64[np.ndarray, " 3"]:
+        return local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
@@ -112,6 +116,23 @@ class Gaussians:
             self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
             self.origin,
         )  # fmt: skip
+
+
+class ShapesDigest:
+    """A hash of all places and shapes, whatever the parts that rows come in; all of them counted from one origin."""
+
+    def __init__(self, origin: Float64[np.ndarray, " 3"]) -> None:
+        self._origin = origin
+        self._hashes = {name: hashlib.blake2b(digest_size=16) for name in ("means", "quats", "scales", "opacities")}
+
+    def add(self, part: Gaussians) -> "ShapesDigest":
+        for name, digest in self._hashes.items():
+            digest.update(np.ascontiguousarray(getattr(part, name)).data)
+        return self
+
+    def text(self) -> str:
+        whole = b"".join(digest.digest() for digest in self._hashes.values()) + self._origin.tobytes()
+        return hashlib.blake2b(whole, digest_size=16).hexdigest()
 
 
 def concatenated(parts: Sequence[Gaussians]) -> Gaussians:

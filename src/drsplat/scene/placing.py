@@ -48,7 +48,7 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3
     """
     origin = np.zeros(3)
     size = size_of(positions)
-    if not size > 0:
+    if not size > 0 or np.abs(positions).max() <= FAR * size:  # so is the middle then
         return origin
     middle = middle_of(positions)
     far = np.abs(middle) > FAR * size

@@ -25,8 +25,15 @@ from ..evidence.evidence import Evidence
 from ..formats.tensors import map_tensors, write_tensors
 from ..formats.tiles import Tiles
 from ..masks.features import ViewFeatures
-from ..registration import Registration, check_one_size, encoder_of, masks_of, views_with_features
-from ..scene.boxes import up_of
+from ..registration import (
+    Registration,
+    check_one_size,
+    encoder_of,
+    masks_of,
+    provenance_of,
+    tell_missing,
+    with_features,
+)
 from ..scene.views import View
 from .launching import HERE, Launcher
 from .seeing import Gallery, with_tiles
@@ -43,7 +50,7 @@ class Made(NamedTuple):
     num_masks: int
     dim: int
     num_weights: int
-    key: str
+    key: bytes
     is_new: bool
 
 
@@ -63,13 +70,13 @@ class ColumnTask:
         features = self.features[given] if isinstance(given, str) else given
         name = part_name(view.name)
         self.store.bring(name)
-        columns, digest, is_new = replace(self.maker, folder=self.store.folder).made(view, features)
+        columns, is_new = replace(self.maker, folder=self.store.folder).made(view, features)
         write_tensors(embeddings_file(columns.path), {"embeddings": features.embeddings}, overwrite=True)
         self.store.send(embeddings_file(columns.path).name)
         if is_new:
             self.store.send(name)
         count, dim = features.embeddings.shape
-        return Made(view.name, count, dim, len(columns.triples().weights), digest, is_new)
+        return Made(view.name, count, dim, len(columns.triples().weights), columns.key, is_new)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +128,8 @@ def register_tiles(
 
     Raises: as there, and as `Launcher.results`.
     """
-    chosen = views_with_features(views, features)
+    chosen = with_features(views, features)
+    tell_missing(views, chosen)
     store = store_of(parts)
     gallery = Gallery(tiles, sampling.near, with_tiles(store, tiles))
     task = ColumnTask(ColumnMaker(gallery, store.folder, sampling, threads), store, features)
@@ -140,9 +148,10 @@ def register_tiles(
     evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
     new = sum(one.is_new for one in made)
     tell(Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))
+    provenance = provenance_of([view for view, _ in chosen], [one.key for one in made], features)
     return Registration(
         evidence, tiles.fingerprint, encoder_of(features, made[0].dim), replace(sampling, near=gallery.near),
-        up_of([view for view, _ in chosen]),
+        provenance.up, provenance=provenance,
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ class RowMaker:
     def __call__(self, run: Sequence[Tile]) -> bool:
         """Whether they were made, and not there already."""
         path = self.store.bring(rows_name(run))
-        if is_finished(path, self.key):
+        if is_finished(path, {"key": self.key}):
             return False
         first, count = run[0].first, sum(tile.num_rows for tile in run)
         parts = [_held(_part(self.store.bring(view), first, count)) for view in self.views]

@@ -6,10 +6,12 @@ typical features, come nearer in 14 bytes than 128 bytes that know nothing of th
 
 from .code import MixtureCode, Part, mixture_from_tensors, recoded
 from .dictionary import AtomTable, quantised
-from .encoding import DEFAULT_ATOMS, MixtureSource, encode_mixture
+from .encoding import DEFAULT_ATOMS, Mixed, MixtureSource, encode_mixture, encode_with, learn_scene_atoms
+from .growing import fits_at_once, regrown_mixture
 from .scene_atoms import SceneAtoms, train_scene_atoms
 
 __all__ = [
-    "DEFAULT_ATOMS", "AtomTable", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "encode_mixture",
-    "mixture_from_tensors", "quantised", "recoded", "train_scene_atoms",
+    "DEFAULT_ATOMS", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "encode_mixture",
+    "encode_with", "fits_at_once", "learn_scene_atoms", "mixture_from_tensors", "quantised", "recoded",
+    "regrown_mixture", "train_scene_atoms",
 ]  # fmt: skip

@@ -9,6 +9,7 @@ from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, Dictionary
 
 SCENE_ATOM = -1  # of no mask
+BLOCK = 512  # vectors at once, near the processor
 _DTYPES = {"values": np.int8, "scales": np.float32, "masks": np.int32}
 
 
@@ -19,12 +20,18 @@ def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     """
     if not np.isfinite(vectors).all():
         raise InputError("atoms must be finite")
+    blocks = [_quantised(vectors[begin : begin + BLOCK]) for begin in range(0, len(vectors), BLOCK)]
+    values, scales = zip(*blocks, strict=True) if blocks else ((vectors.astype(np.int8),), (np.empty(0, np.float32),))
+    return Dictionary(np.concatenate(values), np.concatenate(scales))
+
+
+def _quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
     steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > 0)
-    values = np.rint(vectors * steps).astype(np.int8)
-    squared = np.einsum("ad,ad->a", values, values, dtype=np.int64).astype(np.float64)
+    whole = np.rint(vectors * steps)
+    squared = np.einsum("ad,ad->a", whole, whole, dtype=np.float64)
     scales = np.divide(1, np.sqrt(squared), out=np.zeros_like(squared), where=squared > 0)
-    return Dictionary(values, scales.astype(np.float32))
+    return Dictionary(whole.astype(np.int8), scales.astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,14 @@ class MixtureSource(Protocol):
     def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
 
 
-class _Plan(NamedTuple):
+class Mixed(NamedTuple):
+    """scene_places: of the code's atoms that are no mask's, in their order, the numbers among the scene atoms."""
+
+    code: MixtureCode
+    scene_places: Int32[np.ndarray, " p"]
+
+
+class Plan(NamedTuple):
     """positions: of each column's atom, -1 for none. first_scene: position of the first scene atom."""
 
     dictionary: Dictionary
@@ -59,24 +66,37 @@ def encode_mixture(
 
     Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
     """
+    if not isinstance(scene_atoms, SceneAtoms):
+        scene_atoms = learn_scene_atoms(source, scene_atoms, seed=seed, threads=threads)
+    return encode_with(source, atoms_per_row, scene_atoms, threads=threads, track=track).code
+
+
+def encode_with(
+    source: MixtureSource, atoms_per_row: int, scene: SceneAtoms | None, *, threads: int = 0, track: Track = untracked
+) -> Mixed:
+    """As `encode_mixture`, with scene atoms that are ready, or none."""
     if not 1 <= atoms_per_row <= MOST_ATOMS:
         raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
     if not len(source) or not len(source.embeddings):
         raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} masks")
-    if not isinstance(scene_atoms, SceneAtoms):
-        scene_atoms = _learn(source, scene_atoms, seed, threads)
     columns = np.arange(len(source.embeddings), dtype=np.int32)
     while True:
-        plan = _plan(source, columns, scene_atoms)
-        encoded = _encode_rows(source, plan, atoms_per_row, threads, track)
-        used = _by_use(encoded)
+        plan = plan_of(source.embeddings, columns, scene)
+        encoded = encode_rows(source, plan, atoms_per_row, threads=threads, track=track)
+        used = atoms_by_use(encoded)
         if len(used) <= ADDRESSABLE:
-            return _assemble(encoded, plan, columns, used)
-        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene_atoms) if scene_atoms else 0)]
+            return assembled(encoded, plan, columns, used)
+        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene) if scene else 0)]
         columns = np.sort(columns[own])
 
 
-def _learn(source: MixtureSource, wanted: int | None, seed: int, threads: int) -> SceneAtoms | None:
+def learn_scene_atoms(
+    source: MixtureSource, wanted: int | None = None, *, seed: int = 0, threads: int = 0
+) -> SceneAtoms | None:
+    """Typical features of some rows; wanted: as `scene_atoms` of `encode_mixture`. None: none wanted, or no features.
+
+    Raises: InputError: more than 32,768 are wanted.
+    """
     if wanted is None:
         wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
     if not 0 <= wanted <= ADDRESSABLE // 2:
@@ -90,15 +110,19 @@ def _learn(source: MixtureSource, wanted: int | None, seed: int, threads: int) -
     return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
 
 
-def _plan(source: MixtureSource, columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> _Plan:
-    parts = [quantised(source.embeddings[columns])] + ([scene.coded] if scene else [])
+def plan_of(embeddings: Float32[np.ndarray, "m D"], columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> Plan:
+    """The atoms of some columns, then those of the scene."""
+    parts = [quantised(embeddings[columns])] + ([scene.coded] if scene else [])
     values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    positions = np.full(len(source.embeddings), -1, np.int32)
+    positions = np.full(len(embeddings), -1, np.int32)
     positions[columns] = np.arange(len(columns), dtype=np.int32)
-    return _Plan(Dictionary(values, scales), positions, scene, len(columns))
+    return Plan(Dictionary(values, scales), positions, scene, len(columns))
 
 
-def _encode_rows(source: MixtureSource, plan: _Plan, atoms_per_row: int, threads: int, track: Track) -> Encoded:
+def encode_rows(
+    source: MixtureSource, plan: Plan, atoms_per_row: int, *, threads: int = 0, track: Track = untracked
+) -> Encoded:
+    """Each row by itself: the same to the bit whatever rows are coded with it."""
     rows = len(source)
     ids = np.empty((rows, atoms_per_row), np.int32)
     weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
@@ -113,7 +137,7 @@ def _encode_rows(source: MixtureSource, plan: _Plan, atoms_per_row: int, threads
 
 
 def _candidates(
-    source: MixtureSource, plan: _Plan, features: Float32[np.ndarray, "n D"], block: slice, threads: int
+    source: MixtureSource, plan: Plan, features: Float32[np.ndarray, "n D"], block: slice, threads: int
 ) -> Candidates:
     indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
     atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
@@ -124,16 +148,16 @@ def _candidates(
     return Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
 
 
-def _by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
-    """Atoms with a weight in any row, those used most first: scans find them close together."""
-    uses = np.bincount(encoded.ids[encoded.weights > 0])
+def atoms_by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
+    """Atoms with a weight in any row that has a direction, those used most first: scans find them close together."""
+    counts = (encoded.weights > 0) & (encoded.scales.astype(np.float16) > 0)[:, None]
+    uses = np.bincount(encoded.ids[counts])
     order = np.argsort(-uses, kind="stable")
     return np.asarray(order[uses[order] > 0])
 
 
-def _assemble(
-    encoded: Encoded, plan: _Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]
-) -> MixtureCode:
+def assembled(encoded: Encoded, plan: Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]) -> Mixed:
+    """Rows with the atoms that they use; parts without weight are of the first."""
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
     is_mask = kept < plan.first_scene
     masks = np.where(is_mask, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)
@@ -141,4 +165,6 @@ def _assemble(
     places[kept] = np.arange(len(kept), dtype=np.uint16)
     dictionary = Dictionary(plan.dictionary.values[kept], plan.dictionary.scales[kept])
     atoms = AtomTable(dictionary, masks.astype(np.int32))
-    return MixtureCode(packed(places[encoded.ids], encoded.weights, encoded.scales), atoms)
+    ids = np.where(encoded.weights > 0, places[encoded.ids], 0).astype(np.uint16)
+    scene_places = (kept[~is_mask] - plan.first_scene).astype(np.int32)
+    return Mixed(MixtureCode(packed(ids, encoded.weights, encoded.scales), atoms), scene_places)

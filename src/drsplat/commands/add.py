@@ -1,0 +1,136 @@
+"""drsplat add: more views for a field that is there already."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .changes import add_field_options, answer_of, field_and_scene, show_change
+from .options import add_capture_options, finite, tracker, views_of
+
+if TYPE_CHECKING:
+    from ..field import LanguageField
+    from ..formats.langsplat import FeatureFolder
+    from ..growing import Change
+    from ..scene.gaussians import Gaussians
+    from ..scene.views import View
+
+SUMMARY = "add views to a field: only they are looked at, and it is as if all had been registered at once"
+EXAMPLES = """\
+  drsplat add room.field capture --features capture/language_features --scene scene.ply
+  drsplat add room.field new_photos --features new_photos/language_features --scene scene.ply --json
+  drsplat add room.field capture --features capture/language_features --scene scene.ply --replace
+  drsplat add room.field capture --features capture/language_features --scene scene.ply --watch
+
+CAPTURE may hold all views or only the new ones: those with features that are not in the field yet are added. How they
+are registered is what the field says: no option changes it. A stopped run goes on when the same command is given
+again."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_field_options(parser)
+    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
+    parser.add_argument(
+        "--features", required=True, metavar="DIR",
+        help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
+    )  # fmt: skip
+    parser.add_argument(
+        "--replace", action="store_true",
+        help="compare the views that are in the field already as well, and replace those whose masks, embeddings or "
+        "poses are others now (default: they are not looked at)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--watch", action="store_true",
+        help="wait for further views, as a capture writes them, and add each once its pose and features are whole, "
+        "until Ctrl-C",
+    )  # fmt: skip
+    parser.add_argument(
+        "--idle", type=finite, metavar="SECONDS", help="with --watch: end when nothing has come for so long"
+    )
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..errors import InputError
+
+    if arguments.watch and arguments.replace:
+        raise InputError("--watch adds views and compares none: drop --replace, and give it afterwards")
+    if arguments.idle is not None and not arguments.watch:
+        raise InputError("--idle is for --watch: pass both, or none")
+    path, gaussians = field_and_scene(arguments)
+    if arguments.watch:
+        return _watched(arguments, path, gaussians)
+    views, features = views_of(arguments, arguments.capture), _features(arguments, path)
+    return answer_of(_added(arguments, path, gaussians, views, features), path)
+
+
+def show(answer: dict[str, Any]) -> None:
+    changed = answer["added"] or answer["replaced"]
+    show_change(answer, f"{'added to' if changed else 'nothing to add to'} {answer['field']}")
+    if not changed and answer["num_views_known"]:
+        print("All views with features are in it already; --replace takes over features that have become others.")
+
+
+def _features(arguments: argparse.Namespace, path: Path) -> FeatureFolder:
+    """Of the level and by the encoder that the field says."""
+    from .. import load_field, read_features
+
+    field = load_field(path)
+    level = field.growth.provenance.level if field.growth else None
+    return read_features(arguments.features, level=level or "large", encoder=field.encoder)
+
+
+def _added(
+    arguments: argparse.Namespace, path: Path, gaussians: Gaussians, views: Sequence[View], features: FeatureFolder
+) -> Change:
+    from dataclasses import replace
+
+    from ..growing import add_views, change_field
+    from ..growing.folder import parts_beside, remove_parts
+    from .register import with_words
+
+    shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
+
+    def change(field: LanguageField) -> Change:
+        parts = parts_beside(path)
+        done = add_views(field, gaussians, views, features, renew=arguments.replace, parts=parts, **shared)
+        return done if done.is_none else replace(done, field=with_words(done.field, arguments.features))
+
+    done = change_field(path, gaussians, change, threads=arguments.threads)
+    remove_parts(parts_beside(path), [*done.added, *done.replaced, *done.known])
+    return done
+
+
+def _watched(arguments: argparse.Namespace, path: Path, gaussians: Gaussians) -> dict[str, Any]:
+    """Batch after batch; what is told in the end is of all together."""
+    from .. import load_field
+    from ..growing.watching import Watch, together
+
+    field = load_field(path)
+    known = {*(field.evidence.masks.view_names if field.evidence else ()), *field.left_out}
+    watch = Watch(lambda: (views_of(arguments, arguments.capture), _features(arguments, path)), known, arguments.idle)
+    done: list[Change] = []
+    try:
+        for views, features in watch.batches():
+            change = _added(arguments, path, gaussians, views, features)
+            watch.known |= {view.name for view in views}
+            done.append(change)
+            _tell(arguments, change)
+    except KeyboardInterrupt:
+        _say(arguments, "stopped; what had come is added")
+    return answer_of(together(done, path), path)
+
+
+def _tell(arguments: argparse.Namespace, change: Change) -> None:
+    if not change.is_none:
+        views = len(change.field.evidence.masks.view_names) if change.field.evidence else 0
+        seconds = sum(change.seconds.values())
+        _say(arguments, f"+{len(change.added)}: {views} views, {change.num_touched:,} Gaussians seen, {seconds:.1f} s")
+
+
+def _say(arguments: argparse.Namespace, line: str) -> None:
+    if not arguments.json:
+        print(line, file=sys.stderr, flush=True)

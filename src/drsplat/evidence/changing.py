@@ -1,0 +1,102 @@
+"""W with columns taken out and others put in, in one pass over its entries: what is new is sorted, the rest copied."""
+
+import numpy as np
+from jaxtyping import Bool, Int32, Int64
+from scipy.sparse import csr_array
+
+from .aggregation.entries import canonical
+from .evidence import Evidence, MaskIds
+
+GONE = -1
+
+
+def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
+    """The evidence without the columns of some views."""
+    masks = evidence.masks
+    names = tuple(name for name, goes in zip(masks.view_names, gone.tolist(), strict=True) if not goes)
+    number, kept = (np.cumsum(~gone) - 1).astype(np.int32), ~gone[masks.views]
+    columns = np.where(kept, np.cumsum(kept) - 1, GONE).astype(np.int32)
+    none = csr_array((len(evidence), int(kept.sum())), dtype=np.float32)
+    ids = MaskIds(names, number[masks.views[kept]], masks.ids[kept])
+    return Evidence(changed_columns(evidence.weights, columns, none), ids, evidence.embeddings[kept])
+
+
+def with_views(evidence: Evidence, other: Evidence) -> Evidence:
+    """The evidence of both, of the same Gaussians and different views: columns by view name, then mask id."""
+    evidence, other = canonical(evidence), canonical(other)
+    names = sorted(evidence.masks.view_names + other.masks.view_names)
+    rank = {name: number for number, name in enumerate(names)}
+    both = (evidence.masks, other.masks)
+    views, ids = np.concatenate([_ranked(masks, rank) for masks in both]), np.concatenate([m.ids for m in both])
+    order = np.lexsort((ids, views))
+    places = np.empty(len(order), np.int32)
+    places[order] = np.arange(len(order), dtype=np.int32)
+    own, its = np.split(places, [len(evidence.masks)])
+    new = other.weights
+    added = csr_array((new.data, its[new.indices], new.indptr), shape=(len(other), len(order)))
+    embeddings = np.empty((len(order), evidence.dim), np.float32)
+    embeddings[own], embeddings[its] = evidence.embeddings, other.embeddings
+    return Evidence(
+        changed_columns(evidence.weights, own, added), MaskIds(tuple(names), views[order], ids[order]), embeddings
+    )
+
+
+def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+    """Which rows have an entry in any of some columns."""
+    rows = np.zeros(weights.shape[0], np.bool_)
+    rows[_rows_of(weights, np.flatnonzero(columns[weights.indices]))] = True
+    return rows
+
+
+def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added: csr_array) -> csr_array:
+    """W with its columns numbered anew, and with more entries; entries of a row ascend, as they have to before.
+
+    columns: the new number of each old column, ascending, or GONE. added: of as many rows, with the new numbers.
+    """
+    kept = columns[weights.indices]
+    gone = np.flatnonzero(kept == GONE)
+    lengths = np.diff(weights.indptr).astype(np.int64)
+    lengths -= np.bincount(_rows_of(weights, gone), minlength=len(lengths))
+    data, kept = (np.delete(part, gone) if len(gone) else part for part in (weights.data, kept))
+    old = np.concatenate([[0], np.cumsum(lengths)])
+    starts = old + added.indptr
+    places = _places(old, kept, added) + np.arange(added.nnz)
+    shape = (len(lengths), added.shape[1])
+    # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
+    indptr = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
+    return csr_array((_inserted(data, added.data, places), _inserted(kept, added.indices, places), indptr), shape=shape)
+
+
+def _places(
+    starts: Int64[np.ndarray, " n1"], indices: Int32[np.ndarray, " e"], added: csr_array
+) -> Int64[np.ndarray, " a"]:
+    """How many entries of W come before each of those added."""
+    counts = np.diff(added.indptr)
+    rows = np.flatnonzero(counts)
+    lengths = starts[rows + 1] - starts[rows]
+    ends = np.cumsum(lengths)
+    entries = np.arange(ends[-1] if len(ends) else 0) + np.repeat(starts[rows] - (ends - lengths), lengths)
+    width = np.int64(added.shape[1])
+    own = np.repeat(np.arange(len(rows)), lengths) * width + indices[entries]
+    theirs = np.repeat(np.arange(len(rows)), counts[rows]) * width + added.indices
+    before = np.searchsorted(own, theirs) - np.repeat(ends - lengths, counts[rows])
+    return np.asarray(np.repeat(starts[rows], counts[rows]) + before)
+
+
+def _inserted(values: np.ndarray, added: np.ndarray, places: Int64[np.ndarray, " a"]) -> np.ndarray:
+    """`added` at `places` of the result, the others in between."""
+    if not len(places):
+        return values
+    result = np.empty(len(values) + len(added), values.dtype)
+    free = np.ones(len(result), np.bool_)
+    free[places] = False
+    result[free], result[places] = values, added
+    return result
+
+
+def _rows_of(weights: csr_array, entries: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " e"]:
+    return np.asarray(np.searchsorted(weights.indptr, entries, side="right") - 1)
+
+
+def _ranked(masks: MaskIds, rank: dict[str, int]) -> Int32[np.ndarray, " m"]:
+    return np.array([rank[name] for name in masks.view_names], np.int32).take(masks.views)

@@ -1,0 +1,68 @@
+"""How the columns of W came about, view by view: what has to be known to add views later, or to leave some out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+
+from ..errors import InputError
+from ..scene.boxes import upward_of
+
+KEY_BYTES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Provenance:
+    """A row per view, by name, as `MaskIds.view_names`.
+
+    axes: each camera's right and down, in the world; they tell what is up. keys: a hash of all that a view's columns
+    are made from: its camera, its masks, the Gaussians and how pixels are sampled. isa: the instruction set that the
+    weights were computed with; those of several, joined with "+". level: of the masks ("large"); None where they are
+    of no folder.
+
+    Raises: InputError: arrays that do not fit each other.
+    """
+
+    axes: Float64[np.ndarray, "v 2 3"]
+    keys: UInt8[np.ndarray, "v 16"]
+    isa: str
+    level: str | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.axes)
+        for name, dtype, shape in (("axes", "float64", (count, 2, 3)), ("keys", "uint8", (count, KEY_BYTES))):
+            given = getattr(self, name)
+            if given.dtype != dtype or given.shape != shape:
+                raise InputError(f"{name}: expected {dtype} {shape}, got {given.dtype} {given.shape}")
+        if not np.isfinite(self.axes).all():
+            raise InputError("axes: expected finite numbers")
+
+    def __len__(self) -> int:
+        return len(self.axes)
+
+    @property
+    def up(self) -> Float64[np.ndarray, " 3"] | None:
+        """The direction that is up in the photos (`boxes.upward`); None: they do not tell."""
+        try:
+            return upward_of(self.axes)
+        except InputError:
+            return None
+
+    def of(self, views: Int64[np.ndarray, " k"]) -> "Provenance":
+        """Of some views, in that order."""
+        return Provenance(self.axes[views], self.keys[views], self.isa, self.level)
+
+    def with_views(self, other: "Provenance", order: Int64[np.ndarray, " v"]) -> "Provenance":
+        """Of the views of both, those of `other` after these, then in an order.
+
+        Raises: InputError: masks of two levels.
+        """
+        if None not in (self.level, other.level) and self.level != other.level:
+            raise InputError(f"masks of the levels {self.level} and {other.level}: register both with the same level")
+        axes, keys = (np.concatenate(pair)[order] for pair in ((self.axes, other.axes), (self.keys, other.keys)))
+        return Provenance(axes, keys, _joined((self.isa, other.isa)), self.level or other.level)
+
+
+def _joined(isas: Sequence[str]) -> str:
+    return "+".join(sorted({isa for joined in isas for isa in joined.split("+")}))

@@ -1,0 +1,184 @@
+"""What a field keeps beside its evidence so that views can come and go: growth.safetensors (docs/growing.md)."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int32, UInt32
+from scipy.sparse import csr_array
+
+from ..codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
+from ..codes.mixture import MixtureCode, SceneAtoms, quantised
+from ..codes.mixture.dictionary import SCENE_ATOM
+from ..errors import FormatError, InputError
+from ..evidence.provenance import Provenance
+from ..formats.json_files import is_text, shown
+from ..formats.tensors import check_tensors
+
+GIVEN = "codebook"
+
+_ARRAYS = {
+    "axes": ("float64", "v a k"), "keys": ("uint8", "v b"),
+    "rest_ids": ("uint32", "q"), "rest_indptr": ("int32 int64", "q1"),
+    "rest_indices": ("int32", "e"), "rest_data": ("float32", "e"),
+}  # fmt: skip
+_SCENE_ARRAYS = {
+    "scene_vectors": ("float32", "a D"), "scene_centres": ("float32", "g D"),
+    "scene_members": ("int32", "g m"), "scene_places": ("int32", "p"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """How a field was made, as far as neither its features nor its evidence say.
+
+    code: what was wished for; None: a codebook that was given, which is the field's. rest_ids, rest: Gaussians that
+    masks see but that have no feature, ascending, and their rows of W. learnt_from: the views that the codebook or the
+    scene's atoms were learnt from. scene_atoms: of a mixture, and scene_places: the numbers among them of the code's
+    atoms that are no mask's.
+
+    Raises: InputError: arrays that do not fit each other.
+    """
+
+    provenance: Provenance
+    code: PQ | Mixture | Smaller | None
+    rest_ids: UInt32[np.ndarray, " q"]
+    rest: csr_array
+    learnt_from: tuple[str, ...] = ()
+    scene_atoms: SceneAtoms | None = None
+    scene_places: Int32[np.ndarray, " p"] | None = None
+
+    def __post_init__(self) -> None:
+        ids = self.rest_ids
+        if ids.ndim != 1 or ids.dtype != np.uint32 or not (ids[1:] > ids[:-1]).all():
+            raise InputError("rest_ids: expected ascending uint32 (q,)")
+        if self.rest.shape[0] != len(ids):
+            raise InputError(f"rest: expected {len(ids)} rows, got {self.rest.shape[0]}")
+        data, indices = self.rest.data, self.rest.indices
+        if len(data) and not (0 <= data.min() <= data.max() < np.inf and indices.min() >= 0):
+            raise InputError("rest: expected finite weights of 0 or more, of columns")
+        if len(indices) and indices.max() >= self.rest.shape[1]:
+            raise InputError(f"rest: column {indices.max()} of {self.rest.shape[1]}")
+
+    def specification(self, code: Code) -> CodeSpecification:
+        """What to code with, given the code that the field has."""
+        if self.code is not None:
+            return self.code
+        if not isinstance(code, PQCode):
+            raise InputError("growth: expected the codebook that the field was coded with")
+        return code.codebook
+
+    def check_field(self, rows: int, count: int, masks: int, views: int) -> None:
+        """Refuse those of another field. Raises: InputError."""
+        if len(self.provenance) != views or self.rest.shape[1] != masks:
+            raise InputError(
+                f"growth: of {len(self.provenance)} views and {self.rest.shape[1]} masks in evidence of {views} "
+                f"and {masks}"
+            )
+        if rows + len(self.rest_ids) > count or self.rest_ids.max(initial=0) >= count:
+            raise InputError(f"growth: {len(self.rest_ids)} further rows of a scene of {count} Gaussians")
+
+    def check_code(self, code: Code) -> None:
+        """Refuse scene atoms of another code. Raises: InputError."""
+        if self.scene_atoms is None or self.scene_places is None:
+            return
+        masks = code.atoms.masks if isinstance(code, MixtureCode) else np.empty(0, np.int32)
+        if np.count_nonzero(masks == SCENE_ATOM) != len(self.scene_places):
+            raise InputError(f"growth: {len(self.scene_places)} scene atoms, of which the code has others")
+        if self.scene_atoms.vectors.shape[1] != code.dim:
+            raise InputError(f"growth: scene atoms of {self.scene_atoms.vectors.shape[1]} numbers, not {code.dim}")
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Its arrays by name, as they are written to files; `json` and `metadata` hold the rest."""
+        come, rest = self.provenance, self.rest
+        arrays = {
+            "axes": come.axes, "keys": come.keys, "rest_ids": self.rest_ids,
+            "rest_indptr": rest.indptr, "rest_indices": rest.indices, "rest_data": rest.data,
+        }  # fmt: skip
+        if self.scene_atoms is None or self.scene_places is None:
+            return arrays
+        atoms = self.scene_atoms
+        scene = (atoms.vectors, atoms.centres, atoms.members, self.scene_places)
+        return arrays | dict(zip(_SCENE_ARRAYS, scene, strict=True))
+
+    def metadata(self) -> dict[str, str]:
+        return {"learnt_from": json.dumps(self.learnt_from)}
+
+    def json(self) -> dict[str, object]:
+        """For the manifest."""
+        return {"code": _code_json(self.code), "isa": self.provenance.isa, "level": self.provenance.level}
+
+
+def growth_from_tensors(
+    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], document: object, masks: int, where: str
+) -> Growth:
+    """As `Growth.tensors`, `metadata` and `json` give it. masks: of the field's evidence.
+
+    Raises: FormatError: something is missing, of another type, or does not fit the rest.
+    """
+    check_tensors(tensors, _ARRAYS, where)
+    has_scene = "scene_vectors" in tensors
+    if has_scene:
+        check_tensors(tensors, _SCENE_ARRAYS, where)
+    if not isinstance(document, dict):
+        raise FormatError(f"{where}: growth: expected an object in the manifest, got {shown(document)}")
+    isa, level = document.get("isa"), document.get("level")
+    if not is_text(isa) or not (level is None or is_text(level)):
+        raise FormatError(f"{where}: growth: expected an instruction set, and a level or null")
+    try:
+        provenance = Provenance(tensors["axes"], tensors["keys"], str(isa), level)
+        scene = _scene(tensors) if has_scene else (None, None)
+        code = _code_from_json(document.get("code"))
+        return Growth(provenance, code, tensors["rest_ids"], _rest(tensors, masks), _names(metadata), *scene)
+    except ValueError as error:  # ours, or SciPy's
+        raise FormatError(f"{where}: {error}") from error
+
+
+def _rest(tensors: Mapping[str, np.ndarray], masks: int) -> csr_array:
+    indptr, indices, data = (tensors[f"rest_{name}"] for name in ("indptr", "indices", "data"))
+    # SciPy checks neither; it would read where the row starts point.
+    whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
+    if not whole or (indptr[1:] < indptr[:-1]).any():
+        raise InputError(f"row starts do not fit {len(indices)} entries")
+    return csr_array((data, indices, indptr), shape=(len(indptr) - 1, masks))
+
+
+def _scene(tensors: Mapping[str, np.ndarray]) -> tuple[SceneAtoms, np.ndarray]:
+    vectors, centres, members, places = (tensors[name] for name in _SCENE_ARRAYS)
+    for name, numbers in (("members", members), ("places", places)):
+        if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(vectors):
+            raise InputError(f"scene_{name}: expected numbers among {len(vectors)} atoms")
+    if not np.isfinite(centres).all() or not centres.size or not members.size:
+        raise InputError("scene_centres: expected finite numbers, and members of each")
+    return SceneAtoms(vectors, centres, members, quantised(vectors)), places
+
+
+def _names(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    try:
+        names = json.loads(metadata.get("learnt_from", ""))
+    except RecursionError:
+        names = None
+    if not isinstance(names, list) or not all(map(is_text, names)):
+        raise InputError("learnt_from: expected a list of view names")
+    return tuple(names)
+
+
+def _code_json(code: PQ | Mixture | Smaller | None) -> dict[str, object]:
+    if isinstance(code, PQ):
+        return {"kind": "pq", "subvectors": code.subvectors}
+    if code is None:
+        return {"kind": GIVEN}
+    return {"kind": "mixture" if isinstance(code, Mixture) else "auto", "atoms": code.atoms}
+
+
+def _code_from_json(document: object) -> PQ | Mixture | Smaller | None:
+    about = document if isinstance(document, dict) else {}
+    kind, atoms, subvectors = (about.get(key) for key in ("kind", "atoms", "subvectors"))
+    if kind == GIVEN:
+        return None
+    if kind == "pq" and (subvectors is None or (type(subvectors) is int and subvectors > 0)):
+        return PQ(subvectors)
+    if kind in ("mixture", "auto") and type(atoms) is int and atoms > 0:
+        return Mixture(atoms) if kind == "mixture" else Smaller(atoms)
+    raise InputError(f"growth: expected a code as 'pq', 'mixture', 'auto' or '{GIVEN}', got {shown(document)}")

@@ -1,0 +1,79 @@
+"""What a scene's code is learnt from: a few of its views, always the same, so that another view seldom changes it."""
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+
+from ..codes import PQ, Codebook, Mixture, Track, train_codebook
+from ..codes.codebook import TRAINING_POINTS
+from ..codes.mixture import SceneAtoms, learn_scene_atoms
+from ..encoders import EncoderIdentity
+from ..evidence.aggregation import Aggregated
+from ..evidence.aggregation.entries import canonical, with_weights
+from ..evidence.evidence import Evidence
+
+LEARNT_FROM = 32  # views
+
+
+class Learnt(NamedTuple):
+    """views: that it was learnt from. codebook: of a product-quantised code. atoms: of a mixture, where it has any."""
+
+    views: tuple[str, ...] = ()
+    codebook: Codebook | None = None
+    atoms: SceneAtoms | None = None
+
+
+def learn(
+    features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track
+) -> Learnt:
+    """What a code needs that is not in a row itself. A codebook that is given is what it is."""
+    if isinstance(code, Codebook):
+        return Learnt(codebook=code)
+    views = learning_views(features.evidence)
+    some = _of_views(features, views)
+    some = some.rows(np.flatnonzero(some.present))
+    if isinstance(code, Mixture):
+        return Learnt(views, atoms=learn_scene_atoms(source_of(some), threads=threads))
+    return Learnt(views, codebook=_scene_codebook(some, encoder, code.parts(encoder.dim), threads, track))
+
+
+def learning_views(evidence: Evidence) -> tuple[str, ...]:
+    """Up to LEARNT_FROM of the views that see anything, by a hash of their names; sorted.
+
+    One view more changes them with a probability of LEARNT_FROM / V, whenever it comes.
+    """
+    masks = evidence.masks
+    has_weight = np.zeros(len(masks), np.bool_)
+    has_weight[evidence.weights.indices] = True
+    names = [masks.view_names[view] for view in np.unique(masks.views[has_weight]).tolist()]
+    return tuple(sorted(sorted(names, key=_drawn)[:LEARNT_FROM]))
+
+
+def source_of(features: Aggregated) -> Evidence:
+    """What each row is a mixture of, in canonical order."""
+    rows = features.evidence if features.donors is None else features.evidence.rows(features.donors)
+    return canonical(rows)
+
+
+def _drawn(name: str) -> bytes:
+    return hashlib.blake2b(name.encode(), digest_size=8).digest()
+
+
+def _of_views(features: Aggregated, views: tuple[str, ...]) -> Aggregated:
+    """Features as these views alone make them."""
+    evidence = features.evidence
+    kept = np.isin(evidence.masks.view_names, views)[evidence.masks.views]
+    if kept.all():
+        return features
+    weights = evidence.weights
+    some = with_weights(evidence, np.where(kept[weights.indices], weights.data, np.float32(0)))
+    return Aggregated(some, features.donors, features.record)
+
+
+def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:
+    count = min(len(features), TRAINING_POINTS)
+    spread = np.linspace(0, len(features) - 1, count).astype(np.int64)
+    points = features.rows(spread).features(0, count, threads=threads)
+    directed = points[points.any(axis=1)]
+    return train_codebook(directed, parts, encoder=encoder, threads=threads, track=track)

@@ -1,0 +1,136 @@
+"""A field after some of its views have come or gone: equal to one built anew, to the bit, for less work.
+
+A row of a code depends on its own row of W, and on what was learnt from a few views (`learning`). Where neither has
+changed the row is copied.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+from jaxtyping import Bool, Int32, Int64
+from scipy.sparse import csr_array, vstack
+
+from ..codes import Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
+from ..codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
+from ..errors import InputError
+from ..evidence.aggregation import MEAN, aggregator
+from ..evidence.changing import GONE
+from ..evidence.evidence import Evidence, MaskIds
+from ..evidence.provenance import Provenance
+from .building import Coded, chosen_code, encode_features, grown_of
+from .growth import Growth
+from .language_field import LanguageField
+from .learning import Learnt, learning_views
+
+
+def whole_evidence(field: LanguageField) -> Evidence:
+    """A row for each Gaussian of the scene, those without a feature included, where the field knows them.
+
+    Raises: InputError: the field was saved without its evidence.
+    """
+    if field.evidence is None:
+        raise InputError("this field holds no evidence: register again and keep it")
+    kept, ids = field.evidence.weights, field.gaussian_ids.astype(np.int64)
+    if field.growth is not None and len(field.growth.rest_ids):
+        kept = vstack([kept, field.growth.rest], format="csr")
+        ids = np.concatenate([ids, field.growth.rest_ids])
+        order = np.argsort(ids)
+        kept, ids = csr_array(kept[order]), ids[order]
+    starts = np.zeros(field.num_gaussians + 1, np.int64)
+    starts[1 + ids] = np.diff(kept.indptr)
+    indptr = np.cumsum(starts).astype(kept.indptr.dtype)  # of another type, SciPy copies all
+    shape = (field.num_gaussians, kept.shape[1])
+    weights = csr_array((kept.data, kept.indices, indptr), shape=shape)
+    return Evidence(weights, field.evidence.masks, field.evidence.embeddings)
+
+
+def regrown_field(
+    field: LanguageField,
+    evidence: Evidence,
+    provenance: Provenance,
+    touched: Bool[np.ndarray, " n"],
+    changed: Collection[str],
+    *,
+    threads: int = 0,
+    track: Track = untracked,
+) -> LanguageField | None:
+    """The field of other evidence of the same Gaussians, in canonical order; None where it has to be built anew.
+
+    touched: the Gaussians whose rows of W have changed, before or now. changed: the views that have come, gone or
+    become others. What the features do not decide (words, objects, what is up) is left out.
+    """
+    growth = field.growth
+    if growth is None or field.evidence is None or not _can_stay(field, growth, evidence, changed):
+        return None
+    rows = np.flatnonzero(~touched[field.gaussian_ids])
+    seen = np.flatnonzero(touched & (np.diff(evidence.weights.indptr) > 0))
+    ids = np.concatenate([field.gaussian_ids[rows].astype(np.int64), seen])
+    columns = _columns(field.evidence.masks, evidence.masks, changed)
+    coded = _coded_again(field, rows, columns, evidence.rows(seen), ids, threads, track)
+    has_code = np.concatenate([np.ones(len(rows), np.bool_), coded.directed])
+    ids = np.sort(ids[has_code]).astype(np.uint32)
+    learnt = Learnt(growth.learnt_from, atoms=growth.scene_atoms)
+    more = grown_of(provenance, growth.specification(field.code), evidence, ids, learnt, coded.scene_places)
+    return LanguageField(
+        ids, coded.code, field.encoder, field.scene, len(evidence), evidence.rows(ids),
+        aggregator=field.aggregator, growth=more,
+    )  # fmt: skip
+
+
+def _can_stay(field: LanguageField, growth: Growth, evidence: Evidence, changed: Collection[str]) -> bool:
+    """Whether rows that have not changed have the same code as if all were coded anew."""
+    how = aggregator(field.aggregator.name)
+    code = chosen_code(growth.specification(field.code), evidence)
+    if how.steps or how.voting or not evidence.weights.nnz:
+        return False
+    if isinstance(code, Codebook):
+        return True
+    if isinstance(code, Mixture) != isinstance(field.code, MixtureCode):
+        return False  # another one is the smaller now
+    if isinstance(code, Mixture) and not _all_addressable(field, growth, evidence):
+        return False
+    return growth.learnt_from == learning_views(evidence) and not set(changed) & set(growth.learnt_from)
+
+
+def _all_addressable(field: LanguageField, growth: Growth, evidence: Evidence) -> bool:
+    assert field.evidence is not None
+    return all(fits_at_once(len(one.masks), growth.scene_atoms) for one in (field.evidence, evidence))
+
+
+def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Int32[np.ndarray, " m"]:
+    """The new number of each old column, GONE for those of views that have changed."""
+    number = {name: place for place, name in enumerate(now.view_names)}
+    views = np.array([GONE if name in changed else number[name] for name in before.view_names], np.int32)
+    within = np.arange(len(before)) - np.searchsorted(before.views, before.views)
+    stays = views[before.views]
+    return np.where(stays == GONE, GONE, np.searchsorted(now.views, stays) + within).astype(np.int32)
+
+
+def _coded_again(
+    field: LanguageField,
+    rows: Int64[np.ndarray, " k"],
+    columns: Int32[np.ndarray, " m"],
+    some: Evidence,
+    ids: Int64[np.ndarray, " r"],
+    threads: int,
+    track: Track,
+) -> Coded:
+    """Old codes of some rows and new ones of the evidence `some`, in the order of their ids."""
+    if isinstance(field.code, MixtureCode):
+        assert field.growth is not None
+        places, scene = field.growth.scene_places, field.growth.scene_atoms
+        before = Mixed(field.code, np.empty(0, np.int32) if places is None else places)
+        again = regrown_mixture(before, scene, columns, rows, some, ids, threads=threads, track=track)
+        return Coded(again.mixed.code, again.directed, again.mixed.scene_places)
+    assert isinstance(field.code, PQCode)
+    codes, directed = encode_features(MEAN(some), field.codebook, threads, track)
+    codes = codes.rows(np.flatnonzero(directed))
+    old, norms = field.code.codes(rows), field.code.inverse_norms[rows]
+    norms = np.concatenate([norms, field.codebook.inverse_norms(codes)])
+    order = np.argsort(np.concatenate([ids[: len(rows)], ids[len(rows) :][directed]]))
+    return Coded(pq_code(field.codebook, _joined(old, codes).rows(order), norms[order]), directed)
+
+
+def _joined(one: Codes, other: Codes) -> Codes:
+    coarse = None if one.coarse_ids is None else np.concatenate([one.coarse_ids, other.coarse_ids])
+    return Codes(np.concatenate([one.codes, other.codes]), coarse)

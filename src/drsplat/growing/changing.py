@@ -1,0 +1,197 @@
+"""A field with more views, or with fewer: equal to the bit to one that was registered at once from these views."""
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from warnings import warn
+
+import numpy as np
+from jaxtyping import Bool
+
+from ..codes import Track, untracked
+from ..errors import DrSplatWarning, InputError, MismatchError
+from ..evidence.aggregation import Aggregator, aggregator
+from ..evidence.changing import rows_with
+from ..evidence.evidence import Evidence
+from ..evidence.provenance import Provenance
+from ..field import LanguageField, regrown_field
+from ..kernels import available_isas, default_isa
+from ..masks.features import ViewFeatures
+from ..progress import Stopwatch
+from ..registration import Registration, register, with_features
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
+from .comparing import Comparison
+
+CURE = "register its photos once more with `drsplat register`, and it can grow"
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """field: as it is now. added, replaced, removed: names of views, sorted. known: views that were in it already and
+    stayed. left_out: views that were kept from it on purpose, and were not added. num_touched: Gaussians that a mask of
+    a view that changed sees. num_coded: whose features were coded again. seconds: by stage.
+    """
+
+    field: LanguageField
+    added: tuple[str, ...] = ()
+    replaced: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    num_touched: int = 0
+    num_coded: int = 0
+    seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def is_none(self) -> bool:
+        return not (self.added or self.replaced or self.removed)
+
+
+def add_views(
+    field: LanguageField,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    features: Mapping[str, ViewFeatures],
+    *,
+    renew: bool = False,
+    parts: Path | None = None,
+    threads: int = 0,
+    track: Track = untracked,
+) -> Change:
+    """Register those of the views that have features and are not in the field yet.
+
+    All settings are those that the field was registered with. Words that it is contrasted with and negatives stay,
+    objects are left out: see `change_field`. renew: compare the masks and embeddings of views that are in the field
+    already, and replace those that have become others; else such views are not looked at. parts: as for `register`.
+
+    Warns: DrSplatWarning: another instruction set than the field's.
+    Raises: InputError: the field does not know how it was made, or no view has features. MismatchError: another scene,
+    encoder or size of embeddings, or masks of another level.
+    """
+    watch = Stopwatch()
+    before, how = _opened(field, gaussians)
+    _check_features(field, features)
+    found = with_features(views, features)
+    names, left_out = set(before.masks.view_names), set(field.left_out)
+    new = [view for view, _ in found if view.name not in names | left_out]
+    known = [(view, features[key]) for view, key in found if view.name in names] if renew else []
+    others = Comparison(before, gaussians).changed(known, track) if known else []
+    watch.lap("read")
+    change = Change(
+        field,
+        added=tuple(view.name for view in new),
+        replaced=tuple(view.name for view in others),
+        known=tuple(view.name for view, _ in found if view.name in names - {other.name for other in others}),
+        left_out=tuple(view.name for view, _ in found if view.name in left_out),
+    )
+    if change.is_none:
+        return replace(change, seconds=watch.seconds)
+    assert before.sampling is not None
+    _tell_isa(before.provenance)
+    more = register(gaussians, [*new, *others], features, before.sampling, parts=parts, threads=threads, track=track)
+    watch.lap("register")
+    after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
+    watch.lap("weights")
+    return _changed(change, before, after, how, gaussians, watch, threads, track)
+
+
+def remove_views(
+    field: LanguageField, gaussians: Gaussians, names: Collection[str], *, threads: int = 0, track: Track = untracked
+) -> Change:
+    """Take some views out of a field, by name. Words and negatives stay, objects are left out: see `change_field`.
+
+    Raises: InputError: views that are not in it, or all of them; the field does not know how it was made.
+    MismatchError: another scene.
+    """
+    watch = Stopwatch()
+    before, how = _opened(field, gaussians)
+    after = before.without(names)
+    watch.lap("weights")
+    change = Change(field, removed=tuple(sorted(names)), known=after.masks.view_names)
+    return _changed(change, before, after, how, gaussians, watch, threads, track)
+
+
+def recorded_aggregator(field: LanguageField) -> Aggregator:
+    """That made a field's features. Raises: InputError, MismatchError: it is none of these here."""
+    record = field.aggregator
+    how = aggregator(record.name)
+    if dict(record.parameters) != how.parameters:
+        raise MismatchError(
+            f"this field's features are of '{record.name}' with {dict(record.parameters)}, here it has "
+            f"{how.parameters}: {CURE}"
+        )
+    return how
+
+
+def _opened(field: LanguageField, gaussians: Gaussians) -> tuple[Registration, Aggregator]:
+    """What the field was made from, and how its features were."""
+    field.check_scene(gaussians)
+    if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
+        raise InputError(f"this field does not say how it was made, as fields of older versions do not: {CURE}")
+    return Registration.from_field(field), recorded_aggregator(field)
+
+
+def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) -> None:
+    """A folder knows its encoder or takes the field's; of a dictionary the field's is believed."""
+    encoder = getattr(features, "encoder", None)
+    if encoder is not None:
+        field.check_encoder(encoder)
+
+
+def _tell_isa(provenance: Provenance | None) -> None:
+    if provenance is None or provenance.isa == default_isa():
+        return
+    cure = f"set DRSPLAT_ISA={provenance.isa}" if provenance.isa in available_isas() else "register all on one machine"
+    text = (
+        f"the weights of this field were computed with {provenance.isa}, those of new views are with {default_isa()}: "
+        f"last bits will be others than of a registration at once. For the same, {cure}"
+    )
+    warn(text, DrSplatWarning, stacklevel=3)
+
+
+def _replaced(before: Registration, others: set[str], more: Registration) -> Registration:
+    if more.evidence.dim != before.evidence.dim:
+        raise MismatchError(
+            f"embeddings of {more.evidence.dim} numbers in a field of {before.evidence.dim}: embed with its encoder, "
+            f"{before.encoder.name}"
+        )
+    if others == set(before.masks.view_names):
+        return replace(more, sampling=before.sampling, left_out=before.left_out)
+    return (before.without(others) if others else before).merged(more)
+
+
+def _changed(
+    change: Change,
+    before: Registration,
+    after: Registration,
+    how: Aggregator,
+    gaussians: Gaussians,
+    watch: Stopwatch,
+    threads: int,
+    track: Track,
+) -> Change:
+    """The field of the registration `after`: as much of the old one as stays, or all anew."""
+    field, names = change.field, {*change.added, *change.replaced, *change.removed}
+    assert field.growth is not None
+    assert after.provenance is not None
+    touched = _touched(before.evidence, names) | _touched(after.evidence, names)
+    again = regrown_field(field, after.evidence, after.provenance, touched, names, threads=threads, track=track)
+    num_coded = int(np.count_nonzero(touched))
+    if again is None:
+        again = after.to_field(
+            field.growth.specification(field.code), aggregator=how, gaussians=gaussians, threads=threads, track=track
+        )
+        num_coded = len(again)
+    again = replace(again, up=after.up, left_out=after.left_out).with_words_of(field, threads=threads)
+    watch.lap("code")
+    return replace(
+        change, field=again, num_touched=int(np.count_nonzero(touched)), num_coded=num_coded, seconds=watch.seconds
+    )
+
+
+def _touched(evidence: Evidence, names: Collection[str]) -> Bool[np.ndarray, " n"]:
+    """Rows that a mask of some views sees."""
+    masks = evidence.masks
+    return rows_with(evidence.weights, np.isin(masks.view_names, list(names))[masks.views])

@@ -1,0 +1,55 @@
+"""Whether a view's masks and embeddings are still those that a registration was made from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ..codes import Track, untracked
+from ..errors import InputError
+from ..evidence.columns import ColumnMaker, Whole
+from ..masks.features import ViewFeatures
+from ..registration import Registration
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """With a registration of these Gaussians, whose provenance is known."""
+
+    registration: Registration
+    gaussians: Gaussians
+
+    def changed(self, views: Sequence[tuple[View, ViewFeatures]], track: Track = untracked) -> list[View]:
+        """Those whose camera, masks or embeddings are others."""
+        return [
+            view
+            for view, features in track(views, "comparing views")
+            if not (self.has_masks(view, features) and self._has_embeddings(view, features))
+        ]
+
+    def has_masks(self, view: View, features: ViewFeatures) -> bool:
+        """Whether camera and masks are those of the registration: W's columns would be."""
+        registration = self.registration
+        assert registration.provenance is not None
+        number = registration.masks.view_names.index(view.name)
+        if int(np.count_nonzero(self._columns(view.name))) != len(features.embeddings):
+            return False
+        return bool(registration.provenance.keys[number].tobytes() == self._maker.key(view, features))
+
+    def _has_embeddings(self, view: View, features: ViewFeatures) -> bool:
+        return np.array_equal(self.registration.embeddings[self._columns(view.name)], features.embeddings)
+
+    def _columns(self, name: str) -> np.ndarray:
+        masks = self.registration.masks
+        return np.asarray(masks.views == masks.view_names.index(name))
+
+    @cached_property
+    def _maker(self) -> ColumnMaker:
+        sampling = self.registration.sampling
+        if sampling is None:
+            raise InputError("how the photos were looked at is not known of this registration: register again")
+        return ColumnMaker(Whole(self.gaussians, sampling.near), Path(), sampling, 0)

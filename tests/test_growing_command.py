@@ -1,0 +1,285 @@
+"""`drsplat add` and `drsplat remove`: the files of a field are those of one registration."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drsplat as ds
+from command_line import Capture, answer_of, error_of, text_of
+from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.langsplat import write_features
+from growing_fields import files_of
+from toy_capture import write_toy_capture
+
+PHOTOS = [f"photo_{number}" for number in range(4)]
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    return write_toy_capture(tmp_path)
+
+
+def some_features(room: Path, *stems: str) -> Path:
+    """A folder with the features of some photos."""
+    folder = room / ("features_" + "".join(stem[-1] for stem in stems))
+    folder.mkdir(exist_ok=True)
+    for stem in stems:
+        for ending in ("_s.npy", "_f.npy"):
+            shutil.copy(room / "capture/language_features" / f"{stem}{ending}", folder)
+    return folder
+
+
+def register(room: Path, capsys: Capture, name: str, *stems: str, more: tuple[str, ...] = ()) -> Path:
+    argv = ["register", room / "scene.ply", room / "capture", "--features", some_features(room, *stems)]
+    answer_of(capsys, *argv, "--encoder-name", "drsplat-words", "--output", room / name, *more)
+    return room / name
+
+
+def add(room: Path, field: Path, features: Path, *more: object) -> tuple[object, ...]:
+    return ("add", field, room / "capture", "--features", features, "--scene", room / "scene.ply", *more)
+
+
+def remove(room: Path, field: Path, *views: object) -> tuple[object, ...]:
+    return ("remove", field, "--scene", room / "scene.ply", "--views", *views)
+
+
+@pytest.mark.parametrize("more", [(), ("--code", "pq", "--subvectors", "16"), ("--aggregator", "robust")])
+def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:2], more=more)
+    told = answer_of(capsys, *add(room, field, room / "capture/language_features"))
+    assert (told["added"], told["num_views_known"]) == (["photo_2.png", "photo_3.png"], 2)
+    assert (told["num_views"], told["num_masks"]) == (4, 8)
+    assert told["stage_seconds"].keys() == {"load", "read", "register", "weights", "code", "save"}
+    assert 0 < told["num_touched"] <= told["num_gaussians"] == 300
+    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS, more=more))
+    told = answer_of(capsys, *remove(room, field, "photo_0", "photo_3.png"))
+    assert told["removed"] == ["photo_0.png", "photo_3.png"]
+    assert files_of(field) == files_of(register(room, capsys, "c.field", *PHOTOS[1:3], more=more))
+    assert sorted(path.name for path in room.iterdir() if "parts" in path.name or path.name.startswith(".")) == []
+
+
+def test_what_people_read(room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:3])
+    text = text_of(capsys, *add(room, field, room / "capture/language_features"))
+    assert text.startswith(f"added to {field}")
+    for part in ("1 view: photo_3.png", "coded again", "views", "4", "register", "save"):
+        assert part in text
+    text = text_of(capsys, *add(room, field, room / "capture/language_features"))
+    assert text.startswith(f"nothing to add to {field}")
+    assert "--replace" in text
+    assert "1 view: photo_3.png" in text_of(capsys, *remove(room, field, "*_3"))
+
+
+def test_a_folder_with_a_field_and_its_scene_needs_no_more(room: Path, capsys: Capture) -> None:
+    register(room, capsys, "a.field", *PHOTOS[:3])
+    (room / "points.ply").unlink()
+    told = answer_of(capsys, "add", room, room / "capture", "--features", room / "capture/language_features")
+    assert told["added"] == ["photo_3.png"]
+    assert "pass --scene SCENE" in error_of(capsys, "remove", room / "a.field", "--views", "photo_3")
+
+
+def test_features_that_have_become_others_are_taken_over_when_told_to(room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS)
+    before = files_of(field)
+    features = room / "capture/language_features"
+    stored = ds.read_features(features).stored("photo_1")
+    write_features(features, "photo_1", np.roll(stored[0], 5, axis=2), stored[1], overwrite=True)
+    assert answer_of(capsys, *add(room, field, features))["replaced"] == []
+    assert files_of(field) == before
+    told = answer_of(capsys, *add(room, field, features, "--replace"))
+    assert (told["added"], told["replaced"], told["num_views_known"]) == ([], ["photo_1.png"], 3)
+    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
+    assert answer_of(capsys, *add(room, field, features, "--replace"))["replaced"] == []
+
+
+def test_objects_are_found_again_and_names_stay(room: Path, capsys: Capture) -> None:
+    for name, photos in (("a.field", PHOTOS[:3]), ("b.field", PHOTOS)):
+        field = register(room, capsys, name, *photos)
+        assert answer_of(capsys, "objects", field, "--scene", room / "scene.ply")["num_objects"] == 2
+    answer_of(capsys, "objects", room / "a.field", "--label", "my mug", "--id", "0")
+    told = answer_of(capsys, *add(room, room / "a.field", room / "capture/language_features"))
+    assert (told["num_objects"], told["labels_of_none"]) == (2, [])
+    assert "objects" in told["stage_seconds"]
+    assert files_of(room / "a.field") == files_of(room / "b.field")
+    listed = answer_of(capsys, "objects", room / "a.field")["objects"]
+    assert "my mug" in [one["label"] for one in listed]
+
+
+@pytest.mark.parametrize(
+    ("views", "said"),
+    [
+        (["photo_9"], "nothing in this field is named photo_9: views are named like 'photo_0.png'"),
+        (["*"], "these are all 3 views"),
+    ],
+)
+def test_views_that_cannot_go(views: list[str], said: str, room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:3])
+    before = files_of(field)
+    assert said in error_of(capsys, *remove(room, field, *views))
+    assert files_of(field) == before
+
+
+def test_bad_input_changes_nothing(room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:3])
+    before = files_of(field)
+    features = room / "capture/language_features"
+    other = ds.read_gaussians(room / "scene.ply").subset(np.arange(200))
+    ds.write_gaussians(room / "other.ply", other)
+    argv = ["add", field, room / "capture", "--features", features, "--scene", room / "other.ply"]
+    assert "belongs to a scene of 300 Gaussians" in error_of(capsys, *argv)
+    assert "there is no such field" in error_of(capsys, *add(room, room / "none.field", features))
+    made = room / "mini"
+    answer_of(capsys, "embed", room / "capture", "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", made)
+    assert "was embedded by 'drsplat-mini" in error_of(capsys, *add(room, field, made))
+    assert "no view has features" in error_of(capsys, *add(room, field, _renamed(room)))
+    assert "drop --replace" in error_of(capsys, *add(room, field, features, "--watch", "--replace"))
+    assert "--idle is for --watch" in error_of(capsys, *add(room, field, features, "--idle", "3"))
+    assert files_of(field) == before
+
+
+def _renamed(room: Path) -> Path:
+    folder = some_features(room, "photo_0")
+    for file in folder.iterdir():
+        file.rename(file.with_name(file.name.replace("photo", "picture")))
+    return folder
+
+
+def test_a_field_of_an_older_version_says_what_to_do(room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:3])
+    old = ds.load_field(field)
+    replace(old, growth=None).save(room / "old.field")
+    said = error_of(capsys, *add(room, room / "old.field", room / "capture/language_features"))
+    assert "does not say how it was made" in said
+    assert "`drsplat register`" in said
+
+
+KILLED = """
+import os, signal
+from drsplat.formats import field_folder
+from drsplat.evidence.aggregation import sampling
+from drsplat.cli import main
+def killed(*args, **options):
+    os.kill(os.getpid(), signal.SIGKILL)
+if {moment!r} == "second view":
+    whole, done = sampling.view_weights, []
+    def second(*args, **options):
+        done.append(1)
+        return killed() if len(done) == 2 else whole(*args, **options)
+    sampling.view_weights = second
+else:
+    field_folder._exchange = killed
+main({argv})
+"""
+
+
+@pytest.mark.parametrize("moment", ["second view", "save"])
+def test_a_killed_run_loses_nothing_and_goes_on(moment: str, room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:2])
+    before = files_of(field)
+    argv = [*map(str, add(room, field, room / "capture/language_features"))]
+    killed = subprocess.run([sys.executable, "-c", KILLED.format(moment=moment, argv=argv)], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert files_of(field) == before
+    parts = sorted((room / "a.field.parts").iterdir())
+    assert len(parts) == (1 if moment == "second view" else 2)
+    assert len(answer_of(capsys, *argv)["added"]) == 2
+    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
+    assert not (room / "a.field.parts").exists()
+
+
+FULL = """
+import resource, sys
+from drsplat.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+sys.exit(main({argv}))
+"""
+
+
+@pytest.mark.parametrize("limit", [300, 12_000])
+def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys: Capture) -> None:
+    """At the first part, and at the field."""
+    field = register(room, capsys, "a.field", *PHOTOS[:2])
+    before = files_of(field)
+    argv = [*map(str, add(room, field, room / "capture/language_features"))]
+    ran = subprocess.run(
+        [sys.executable, "-c", FULL.format(limit=limit, argv=argv)], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 1
+    assert "there is no room left to write it" in ran.stderr
+    assert files_of(field) == before
+    assert len(answer_of(capsys, *argv)["added"]) == 2
+
+
+def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses come first, then features view by view, file by file."""
+    from drsplat.growing import watching
+
+    monkeypatch.setattr(watching, "EVERY_S", 0.05)
+    field = register(room, capsys, "a.field", *PHOTOS[:1])
+    views = ds.read_views(room / "capture")
+    capture, features = room / "live", room / "live/features"
+    shutil.copytree(room / "capture/images", capture / "images")
+    features.mkdir()
+
+    def write() -> None:
+        for number, stem in enumerate(PHOTOS[1:], 2):
+            time.sleep(0.2)
+            write_cameras_json(capture / "cameras.json", views[:number], overwrite=True)
+            for ending in ("_s.npy", "_f.npy"):
+                time.sleep(0.1)
+                shutil.copy(room / "capture/language_features" / f"{stem}{ending}", room / "copied")
+                (room / "copied").rename(features / f"{stem}{ending}")
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    argv = ["add", field, capture, "--features", features, "--scene", room / "scene.ply", "--watch", "--idle", "4"]
+    told = answer_of(capsys, *argv)
+    writer.join()
+    assert told["added"] == [f"{stem}.png" for stem in PHOTOS[1:]]
+    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
+
+
+def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Path) -> None:
+    from drsplat.growing.watching import Watch
+
+    views, features = ds.read_views(room / "capture"), ds.read_features(some_features(room, "photo_1"))
+    watch = Watch(lambda: (views, features))
+    file = features.directory / "photo_1_s.npy"
+    content = file.read_bytes()
+    for size, comes in ((0, 0), (0, 0), (500, 0), (500, 0), (len(content), 0), (len(content), 1)):
+        file.write_bytes(content[:size])
+        os.utime(file, ns=(size, size))
+        batch = watch.arrived()
+        assert (len(batch.views) if batch else 0) == comes
+    watch.known.add("photo_1.png")
+    assert watch.arrived() is None
+
+
+def test_watching_ends_on_ctrl_c(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    from drsplat.growing import watching
+
+    field = register(room, capsys, "a.field", *PHOTOS[:2])
+    monkeypatch.setattr(watching, "EVERY_S", 0.01)
+    looks: list[int] = []
+    whole = watching.Watch.arrived
+
+    def arrived(self: watching.Watch) -> watching.Batch | None:
+        looks.append(1)
+        if len(looks) == 5:
+            raise KeyboardInterrupt
+        return whole(self)
+
+    monkeypatch.setattr(watching.Watch, "arrived", arrived)
+    told = answer_of(capsys, *add(room, field, room / "capture/language_features", "--watch"))
+    assert told["added"] == ["photo_2.png", "photo_3.png"]
+    assert json.loads((field / "field.json").read_text())["growth"]["level"] == "large"
