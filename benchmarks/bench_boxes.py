@@ -18,8 +18,9 @@ from scipy.optimize import linear_sum_assignment
 
 import drsplat as ds
 from drsplat.kernels import splat_arrays, view_weights
+from drsplat.kernels.boxes import box_of
 from drsplat.query.tasks import _components
-from drsplat.scene.boxes import Box, box_of, upward
+from drsplat.scene.boxes import Box, upward
 
 SCENES = Path(__file__).parent.parent / "world" / "scenes"
 LEAST, SOLID = 40, 0.1

@@ -9,6 +9,7 @@ from drsplat.encoders import EncoderIdentity
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
 from drsplat.field.objects import Objects
+from drsplat.objects.choosing import Tree
 from drsplat.objects.describing import describe
 from drsplat.scene.gaussians import Gaussians
 from test_tasks import boxes_scene
@@ -44,14 +45,14 @@ def known_field(gaussians: Gaussians) -> LanguageField:
     return replace(field, up=UP)
 
 
-def known_tree(field: LanguageField) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """node_of, parents, levels, sure: two parts of box 0, one thing each, boxes 0 and 1 in a group."""
+def known_tree(field: LanguageField) -> Tree:
+    """Two parts of box 0, one thing each, boxes 0 and 1 in a group."""
     box, half = np.divmod(field.gaussian_ids.astype(np.int64), EACH)
     node_of = np.where(box == 0, half // (EACH // 2), box + 2).astype(np.int32)
     node_of = np.where(box == 0, node_of, box + 2).astype(np.int32)
     parents = np.array([2, 2, 5, 5, -1, -1], np.int32)
     levels = np.array([0, 0, 1, 1, 1, 2], np.uint8)
-    return node_of, parents, levels, np.array([1, 0.9, 0.8, 0.7, 0.6, 0.5], np.float32)
+    return Tree(node_of, parents, levels, np.array([1, 0.9, 0.8, 0.7, 0.6, 0.5], np.float32))
 
 
 def with_objects(threads: int = 0) -> tuple[LanguageField, Gaussians]:
@@ -61,4 +62,4 @@ def with_objects(threads: int = 0) -> tuple[LanguageField, Gaussians]:
 
 
 def described(field: LanguageField, gaussians: Gaussians, threads: int = 0) -> Objects:
-    return describe(field, gaussians, *known_tree(field), threads)
+    return describe(field, gaussians, known_tree(field), threads=threads)

@@ -205,6 +205,32 @@ def rows(rogue: Rogue) -> Call:
     return partial(_native.weighted_rows, *given, *rogue.how())
 
 
+def boxes(rogue: Rogue) -> Call:
+    n, sets = int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 5)))
+    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(rogue.one((0, 1)), 9, sets))])
+    solids = rogue.floats(n, 3), rogue.floats(n, 4), rogue.floats(n, 3), rogue.floats(n)
+    members = rogue.spoiled(starts.astype(np.int64)), rogue.whole(0, n, (starts[-1],), "i8")
+    up = rogue.one((None, np.array([0, 0.6, 0.8]), np.zeros(3), np.zeros(2), np.full(3, np.nan)))
+    return partial(_native.boxes, *solids, *members, up, rogue.one((0.003, 0.0, np.nan, 2.0)), rogue.how()[0])
+
+
+def merges(rogue: Rogue) -> Call:
+    n, m, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 50))), int(rogue.one((0, 1, 6))))
+    starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 4 if m else 1, n))])
+    columns = np.concatenate([np.arange(k) for k in np.diff(starts)], dtype="i4") if n else np.zeros(0, "i4")
+    votes = rogue.spoiled(starts.astype(np.int64)), rogue.spoiled(columns), rogue.floats(starts[-1])
+    edges = np.sort(rogue.rng.integers(0, max(n, 1), (int(rogue.one((0, 1, 500))), 2)), axis=1).astype("i4")
+    given = (
+        *votes,
+        np.arange(m, dtype="i4") // 7,
+        rogue.floats(m, dim),
+        rogue.spoiled(edges[edges[:, 0] < edges[:, 1]]),
+        np.array([0.9, 0.5, 0.1]),
+    )
+    rule = rogue.spoiled(np.array([0.5, 2, 0.15, 0.5, 0.3, 0.15, 0.7, 0.02, 2, 3]))
+    return partial(_native.agglomerate, *given, rule, rogue.how()[0])
+
+
 def codes(rogue: Rogue) -> Call:
     n, length, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64))))
     given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
@@ -268,6 +294,8 @@ FAMILIES = (
     encoding,
     neighbours,
     rows,
+    boxes,
+    merges,
     codes,
     training,
     training,

@@ -16,8 +16,11 @@ from drsplat.codes import PQ
 from drsplat.errors import InputError, MismatchError
 from drsplat.evidence.aggregation import Sampling
 from drsplat.formats.field_folder import MANIFEST
+from drsplat.kernels.boxes import box_of, boxes_of
 from drsplat.query.tasks import locate
-from drsplat.scene.boxes import Box, box_of, mixture_quantile, up_of, upward
+from drsplat.reference import boxes as twin
+from drsplat.reference.boxes import mixture_quantile
+from drsplat.scene.boxes import Box, up_of, upward
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
 from test_tasks import boxes_scene, field_of, unit
@@ -82,6 +85,35 @@ def test_strays_and_haze_do_not_stretch_it() -> None:
     dirty = replace(thing, means=stray, opacities=faint)
     clean = thing.subset(np.arange(200, len(thing)))
     assert_allclose(everything(dirty).extent, everything(clean).extent, atol=0.03)
+
+
+@pytest.mark.parametrize("up", [None, UP, np.array([0.6, 0, 0.8])])
+@pytest.mark.parametrize("count", [3, 40, 900])
+def test_native_is_the_twin(up: np.ndarray | None, count: int) -> None:
+    scene = replace(random_gaussians(1000), origin=np.array([5.0, 0, -7]))
+    ids = np.random.default_rng(count).choice(1000, count, replace=False)
+    for fast, slow in zip(box_of(scene, ids, up), twin.box_of(scene, ids, up), strict=True):
+        assert_allclose(fast, slow, atol=2e-6)
+
+
+def test_many_boxes_at_once_at_any_number_of_threads() -> None:
+    scene, rng = random_gaussians(500), np.random.default_rng(3)
+    ids = [rng.choice(500, count, replace=False) for count in (1, 2, 30, 400)]
+    starts = np.append(0, np.cumsum([len(one) for one in ids]))
+    found = boxes_of(scene, starts, np.concatenate(ids), UP, threads=3)
+    for number, one in enumerate(ids):
+        alone = box_of(scene, one, UP)
+        for name in ("center", "axes", "extent"):
+            np.testing.assert_array_equal(getattr(found, name)[number], getattr(alone, name))
+
+
+@pytest.mark.parametrize(
+    ("starts", "ids", "words"),
+    [([0, 0], [], "at least one"), ([0, 2], [0, 500], "existing"), ([0, 3], [0, 1], "row starts")],
+)
+def test_sets_that_are_none(starts: list[int], ids: list[int], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        boxes_of(random_gaussians(500), np.array(starts, np.int64), np.array(ids, np.int64))
 
 
 @settings(max_examples=10, deadline=None)

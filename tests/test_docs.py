@@ -16,6 +16,7 @@ import pytest
 import drsplat as ds
 from drsplat.cli import VERBS, main
 from drsplat.formats.tensors import map_tensors
+from drsplat.objects.choosing import Tree
 from drsplat.objects.describing import describe
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
@@ -166,7 +167,7 @@ def field_folder(capture, tmp_path_factory) -> Path:
     field = ds.register(gaussians, views, features).to_field()
     node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
     roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
-    field = field.with_objects(describe(field, gaussians, node_of, roots, things, np.ones(2, np.float32)))
+    field = field.with_objects(describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32))))
     texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
     field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
     return folder

@@ -5,8 +5,8 @@ import pytest
 
 from drsplat import Gaussians, Match
 from drsplat.errors import InputError
+from drsplat.kernels.boxes import box_of
 from drsplat.query.relations import RELATIONS, related
-from drsplat.scene.boxes import box_of
 
 UP = np.array([0.0, 0, 1])
 

@@ -13,6 +13,7 @@ from drsplat.field import loading
 from drsplat.field.objects import ARRAYS, Objects
 from drsplat.formats.field_folder import read_manifest
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.objects.choosing import Tree
 from drsplat.objects.describing import describe
 from fields import random_weights, unit_rows
 from known_objects import CENTERS, EACH, SIZES, UP, described, known_field, known_scene, known_tree, with_objects
@@ -148,24 +149,24 @@ def test_the_same_bits_at_any_number_of_threads() -> None:
 def test_what_cannot_be_described() -> None:
     scene = known_scene()
     field = known_field(scene)
-    node_of, parents, levels, sure = known_tree(field)
+    tree = known_tree(field)
+    node_of = tree.node_of
     with pytest.raises(InputError, match="no evidence"):
         described(replace(field, evidence=None), scene)
     with pytest.raises(MismatchError):
         described(field, scene.subset(np.arange(10)))
     with pytest.raises(InputError, match="node 0 has no rows"):
-        describe(field, scene, np.where(node_of == 0, -1, node_of).astype(np.int32), parents, levels, sure)
+        describe(field, scene, tree._replace(node_of=np.where(node_of == 0, -1, node_of).astype(np.int32)))
     with pytest.raises(InputError, match="one node for each of"):
-        describe(field, scene, node_of[1:], parents, levels, sure)
+        describe(field, scene, tree._replace(node_of=node_of[1:]))
 
 
 def test_nothing_belongs_together() -> None:
     scene = known_scene()
     field = known_field(scene)
     none = np.empty(0, np.int32)
-    found = describe(
-        field, scene, np.full(len(field), -1, np.int32), none, np.empty(0, np.uint8), np.empty(0, np.float32)
-    )
+    tree = Tree(np.full(len(field), -1, np.int32), none, np.empty(0, np.uint8), np.empty(0, np.float32))
+    found = describe(field, scene, tree)
     assert len(found) == 0
     assert (found.thing_of() == -1).all()
     with pytest.raises(InputError, match="this field has none"):

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from drsplat import cli, load_field, read_gaussians
 from drsplat.cli import make_parser
 from drsplat.commands.options import LARGEST, MOST, finite, length, whole, words
+from drsplat.objects.choosing import Tree
 from drsplat.objects.describing import describe
 from toy_capture import PER_THING, write_toy_capture
 
@@ -48,7 +49,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     field, gaussians = load_field(folder / "room.field"), read_gaussians(folder / "scene.ply")
     node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
     roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
-    objects = describe(field, gaussians, node_of, roots, things, np.ones(2, np.float32))
+    objects = describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32)))
     field.with_objects(objects).save(folder / "room.field", overwrite=True)
     return folder
 

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array, random_array
 
 from drsplat.errors import InputError
 from drsplat.kernels import Forest, MergeRule, agglomerate
-from drsplat.objects.neighbours import neighbours
+from drsplat.objects.neighbours import along_a_curve, neighbours
 from drsplat.reference import regions as twin
 
 RULE = MergeRule(soft=0.5, far=2.0, unit=0.7, smallest=3)
@@ -139,6 +139,15 @@ def test_a_damaged_matrix_is_refused(broken: str) -> None:
         w.indices[0] = 20 if broken == "too large" else -1
     with pytest.raises(InputError, match=r"column|row starts"):
         agglomerate(w, views, embeddings, line(40), THRESHOLDS, RULE)
+
+
+def test_what_is_near_in_space_is_near_along_the_curve() -> None:
+    points = np.random.default_rng(0).random((4000, 3))
+    order = along_a_curve(np.concatenate([points, [[1e6, 0, 0]]]))  # a stray does not put all others in one cell
+    np.testing.assert_array_equal(np.sort(order), np.arange(4001))
+    steps = np.linalg.norm(np.diff(points[order[order < 4000]], axis=0), axis=1)
+    assert np.median(steps) < 0.1  # in no order 0.66
+    assert len(along_a_curve(np.zeros((0, 3)))) == 0
 
 
 def test_neighbours_of_points_in_one_place_and_of_few() -> None:

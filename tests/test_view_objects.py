@@ -10,6 +10,7 @@ from drsplat import write_gaussians
 from drsplat.drawing.palette import class_colors
 from drsplat.errors import InputError
 from drsplat.field.labels import LabelFile
+from drsplat.objects.choosing import Tree
 from drsplat.objects.describing import describe
 from drsplat.query import Scene, open_scene
 from drsplat.query.nodes import Chosen, chosen_at, name_of
@@ -47,7 +48,7 @@ def worded() -> Session:
     thing, half = np.divmod(scene.field.gaussian_ids.astype(np.int64), 300)
     node_of = np.where(thing == 0, half // 150, thing + 2).astype(np.int32)
     parents, levels = np.array([2, 2, -1, -1, -1], np.int32), np.array([0, 0, 1, 1, 1], np.uint8)
-    found = describe(scene.field, scene.gaussians, node_of, parents, levels, np.ones(5, np.float32))
+    found = describe(scene.field, scene.gaussians, Tree(node_of, parents, levels, np.ones(5, np.float32)))
     return Session(Scene(scene.field.with_objects(found), scene.gaussians, scene.views, scene.encoder), words=THINGS)
 
 

@@ -6,6 +6,7 @@ using namespace drsplat;
 
 NB_MODULE(_native, m) {
   bind_algebra(m);
+  bind_boxes(m);
   bind_mixture(m);
   bind_regions(m);
   bind_scan(m);

@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 
 void bind_algebra(nanobind::module_ &);
+void bind_boxes(nanobind::module_ &);
 void bind_mixture(nanobind::module_ &);
 void bind_regions(nanobind::module_ &);
 void bind_scan(nanobind::module_ &);

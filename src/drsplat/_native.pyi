@@ -118,6 +118,17 @@ def mixture_select(
 ) -> tuple[Array, Array]: ...
 def mixture_top(parts: tuple[Array, ...], query: Array, count: int, threads: int, isa: str) -> tuple[Array, Array]: ...
 def mixture_best(parts: tuple[Array, ...], queries: Array, threads: int, isa: str) -> tuple[Array, Array, Array]: ...
+def boxes(
+    means: Array,
+    quats: Array,
+    scales: Array,
+    mass: Array,
+    starts: Array,
+    ids: Array,
+    up: Array | None,
+    outliers: float,
+    threads: int,
+) -> tuple[Array, Array, Array]: ...
 def agglomerate(
     starts: Array,
     columns: Array,

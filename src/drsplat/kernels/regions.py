@@ -30,7 +30,7 @@ class MergeRule:
     unlike: float = 0.15
     unit: float = 1.0
     tolerance: float = 0.02
-    rounds: int = 30
+    rounds: int = 2
     smallest: int = 30
 
 

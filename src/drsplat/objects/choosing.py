@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 
 from ..field.objects import GROUP, PART, THING
 from ..kernels import Forest
@@ -13,94 +13,95 @@ MOST = 0.5  # of all weight: what holds more is no group but the room
 NONE = -1
 
 
-class Chosen(NamedTuple):
-    """node_of: per row the smallest node, -1 for none. sure: how well the masks of the photos fit a node."""
+class Tree(NamedTuple):
+    """The nodes that are kept, as in `Objects`: node_of per row, sure how well the masks of the photos fit a node."""
 
     node_of: Int32[np.ndarray, " r"]
     parents: Int32[np.ndarray, " t"]
     levels: UInt8[np.ndarray, " t"]
-    sure: np.ndarray
+    sure: Float32[np.ndarray, " t"]
 
 
-def choose(forest: Forest, rows: int, smallest: int) -> Chosen:
+def choose(forest: Forest, rows: int, smallest: int) -> Tree:
     """The hierarchy of a forest over so many rows.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
     embeddings are `APART`. Parts are the same choice within each thing. Groups are nodes above that hold several.
     """
-    worth = forest.masses * np.sqrt(forest.fits.astype(np.float64))
-    judged = forest.sizes >= smallest
-    things = best_nodes(forest.parents, np.where(judged & (forest.spreads <= APART), worth, NONE))
-    parts = _parts(forest.parents, np.where(judged, worth, NONE), things)
-    groups = _groups(forest, things)
-    return _compressed(forest, rows, {PART: parts, THING: things, GROUP: groups})
+    (judged,) = np.nonzero(forest.sizes >= smallest)  # what is above them is larger
+    parents = _within(forest.parents, judged)
+    worth = forest.masses[judged] * np.sqrt(forest.fits[judged].astype(np.float64))
+    things = best_nodes(parents, np.where(forest.spreads[judged] <= APART, worth, NONE))
+    total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
+    groups = _several_branches(parents, things) & (forest.masses[judged] <= MOST * total)
+    levels = np.full(len(parents), NONE)
+    for level, of_level in ((PART, _parts(parents, worth, things)), (GROUP, groups), (THING, things)):
+        levels[of_level] = level
+    kept = levels != NONE
+    return _kept(forest, rows, judged[kept], levels[kept].astype(np.uint8))
 
 
-def best_nodes(parents: Int32[np.ndarray, " t"], worth: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+def _within(parents: Int32[np.ndarray, " t"], nodes: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """The forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
+    among = np.zeros(len(parents), bool)
+    among[nodes] = True
+    number = np.append(np.cumsum(among) - 1, NONE)  # -1 stays -1
+    return np.asarray(number[_above(parents, among)[nodes]])
+
+
+def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
     """The set of nodes, none above another, of the largest sum of worth; nodes of negative worth are never chosen.
 
     Of equal sums the one of larger nodes. Linear: children come before their parents.
     """
-    below = np.zeros(len(parents))
+    below = [0.0] * len(parents)
     own = np.zeros(len(parents), bool)
-    for node, parent in enumerate(parents.tolist()):
-        own[node] = worth[node] >= max(below[node], 0.0)
+    for node, (parent, value) in enumerate(zip(parents.tolist(), worth.tolist(), strict=True)):
+        own[node] = value >= max(below[node], 0.0)
         if parent >= 0:
-            below[parent] += worth[node] if own[node] else below[node]
-    return np.asarray(own & ~_below(parents, own))
+            below[parent] += max(value, below[node])
+    return np.asarray(own & (_above(parents, own) < 0))
 
 
-def _below(parents: Int32[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
-    """Those with one of `nodes` above them."""
-    below = np.zeros(len(parents), bool)
-    for node in range(len(parents) - 1, -1, -1):
-        parent = parents[node]
-        if parent >= 0:
-            below[node] = below[parent] or nodes[parent]
-    return below
+def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+    """For each node itself or the lowest of `nodes` above it, -1 for none."""
+    up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
+    while (up != (further := up[up])).any():
+        up = further
+    return np.asarray(up[:-1])
+
+
+def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+    """For each node the lowest of `nodes` above it, -1 for none."""
+    return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
 
 
 def _parts(
-    parents: Int32[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
+    parents: Int64[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
 ) -> Bool[np.ndarray, " t"]:
     """The best nodes strictly within things, where a thing has two or more."""
-    within = _below(parents, things)
-    found = best_nodes(parents, np.where(within, worth, NONE))
-    owner = _owners(parents, things)
-    several = np.bincount(owner[found], minlength=len(parents)) > 1
-    return np.asarray(found & several[owner])
+    thing = _above(parents, things)
+    found = best_nodes(parents, np.where(thing >= 0, worth, NONE))
+    several = np.bincount(thing[found], minlength=len(parents)) > 1
+    return np.asarray(found & several[thing])
 
 
-def _owners(parents: Int32[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> np.ndarray:
-    """For each node itself or the lowest of `nodes` above it, -1 for none."""
-    owner = np.full(len(parents), -1)
-    for node in range(len(parents) - 1, -1, -1):
-        parent = parents[node]
-        owner[node] = node if nodes[node] else owner[parent] if parent >= 0 else -1
-    return owner
-
-
-def _groups(forest: Forest, things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
-    """Nodes above things, of two or more branches that hold some, but for what is most of the scene."""
-    holds = things.copy()
-    branches = np.zeros(len(things), int)
-    for node, parent in enumerate(forest.parents.tolist()):
+def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+    """Nodes with things below two or more of their children."""
+    holds = things.tolist()
+    branches = [0] * len(holds)
+    for node, parent in enumerate(parents.tolist()):
         holds[node] |= branches[node] > 0
         if parent >= 0 and holds[node]:
             branches[parent] += 1
-    total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
-    return np.asarray((branches > 1) & (forest.masses <= MOST * total))
+    return np.array(branches) > 1
 
 
-def _compressed(forest: Forest, rows: int, chosen: dict[int, Bool[np.ndarray, " t"]]) -> Chosen:
+def _kept(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]) -> Tree:
     """The chosen nodes alone, in their order."""
-    kept = np.logical_or.reduce(list(chosen.values()))
-    nodes = np.flatnonzero(kept)
-    number = np.append(np.cumsum(kept) - 1, -1)  # -1 stays -1
-    owner = _owners(forest.parents, kept)
-    above = forest.parents[nodes]
-    parents = np.where(above >= 0, number[owner[above]], -1).astype(np.int32)
-    levels = np.zeros(len(nodes), np.uint8)
-    for level, of_level in chosen.items():
-        levels[of_level[nodes]] = level
-    return Chosen(number[owner[:rows]].astype(np.int32), parents, levels, forest.fits[nodes])
+    among = np.zeros(len(forest.parents), bool)
+    among[nodes] = True
+    number = np.append(np.cumsum(among) - 1, NONE)
+    node_of = number[_owners(forest.parents, among)[:rows]]
+    parents = _within(forest.parents, nodes)
+    return Tree(node_of.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])

@@ -4,69 +4,48 @@ Linear in the weights of the evidence: rows of W are summed into nodes and these
 nodes times Gaussians.
 """
 
-from collections.abc import Iterator
-from itertools import pairwise
-
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.sparse import csr_array
 
 from ..errors import InputError
 from ..evidence.evidence import Evidence
 from ..field import LanguageField
 from ..field.objects import MOST_MASKS, Objects, check_forest
-from ..scene.boxes import Box, box_of, solid
+from ..kernels.boxes import Boxes, boxes_of
+from ..scene.boxes import HAZE
 from ..scene.gaussians import Gaussians
+from .choosing import Tree
 from .descriptors import descriptors
 from .heaviest import heaviest
 
 SLIVER = 0.01  # of what the best photo of a node shows of it: a photo with less does not see it
 
 
-def describe(
-    field: LanguageField,
-    gaussians: Gaussians,
-    node_of: Int32[np.ndarray, " R"],
-    parents: Int32[np.ndarray, " T"],
-    levels: UInt8[np.ndarray, " T"],
-    sure: Float32[np.ndarray, " T"],
-    threads: int = 0,
-) -> Objects:
-    """What is known of each node of a forest; arguments as the arrays of `Objects`. The same bits at any `threads`.
+def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads: int = 0) -> Objects:
+    """What is known of each node of a tree over the rows of a field. The same bits at any `threads`.
 
     Nodes that no row belongs to, themselves or below them, are refused: they would be nowhere.
 
-    Raises: InputError: the field was made without evidence, arrays that are no forest over its rows, or a node
+    Raises: InputError: the field was made without evidence, arrays that are no tree over its rows, or a node
     without rows. MismatchError: the field is of another scene.
     """
     field.check_scene(gaussians)
     if field.evidence is None:
         raise InputError("this field holds no evidence, which tells what belongs together: register again and keep it")
-    if node_of.shape != (len(field),):
-        raise InputError(f"node_of: expected one node for each of {len(field)} rows, got {node_of.shape}")
-    check_forest(node_of, parents, levels)
-    inside = _members(node_of, parents)
-    weights = _weights(field.evidence, inside, node_of)
-    boxes = [_box(gaussians, field, rows) for rows in _rows(inside, node_of)]
-    starts, masks, shares = _masks(weights)
-    descriptor_starts, vectors = descriptors(
-        _exclusive(weights, field.evidence), field.evidence.embeddings, threads=threads
-    )
+    if tree.node_of.shape != (len(field),):
+        raise InputError(f"node_of: expected one node for each of {len(field)} rows, got {tree.node_of.shape}")
+    check_forest(tree.node_of, tree.parents, tree.levels)
+    inside = _members(tree.node_of, tree.parents)
+    weights = _weights(field.evidence, inside, tree.node_of)
+    exclusive = _exclusive(weights, field.evidence)
     return Objects(
-        node_of,
-        parents,
-        levels,
-        sure,
-        np.array([box.center for box in boxes]).reshape(-1, 3),
-        np.array([box.axes for box in boxes]).reshape(-1, 3, 3),
-        np.array([box.extent for box in boxes]).reshape(-1, 3),
-        _masses(field, gaussians, inside, node_of),
+        *tree,
+        *_boxes(field, gaussians, inside, tree.node_of, threads),
+        _masses(field, gaussians, inside, tree.node_of),
         _num_views(weights, field.evidence),
-        starts,
-        masks,
-        shares,
-        descriptor_starts,
-        vectors,
+        *_masks(weights),
+        *descriptors(exclusive, field.evidence.embeddings, threads=threads),
     )
 
 
@@ -101,16 +80,29 @@ def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, "
     return csr_array(summed)
 
 
-def _rows(inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> Iterator[Int64[np.ndarray, " r"]]:
-    """Of each node, those below it included, ascending."""
+def _boxes(
+    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"], threads: int
+) -> Boxes:
+    """Of what can be seen of each node, or of all of it where nothing can, as of `scene.boxes.solid`."""
+    starts, rows = _rows(inside, node_of)
+    nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    ids = field.gaussian_ids[rows].astype(np.int64)
+    seen = gaussians.opacities[ids] >= HAZE
+    seen |= (np.bincount(nodes[seen], minlength=len(starts) - 1) == 0)[nodes]
+    counts = np.bincount(nodes[seen], minlength=len(starts) - 1)
+    return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], field.up, threads=threads)
+
+
+def _rows(
+    inside: csr_array, node_of: Int32[np.ndarray, " R"]
+) -> tuple[Int64[np.ndarray, " T1"], Int64[np.ndarray, " e"]]:
+    """Of each node, those below it included: where its rows begin, and all of them."""
     order = np.argsort(node_of, kind="stable")
-    own = np.split(order, np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1)))[1:-1]
-    for begin, end in pairwise(inside.indptr):
-        yield np.sort(np.concatenate([own[member] for member in inside.indices[begin:end]]))
-
-
-def _box(gaussians: Gaussians, field: LanguageField, rows: Int64[np.ndarray, " r"]) -> Box:
-    return box_of(gaussians, solid(gaussians, field.gaussian_ids[rows].astype(np.int64)), field.up)
+    begins = np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1))
+    lengths = np.diff(begins)[inside.indices]
+    skipped = begins[inside.indices] - (np.cumsum(lengths) - lengths)
+    rows = order[np.arange(lengths.sum()) + np.repeat(skipped, lengths)]
+    return np.append(0, np.cumsum(inside @ np.diff(begins))).astype(np.int64), rows
 
 
 def _masses(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Int64
 from scipy.sparse import csr_array
 
 from ..field.objects import MOST_DESCRIPTORS
@@ -31,13 +31,14 @@ def descriptors(
     """
     clusters = _Clusters(heaviest(weights, LOOKED_AT), embeddings, threads)
     labels = np.zeros(clusters.weights.nnz, np.int64)
-    for count in range(1, MOST_DESCRIPTORS + 1):
-        cosines = clusters.cosines(labels)
-        far = clusters.worst_served(cosines)
-        if count == MOST_DESCRIPTORS or not len(far):
-            break
+    part = np.arange(len(labels))  # entries of rows that may need more
+    for count in range(1, MOST_DESCRIPTORS):
+        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
+        needing = np.zeros(weights.shape[0], bool)
+        needing[clusters.rows[far]] = True
+        part = part[needing[clusters.rows[part]]]
         labels[far] = count
-        labels = clusters.settled(labels)
+        clusters.settle(labels, part, count + 1)
     return clusters.centers(labels)
 
 
@@ -53,27 +54,29 @@ class _Clusters:
     def rows(self) -> Int64[np.ndarray, " e"]:
         return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
 
-    def settled(self, labels: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " e"]:
-        """After some rounds: each entry in the cluster of the nearest centre, the first of equal ones."""
+    def settle(self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int) -> None:
+        """Puts the entries of `part` in the cluster of the nearest centre, the first of equal ones, some times."""
         for _ in range(ROUNDS):
-            labels = self._against(self.means(labels)).argmax(axis=1)
-        return labels
+            found = self.cosines(labels, part, count).argmax(axis=1)
+            if (found == labels[part]).all():
+                break
+            labels[part] = found
 
-    def cosines(self, labels: Int64[np.ndarray, " e"]) -> Float64[np.ndarray, " e"]:
-        """Of each entry with its nearest centre."""
-        return np.asarray(self._against(self.means(labels)).max(axis=1, initial=-1), np.float64)
-
-    def worst_served(self, cosines: Float64[np.ndarray, " e"]) -> Int64[np.ndarray, " t"]:
-        """The entry of each row that is unlike all centres and served worst."""
-        served = np.where(cosines < ALIKE, self.weights.data * (1 - cosines), 0)
-        order = np.lexsort((np.arange(len(served)), -served, self.rows))
-        first = order[np.diff(self.rows[order], prepend=-1) > 0]
-        return np.asarray(first[served[first] > 0])
+    def worst_served(
+        self, part: Int64[np.ndarray, " p"], cosines: Float32[np.ndarray, " p"]
+    ) -> Int64[np.ndarray, " t"]:
+        """Of the entries of `part` in each row that which is unlike all centres and served worst, by its place."""
+        served = np.where(cosines < ALIKE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
+        rows = self.rows[part]
+        most = np.zeros(self.weights.shape[0])
+        np.maximum.at(most, rows, served)
+        (worst,) = np.nonzero((served > 0) & (served == most[rows]))
+        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
 
     def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
         """The unit mean of each cluster, zero where it has no entries or they cancel out."""
-        order = np.lexsort((self.weights.indices, labels, self.rows))
         clusters = self.rows * MOST_DESCRIPTORS + labels
+        order = np.argsort(clusters, kind="stable")
         count = self.weights.shape[0] * MOST_DESCRIPTORS
         starts = np.append(0, np.cumsum(np.bincount(clusters, minlength=count)))
         data = self.weights.data[order].astype(np.float32)
@@ -81,6 +84,22 @@ class _Clusters:
             starts, self.weights.indices[order], data, self.embeddings, 0, count, threads=self.threads
         )
         return means.reshape(-1, MOST_DESCRIPTORS, means.shape[1])
+
+    def cosines(
+        self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
+    ) -> Float32[np.ndarray, "p k"]:
+        """Of the entries of `part` with the first centres of their rows; empty ones are like nothing. No BLAS, whose
+        bits depend on the number of its threads."""
+        means = self.means(labels)
+        there = np.asarray(means.any(axis=2))
+        found = np.empty((len(part), count), np.float32)
+        for begin in range(0, len(part), BLOCK):
+            entries = part[begin : begin + BLOCK]
+            rows, own = self.rows[entries], self.embeddings[self.weights.indices[entries]]
+            for k in range(count):
+                cosines = np.einsum("ed,ed->e", own, means[rows, k])
+                found[begin : begin + BLOCK, k] = np.where(there[rows, k], cosines, -1)
+        return found
 
     def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
         """Row starts and unit means, the heaviest cluster of each row first, without specks."""
@@ -93,14 +112,3 @@ class _Clusters:
         sorted_means = np.take_along_axis(means, order[..., None], axis=1)
         there = np.take_along_axis(mass, order, axis=1) > 0
         return np.append(0, np.cumsum(there.sum(axis=1))), np.asarray(sorted_means[there])
-
-    def _against(self, centers: Float32[np.ndarray, "T k D"]) -> Float32[np.ndarray, "e k"]:
-        """Cosines of the entries with the centres of their rows; empty ones are like nothing. No BLAS: see above."""
-        found = np.empty((len(self.rows), centers.shape[1]), np.float32)
-        for begin in range(0, len(found), BLOCK):
-            part = slice(begin, begin + BLOCK)
-            own = self.embeddings[self.weights.indices[part]]
-            found[part] = np.einsum("ed,ekd->ek", own, centers[self.rows[part]])
-        there = np.asarray(centers.any(axis=2))
-        found[~there[self.rows]] = -1
-        return found

@@ -5,7 +5,7 @@ their masks agree; of the regions that come about, things are those that single 
 """
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32
 from scipy.sparse import csr_array
 
 from ..errors import InputError
@@ -16,10 +16,11 @@ from ..kernels import Forest, MergeRule, agglomerate
 from ..scene.gaussians import Gaussians
 from .choosing import choose
 from .describing import describe
-from .neighbours import neighbours
+from .neighbours import along_a_curve, neighbours
 
 THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
-SOFT, SIGHT = 2e-5, 1.2e-4  # of the weight of one photo
+SOFT = 0.55  # of what a photo shows of a Gaussian in the mean
+SIGHT = 1.2e-4  # of the weight of a photo
 SMALLEST = 30  # Gaussians
 DIRECTIONS = 32  # of embeddings that are looked at
 
@@ -36,17 +37,22 @@ def find_objects(field: LanguageField, gaussians: Gaussians, *, threads: int = 0
     if field.evidence is None:
         raise InputError("objects are found in the evidence, and this field was saved without: register again")
     forest = grow(field.evidence, gaussians.means[field.gaussian_ids], threads=threads)
-    found = choose(forest, len(field), SMALLEST)
-    return describe(field, gaussians, *found, threads=threads)
+    return describe(field, gaussians, choose(forest, len(field), SMALLEST), threads=threads)
 
 
 def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
     """The forest of merges over the rows of the evidence; means: the Gaussians' centres."""
+    order = along_a_curve(means)
     weights, views, embeddings = _by_view(evidence)
     embeddings, unit = _fewer_directions(embeddings)
-    of_one_view = float(weights.data.sum(dtype=np.float64)) / max(len(np.unique(views)), 1)
-    rule = MergeRule(max(SOFT * of_one_view, 1e-6), max(SIGHT * of_one_view, 1e-6), unit=unit, smallest=SMALLEST)
-    return agglomerate(weights, views, embeddings, neighbours(means, threads), THRESHOLDS, rule, threads=threads)
+    total = float(weights.data.sum(dtype=np.float64))
+    soft, far = SOFT * total / max(_sights(weights, views), 1), SIGHT * total / max(len(np.unique(views)), 1)
+    rule = MergeRule(max(soft, 1e-6), max(far, 1e-6), unit=unit, smallest=SMALLEST)
+    edges = neighbours(means[order], threads)
+    forest = agglomerate(csr_array(weights[order]), views, embeddings, edges, THRESHOLDS, rule, threads=threads)
+    places = np.arange(len(forest.parents))
+    places[order] = np.arange(len(order))
+    return Forest(*(values[places] for values in forest))
 
 
 def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
@@ -59,6 +65,15 @@ def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
         weights = weights.copy()
         weights.sum_duplicates()
     return weights, views, embeddings
+
+
+def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
+    """In how many views a row has weight, of all rows together."""
+    seen = views[weights.indices]
+    first = np.ones(len(seen), bool)
+    first[1:] = seen[1:] != seen[:-1]
+    first[weights.indptr[:-1][np.diff(weights.indptr) > 0]] = True
+    return int(np.count_nonzero(first))
 
 
 def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:

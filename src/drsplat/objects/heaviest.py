@@ -1,13 +1,25 @@
 """The heaviest entries of each row of a sparse matrix."""
 
 import numpy as np
+from jaxtyping import Float64
 from scipy.sparse import csr_array
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:
     """Up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    order = np.lexsort((matrix.indices, -matrix.data, rows))
-    kept = order[np.arange(len(order)) - matrix.indptr[rows] < most]
+    (heavy,) = np.nonzero(matrix.data >= _bars(matrix, most)[rows])  # and more, where some are equal
+    order = heavy[np.lexsort((matrix.indices[heavy], -matrix.data[heavy], rows[heavy]))]
+    begins = np.searchsorted(rows[order], np.arange(matrix.shape[0]))
+    kept = order[np.arange(len(order)) - begins[rows[order]] < most]
     starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
     return csr_array((matrix.data[kept], matrix.indices[kept], starts), shape=matrix.shape)
+
+
+def _bars(matrix: csr_array, most: int) -> Float64[np.ndarray, " r"]:
+    """The weight that is `most`-th in each row, nothing where there are no more."""
+    bars = np.full(matrix.shape[0], -np.inf)
+    for row in np.flatnonzero(np.diff(matrix.indptr) > most):
+        data = matrix.data[matrix.indptr[row] : matrix.indptr[row + 1]]
+        bars[row] = np.partition(data, len(data) - most)[len(data) - most]
+    return bars

@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..field import LanguageField
-from ..scene.boxes import HAZE, box_of
+from ..kernels.boxes import box_of
+from ..scene.boxes import HAZE
 from ..scene.gaussians import Gaussians
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS

@@ -5,7 +5,6 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64, Integer
-from scipy.special import ndtr
 
 from ..errors import InputError
 from .gaussians import Gaussians
@@ -15,9 +14,6 @@ BoxKind = Literal["upright", "free"]
 KINDS: tuple[BoxKind, ...] = get_args(BoxKind)
 
 HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian's protocol
-OUTLIERS = 0.003  # of a thing's mass, cut off at each end of each axis
-DEVIATIONS = 6.0  # beyond which a Gaussian has no mass
-STEPS = 30  # of bisection: to a billionth of the range
 LEVEL = 0.1  # least spread of the cameras' horizontals that tells which way is up
 
 
@@ -77,116 +73,3 @@ def solid(gaussians: Gaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.nd
     """Those of some Gaussians that can be seen; all of them where none can."""
     seen: np.ndarray = ids[gaussians.opacities[ids] >= HAZE]
     return seen if len(seen) else ids
-
-
-def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
-    """The box that holds the Gaussians `ids`, but for the outliers of their mass.
-
-    up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
-    principal axes. Along each axis the Gaussians, weighted by opacity, are a mixture of normal distributions; three
-    thousandths of it lie beyond either side of the box.
-    """
-    part = gaussians.subset(ids)
-    mass = part.opacities.astype(np.float64)
-    mass = mass if mass.sum() > 0 else np.ones(len(part))
-    points, covariances = part.means.astype(np.float64), part.covariances()
-    axes = _axes(points, mass, up)
-    along, low, high = _ends(points, covariances, mass, axes)
-    inside = ((along >= low) & (along <= high)).all(axis=1)
-    if mass[inside].sum() > 0:  # strays would turn it
-        axes = _axes(points[inside], mass[inside], up)
-        _, low, high = _ends(points, covariances, mass, axes)
-    axes, low, high = _ordered(axes, low, high, 2 if up is not None else 3)
-    return Box((low + high) / 2 @ axes + gaussians.origin, axes, high - low)
-
-
-def _ends(
-    points: Float64[np.ndarray, "m 3"],
-    covariances: Float64[np.ndarray, "m 6"],
-    mass: Float64[np.ndarray, " m"],
-    axes: Float64[np.ndarray, "3 3"],
-) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """The points along the axes, and where along each the outliers begin."""
-    along, spread = np.einsum("mi,ai->ma", points, axes), np.sqrt(_variances(covariances, axes))
-    shares = mass / mass.sum()
-    ends = (mixture_quantile(along, spread, shares, share) for share in (OUTLIERS, 1 - OUTLIERS))
-    return along, *ends
-
-
-def mixture_quantile(
-    means: Float64[np.ndarray, "m k"],
-    deviations: Float64[np.ndarray, "m k"],
-    mass: Float64[np.ndarray, " m"],
-    share: float,
-) -> Float64[np.ndarray, " k"]:
-    """Per column, below which value `share` of a mixture of normal distributions lies. mass: sums to 1."""
-    if share > 0.5:
-        return -_low_quantile(-means, deviations, mass, 1 - share)
-    return _low_quantile(means, deviations, mass, share)
-
-
-def _low_quantile(
-    means: Float64[np.ndarray, "m k"],
-    deviations: Float64[np.ndarray, "m k"],
-    mass: Float64[np.ndarray, " m"],
-    share: float,
-) -> Float64[np.ndarray, " k"]:
-    """By bisection, among those alone that reach so low: half of each lies below its mean, which bounds the answer.
-
-    Sums are of one order, which those of BLAS need not be at any number of threads.
-    """
-    order = np.argsort(means, axis=0, kind="stable")
-    before = (np.cumsum(mass[order], axis=0) < 2 * share).sum(axis=0)
-    last = np.take_along_axis(order, np.minimum(before, len(order) - 1)[None], axis=0)
-    high = np.take_along_axis(means, last, axis=0)[0]
-    low_ends = means - DEVIATIONS * deviations
-    low, near = low_ends.min(axis=0), (low_ends <= high).any(axis=1)
-    means, deviations, mass = means[near], deviations[near], mass[near]
-    width = np.maximum(deviations, 1e-12 * (high - low) + np.finfo(np.float64).tiny)
-    for _ in range(STEPS):
-        middle = (low + high) / 2
-        below = np.einsum("m,mk->k", mass, ndtr((middle - means) / width)) < share
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.asarray((low + high) / 2)
-
-
-def _variances(covariances: Float64[np.ndarray, "m 6"], axes: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "m 3"]:
-    """Of each Gaussian along each axis."""
-    a, b = np.triu_indices(3)
-    twice = np.where(a == b, 1.0, 2.0)
-    return np.asarray(np.maximum(np.einsum("mc,ac->ma", covariances, twice * axes[:, a] * axes[:, b]), 0))
-
-
-def _axes(
-    points: Float64[np.ndarray, "m 3"], mass: Float64[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None
-) -> Float64[np.ndarray, "3 3"]:
-    """The principal axes, or those in the plane, and up."""
-    if up is None:
-        return _principal(points, mass)
-    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    east = east / np.linalg.norm(east)
-    plane = np.stack([east, np.cross(up, east)])
-    return np.concatenate([_principal(np.einsum("mi,pi->mp", points, plane), mass) @ plane, up[None]])
-
-
-def _principal(points: Float64[np.ndarray, "m k"], mass: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, "k k"]:
-    offsets = points - np.einsum("m,mk->k", mass, points) / mass.sum()
-    spread = np.einsum("m,mi,mj->ij", mass, offsets, offsets)
-    return np.asarray(np.linalg.eigh(spread)[1].T[::-1])
-
-
-def _ordered(
-    axes: Float64[np.ndarray, "3 3"], low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], free: int
-) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """The first `free` axes by length, each towards where its largest part is positive; right-handed."""
-    order = [*np.argsort(-(high - low)[:free], kind="stable").tolist(), *range(free, 3)]
-    axes, low, high = axes[order], low[order], high[order]
-    sign = np.sign(axes[np.arange(3), np.abs(axes).argmax(1)])
-    sign[free:] = 1
-    turned = sign[:, None] * axes
-    flip = 1 if free < 3 else 2
-    if np.linalg.det(turned) < 0:
-        sign[flip] = -sign[flip]
-        turned = sign[:, None] * axes
-    ends = np.stack([low * sign, high * sign])
-    return turned, ends.min(axis=0), ends.max(axis=0)

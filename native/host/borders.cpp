@@ -1,0 +1,143 @@
+#include "host/borders.h"
+
+#include "host/parallel.h"
+
+#include <algorithm>
+#include <numeric>
+
+namespace drsplat {
+namespace {
+
+constexpr uint64_t kBlock = 256;
+
+double pulled(double shared, double seen, const MergeRule &rule) {
+  return (shared + rule.prior * rule.least) / (seen + rule.least);
+}
+
+int32_t root_of(std::vector<int32_t> &up, int32_t i) {
+  while (up[i] != i) i = up[i] = up[up[i]];
+  return i;
+}
+
+// Borders between the new regions, ascending; those of the same two are one. Numbers keep the order of regions, so
+// that only the borders of new ones have to be sorted.
+struct Rebordering {
+  const std::vector<int32_t> &numbers;
+  const Groups &groups;
+  std::vector<Border> moved;
+
+  // What stays, in its place; the others are moved out.
+  void part(std::vector<Border> &borders) {
+    size_t kept = 0;
+    for (const Border &border : borders) {
+      const int32_t a = numbers[border.a], b = numbers[border.b];
+      if (a == b) continue;
+      if (groups.size((size_t)a) == 1 && groups.size((size_t)b) == 1)
+        borders[kept++] = {a, b, border.shared, border.seen, border.score};
+      else moved.push_back({std::min(a, b), std::max(a, b), border.shared, border.seen, kUnknown});
+    }
+    borders.resize(kept);
+  }
+
+  void sort(int threads) {
+    std::vector<size_t> at(groups.begins.size());  // counted by the lower number, then sorted by the higher one
+    for (const Border &border : moved) at[(size_t)border.a + 1]++;
+    std::partial_sum(at.begin(), at.end(), at.begin());
+    std::vector<Border> sorted(moved.size());
+    std::vector<size_t> next(at.begin(), at.end() - 1);
+    for (const Border &border : moved) sorted[next[(size_t)border.a]++] = border;
+    over_rows(at.size() - 1, 16 * kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+      for (uint64_t n = begin; n < end; n++)
+        std::stable_sort(sorted.begin() + (ptrdiff_t)at[n], sorted.begin() + (ptrdiff_t)at[n + 1],
+                         [](const Border &x, const Border &y) { return x.b < y.b; });
+    });
+    moved = std::move(sorted);
+  }
+
+  void unite() {
+    size_t kept = 0;
+    for (const Border &border : moved) {
+      if (kept && moved[kept - 1].a == border.a && moved[kept - 1].b == border.b)
+        moved[kept - 1].shared += border.shared, moved[kept - 1].seen += border.seen;
+      else moved[kept++] = border;
+    }
+    moved.resize(kept);
+  }
+
+  // Both are ascending: from behind, so that no place is needed beside.
+  void merge_into(std::vector<Border> &borders) const {
+    const auto before = [](const Border &x, const Border &y) { return x.a != y.a ? x.a < y.a : x.b < y.b; };
+    size_t kept = borders.size(), left = moved.size(), to = kept + left;
+    borders.resize(to);
+    while (left) {
+      const bool from_kept = kept && before(moved[left - 1], borders[kept - 1]);
+      borders[--to] = from_kept ? borders[--kept] : moved[--left];
+    }
+  }
+};
+
+}  // namespace
+
+std::vector<Border> first_borders(const Regions &all, const std::vector<Edge> &edges, double soft, int threads) {
+  std::vector<Border> borders(edges.size());
+  over_rows(edges.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t e = begin; e < end; e++) {
+      const Agreement sum = agreement(all, all.regions[edges[e].a], all.regions[edges[e].b], soft);
+      borders[e] = {edges[e].a, edges[e].b, (float)sum.shared, (float)sum.seen, kUnknown};
+    }
+  });
+  return borders;
+}
+
+// At first the border of two rows is all that there is of them.
+void score(const Regions &all, std::vector<Border> &borders, const MergeRule &rule, uint32_t dim, bool first,
+           int threads) {
+  over_rows(borders.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t e = begin; e < end; e++) {
+      Border &border = borders[e];
+      if (border.score != kUnknown) continue;
+      const Region &a = all.regions[border.a], &b = all.regions[border.b];
+      const Agreement whole = first ? Agreement{border.shared, border.seen} : agreement(all, a, b, rule.soft);
+      const double along = pulled(border.shared, border.seen, rule), over = pulled(whole.shared, whole.seen, rule);
+      const double unlike = rule.unlike * distance(all, a, b, dim, rule.unit);
+      border.score = (float)(rule.local * along + (1 - rule.local) * over - unlike);
+    }
+  });
+}
+
+int32_t joined(int32_t count, const std::vector<Border> &borders, double threshold, double tolerance,
+               std::vector<int32_t> &numbers) {
+  std::vector<float> best((size_t)count, kUnknown);
+  for (const Border &border : borders)
+    for (const int32_t r : {border.a, border.b}) best[r] = std::max(best[r], border.score);
+  std::vector<int32_t> up((size_t)count);
+  std::iota(up.begin(), up.end(), 0);
+  for (const Border &border : borders) {
+    const double reached = border.score + tolerance;
+    if (border.score < threshold || reached < best[border.a] || reached < best[border.b]) continue;
+    const int32_t a = root_of(up, border.a), b = root_of(up, border.b);
+    up[std::max(a, b)] = std::min(a, b);
+  }
+  int32_t next = 0;
+  for (int32_t r = 0; r < count; r++) numbers[r] = up[r] == r ? next++ : numbers[root_of(up, r)];
+  return next;
+}
+
+Groups grouped(const std::vector<int32_t> &numbers, int32_t count) {
+  Groups groups{std::vector<int64_t>((size_t)count + 1), std::vector<int32_t>(numbers.size()), {}};
+  for (const int32_t n : numbers) groups.begins[(size_t)n + 1]++;
+  std::partial_sum(groups.begins.begin(), groups.begins.end(), groups.begins.begin());
+  std::vector<int64_t> at(groups.begins.begin(), groups.begins.end() - 1);
+  for (size_t r = 0; r < numbers.size(); r++) groups.members[(size_t)at[numbers[r]]++] = (int32_t)r;
+  for (int32_t n = 0; n < count; n++)
+    if (groups.size((size_t)n) > 1) groups.several.push_back(n);
+  return groups;
+}
+
+void make_borders_anew(std::vector<Border> &borders, const std::vector<int32_t> &numbers, const Groups &groups,
+                       int threads) {
+  Rebordering how{numbers, groups, {}};
+  how.part(borders), how.sort(threads), how.unite(), how.merge_into(borders);
+}
+
+}  // namespace drsplat

@@ -1,0 +1,61 @@
+"""Boxes about sets of Gaussians, any number of sets at once (native)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64, Integer
+
+from .. import _native
+from ..errors import InputError
+from ..scene.boxes import Box
+from ..scene.gaussians import Gaussians
+
+OUTLIERS = 0.003  # of a thing's mass, cut off at each end of each axis
+
+
+class Boxes(NamedTuple):
+    """A `Box` of each of several sets."""
+
+    center: Float64[np.ndarray, "s 3"]
+    axes: Float64[np.ndarray, "s 3 3"]
+    extent: Float64[np.ndarray, "s 3"]
+
+
+def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
+    """The box that holds the Gaussians `ids`, but for the outliers of their mass.
+
+    up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
+    principal axes. Along each axis the Gaussians, weighted by opacity, are a mixture of normal distributions; three
+    thousandths of it lie beyond either side of the box.
+
+    Raises: InputError: no ids, or such as there are no Gaussians of.
+    Twin: reference.boxes.box_of.
+    """
+    boxes = boxes_of(gaussians, np.array([0, len(ids)], np.int64), ids.astype(np.int64), up, threads=1)
+    return Box(boxes.center[0], boxes.axes[0], boxes.extent[0])
+
+
+def boxes_of(
+    gaussians: Gaussians,
+    starts: Int64[np.ndarray, " s1"],
+    ids: Int64[np.ndarray, " e"],
+    up: Float64[np.ndarray, " 3"] | None = None,
+    *,
+    threads: int = 0,
+) -> Boxes:
+    """`box_of` for each set ids[starts[s]:starts[s + 1]]; the same bits for any number of threads."""
+    try:
+        centers, axes, extents = _native.boxes(
+            np.ascontiguousarray(gaussians.means),
+            np.ascontiguousarray(gaussians.quats),
+            np.ascontiguousarray(gaussians.scales),
+            np.ascontiguousarray(gaussians.opacities),
+            np.ascontiguousarray(starts),
+            np.ascontiguousarray(ids),
+            None if up is None else np.ascontiguousarray(up, np.float64),
+            OUTLIERS,
+            threads,
+        )
+    except ValueError as error:
+        raise InputError(f"boxes: expected {error}") from None
+    return Boxes(np.asarray(centers) + gaussians.origin, np.asarray(axes), np.asarray(extents))
