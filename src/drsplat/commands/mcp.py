@@ -38,20 +38,20 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--json goes with --http: stdout speaks the protocol")
     key = checked_key(arguments)
 
-    from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
     from ..serving.metrics import Metrics
+    from ..serving.scene_folder import SceneFolder, Sources
     from ..serving.speaking import over_http, over_stdio
     from ..serving.tools import make_server
     from ..serving.workbench import Workbench
     from ..serving.worker import Workplace
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
-    catalog = Catalog(Path(arguments.folder), sources)
-    catalog.check_sources()
+    scene_folder = SceneFolder(Path(arguments.folder), sources)
+    scene_folder.check_sources()
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
     bench = Workbench(Workplace(arguments.folder, sources, limits), Metrics())
-    server = make_server(catalog, bench, limits)
+    server = make_server(scene_folder, bench, limits)
     with closing(bench):
         if arguments.http:
             over_http(server, arguments.host, arguments.port, key, own_names(arguments))

@@ -46,16 +46,16 @@ def show(answer: dict[str, Any]) -> None:
 
 def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.app import Settings
-    from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
     from ..serving.running import serve
+    from ..serving.scene_folder import SceneFolder, Sources
     from ..terminal import counted
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
     names, origins = own_names(arguments), tuple(arguments.allow_origin)
     settings = Settings(arguments.folder, sources, limits, key, names, origins)
-    number = Catalog(Path(arguments.folder), sources).checked()
+    number = SceneFolder(Path(arguments.folder), sources).checked()
     if not arguments.json:
         address = f"http://{arguments.host}:{arguments.port}/scenes"
         print(f"{counted(number, 'scene')} at {address}", flush=True)

@@ -16,7 +16,6 @@ from starlette.middleware.cors import CORSMiddleware
 
 from .. import __version__
 from ..errors import DrSplatError
-from .catalog import Catalog, Sources, without_paths
 from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
@@ -25,6 +24,7 @@ from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneLis
 from .refusals import faults_of
 from .replies import JPEG, PLY, PNG, Reply, problem, refusal
 from .requests import Locate, Picture, Segment, Select, WhatIs
+from .scene_folder import SceneFolder, Sources, without_paths
 from .workbench import Job, Workbench
 from .worker import Workplace
 
@@ -64,7 +64,7 @@ class Settings:
 
 def create_app(settings: Settings) -> FastAPI:
     """The service over the scenes of a folder, as an ASGI application. Raises: InputError: no such folder."""
-    catalog, limits, metrics = (Catalog(Path(settings.folder), settings.sources), settings.limits, Metrics())
+    scene_folder, limits, metrics = (SceneFolder(Path(settings.folder), settings.sources), settings.limits, Metrics())
     bench = Workbench(Workplace(settings.folder, settings.sources, limits), metrics)
 
     @asynccontextmanager
@@ -82,9 +82,9 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
         responses=REFUSALS,
     )
-    _add_errors(app, catalog)
+    _add_errors(app, scene_folder)
     app.state.bench = bench
-    _add_watching(app, catalog, metrics)
+    _add_watching(app, scene_folder, metrics)
     _add_scenes(app, bench)
     _add_objects(app, bench)
     _add_queries(app, bench)
@@ -106,10 +106,10 @@ def _allow(app: FastAPI, origins: Sequence[str]) -> None:
     )
 
 
-def _add_errors(app: FastAPI, catalog: Catalog) -> None:
+def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
     @app.exception_handler(DrSplatError)
     async def refused(_: Any, error: DrSplatError) -> Response:
-        return _sent(refusal(error, without_paths(str(error), catalog.roots)))
+        return _sent(refusal(error, without_paths(str(error), scene_folder.roots)))
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Any, error: RequestValidationError) -> Response:
@@ -127,11 +127,11 @@ def _sent(reply: Reply, headers: Any = None) -> Response:
     return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)
 
 
-def _add_watching(app: FastAPI, catalog: Catalog, metrics: Metrics) -> None:
+def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> None:
     @app.get("/health", tags=["watching"])
     async def health() -> Health:
         """Whether the service lives; needs no key."""
-        return Health(status="ok", num_scenes=len(catalog.folders()))
+        return Health(status="ok", num_scenes=len(scene_folder.folders()))
 
     @app.get(
         "/metrics",

@@ -14,7 +14,6 @@ from .. import __version__
 from ..errors import DrSplatError
 from ..query.relations import Relation
 from ..scene.boxes import BoxKind
-from .catalog import Catalog
 from .conversation import (
     MOST_MATCHES,
     MOST_OBJECTS,
@@ -31,6 +30,7 @@ from .conversation import (
 from .limits import Limits
 from .models import Body, Located, ObjectList, SceneList
 from .refusals import faults_of
+from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
 
 INSTRUCTIONS = """\
@@ -84,7 +84,7 @@ def _terse(result: Any) -> Any:
 class _Asking:
     """How tools are computed: in a process of the workbench, and no longer than it may take."""
 
-    catalog: Catalog
+    scene_folder: SceneFolder
     bench: Workbench
     limits: Limits
 
@@ -95,9 +95,9 @@ class _Asking:
 
     async def told(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
         """What a tool of `Conversation` says of a scene; "" is the only one."""
-        name = scene or self.catalog.only()
+        name = scene or self.scene_folder.only()
         if not name:
-            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
+            known = ", ".join(map(repr, list(self.scene_folder.folders())[:MOST_MATCHES])) or "none"
             raise ToolError(f"name a scene; there are: {known}")
         asked = {"tool": tool, "name": name, "arguments": arguments}
         return model.model_validate_json(await self._answer(Job("tool", name, asked)))
@@ -115,8 +115,8 @@ class _Asking:
         return reply.body
 
 
-def make_server(catalog: Catalog, bench: Workbench, limits: Limits) -> MCPServer:
-    """An MCP server over the scenes of a catalog; run it with `run("stdio")` or as streamable HTTP.
+def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> MCPServer:
+    """An MCP server over the scenes of a folder; run it with `run("stdio")` or as streamable HTTP.
 
     bench: of the same folder; whoever made it closes it.
     """
@@ -127,7 +127,7 @@ def make_server(catalog: Catalog, bench: Workbench, limits: Limits) -> MCPServer
         version=__version__,
         log_level="WARNING",
     )
-    asking = _Asking(catalog, bench, limits)
+    asking = _Asking(scene_folder, bench, limits)
     _add_scenes(server, asking)
     _add_matches(server, asking)
     _add_places(server, asking)

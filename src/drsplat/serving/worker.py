@@ -19,10 +19,10 @@ from typing import Any
 
 from ..errors import DrSplatError
 from .answers import ANSWERS, answered
-from .catalog import Catalog, Sources, without_paths
 from .limits import Limits
 from .models import SceneList, summarized
 from .replies import Reply, packed, refusal
+from .scene_folder import SceneFolder, Sources, without_paths
 
 
 @dataclass(frozen=True)
@@ -49,19 +49,19 @@ def main(descriptor: int) -> None:
     link = Connection(descriptor)
     with suppress(EOFError, OSError):
         place = Workplace.from_json(link.recv_bytes())
-        catalog = Catalog(Path(place.folder), place.sources)
+        scene_folder = SceneFolder(Path(place.folder), place.sources)
         while True:
             asked = json.loads(link.recv_bytes())
-            link.send_bytes(packed(reply_to(catalog, place, **asked)))
+            link.send_bytes(packed(reply_to(scene_folder, place, **asked)))
 
 
-def reply_to(catalog: Catalog, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
+def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
     """act: "list", "open" (which also loads who embeds words), or one of `ANSWERS`."""
     try:
         if act == "list":
-            scenes = [summarized(one) for one in catalog.summaries()]
+            scenes = [summarized(one) for one in scene_folder.summaries()]
             return Reply(SceneList(scenes=scenes).model_dump_json().encode())
-        opened = catalog.scene(scene)
+        opened = scene_folder.scene(scene)
         if act != "open":
             return answered(opened, act, asked, place.limits)
         if ANSWERS[asked["for"]].words:
@@ -69,7 +69,7 @@ def reply_to(catalog: Catalog, place: Workplace, act: str, scene: str, asked: di
                 opened.encoder  # noqa: B018
         return Reply(b"")
     except DrSplatError as error:
-        return refusal(error, without_paths(str(error), catalog.roots))
+        return refusal(error, without_paths(str(error), scene_folder.roots))
 
 
 def _end_with(descriptor: int) -> None:

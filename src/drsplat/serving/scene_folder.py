@@ -52,7 +52,7 @@ class Summary:
 
 
 @dataclass(eq=False)
-class Catalog:
+class SceneFolder:
     """A folder that is a scene itself, or has one in each of some subfolders.
 
     A name is looked up among those listed and never becomes a path. The `most` scenes used last stay open, each
