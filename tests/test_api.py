@@ -77,6 +77,7 @@ ORDER = (
     "models",
     "drawing",
     "query",
+    "catalogue",
     "embedding",
     "serving",
     "viewing",
