@@ -16,6 +16,7 @@ from ..encoders import Encoder, EncoderIdentity
 from ..errors import DrSplatWarning, InputError
 from ..formats.claiming import claimed_output
 from ..formats.georeference import read_georeference
+from ..formats.replacing import refuse_missing_parent
 from ..models.loading import load_encoder
 from ..query import Query, Scene, encoder_for, open_scene
 from ..query.encoding import Load
@@ -87,6 +88,11 @@ class Catalogue:
         """Who made the descriptors. Raises: InputError: nothing was added yet."""
         return self._snapshot().encoder
 
+    @property
+    def query_encoder(self) -> Encoder:
+        """Who embeds words here, loaded when it is first needed. Raises: as `encoder_for`; as `encoder`."""
+        return self._embedder(self._snapshot())
+
     # --- what is in it ---
 
     def add(
@@ -106,6 +112,7 @@ class Catalogue:
             opened, folder = self._opened(files), _folder_of(files)
             georeference = read_georeference(files.field.parent, files.capture)
         called = checked_name(name or opened.name)
+        refuse_missing_parent(self.path)
         known = table.opened(self.path)
         if known is not None:
             known.check_encoder(opened.field.encoder)

@@ -14,6 +14,7 @@ from .. import __version__
 from ..errors import DrSplatError
 from ..query.relations import Relation
 from ..scene.boxes import BoxKind
+from .catalogued import CatalogueAnswer
 from .conversation import (
     MOST_MATCHES,
     MOST_OBJECTS,
@@ -102,6 +103,9 @@ class _Asking:
         asked = {"tool": tool, "name": name, "arguments": arguments}
         return model.model_validate_json(await self._answer(Job("tool", name, asked)))
 
+    async def search(self, **asked: Any) -> CatalogueAnswer:
+        return CatalogueAnswer.model_validate_json(await self._answer(Job("catalogue-ask", asked=asked)))
+
     async def _answer(self, job: Job) -> bytes:
         try:
             async with asyncio.timeout(self.limits.seconds):
@@ -133,6 +137,8 @@ def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> 
     _add_places(server, asking)
     _add_objects(server, asking)
     _add_pictures(server, asking)
+    if scene_folder.catalogue_path is not None:
+        _add_catalogue(server, asking)
     return server
 
 
@@ -242,3 +248,16 @@ def _add_pictures(server: MCPServer, asking: _Asking) -> None:
         picture = ImageContent(type="image", data=found.png, mime_type="image/png")
         content: Any = [TextContent(type="text", text=found.shown.model_dump_json()), picture]
         return CallToolResult(content=content, structured_content=found.shown.model_dump())
+
+
+def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
+    @server.tool(title="Search all scenes", annotations=READS)
+    async def search_all_scenes(
+        text: Text,
+        top: Annotated[int, Field(ge=1, le=MOST_MATCHES, description="most matches to list")] = 5,
+        scenes: Annotated[
+            list[str] | None, Field(description="names of scenes to search; left out: all", max_length=64)
+        ] = None,
+    ) -> CatalogueAnswer:
+        """Where is it, in all that was scanned? The best objects of a catalogue, with scene, box and photo."""
+        return await asking.search(text=text, top=top, scenes=scenes or [])

@@ -19,6 +19,7 @@ from typing import Any
 
 from ..errors import DrSplatError
 from .answers import ANSWERS, answered
+from .catalogued import catalogue_reply
 from .limits import Limits
 from .models import SceneList, summarized
 from .replies import Reply, packed, refusal
@@ -32,6 +33,7 @@ class Workplace:
     folder: str
     sources: Sources = field(default_factory=Sources)
     limits: Limits = field(default_factory=Limits)
+    catalogue: str | None = None
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
@@ -39,7 +41,7 @@ class Workplace:
     @classmethod
     def from_json(cls, text: str | bytes) -> "Workplace":
         given = json.loads(text)
-        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]))
+        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]), given["catalogue"])
 
 
 def main(descriptor: int) -> None:
@@ -49,18 +51,25 @@ def main(descriptor: int) -> None:
     link = Connection(descriptor)
     with suppress(EOFError, OSError):
         place = Workplace.from_json(link.recv_bytes())
-        scene_folder = SceneFolder(Path(place.folder), place.sources)
+        catalogue = None if place.catalogue is None else Path(place.catalogue)
+        scene_folder = SceneFolder(Path(place.folder), place.sources, catalogue_path=catalogue)
         while True:
             asked = json.loads(link.recv_bytes())
             link.send_bytes(packed(reply_to(scene_folder, place, **asked)))
 
 
 def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
-    """act: "list", "open" (which also loads who embeds words), or one of `ANSWERS`."""
+    """act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
     try:
         if act == "list":
             scenes = [summarized(one) for one in scene_folder.summaries()]
             return Reply(SceneList(scenes=scenes).model_dump_json().encode())
+        if act == "open" and not scene:
+            with suppress(DrSplatError):  # told when it is asked
+                scene_folder.catalogue.query_encoder  # noqa: B018
+            return Reply(b"")
+        if act.startswith("catalogue-"):
+            return catalogue_reply(scene_folder.catalogue, act, asked, place.limits)
         opened = scene_folder.scene(scene)
         if act != "open":
             return answered(opened, act, asked, place.limits)
