@@ -214,6 +214,24 @@ def test_boxes_and_times_that_are_none() -> None:
             Where(**wrong)
 
 
+def test_places_on_the_earth(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "roof", WORDS["kitchen"], photos=False)
+    here = {"format": "drsplat georeference", "version": 1, "longitude": 13.4, "latitude": 52.5, "height": 80.0,
+            "scale": 10.0, "enu_from_world": np.eye(3).tolist()}  # fmt: skip
+    (folder / "georeference.json").write_text(json.dumps(here))
+    catalogue = Catalogue.open(tmp_path / "c")
+    with pytest.warns(DrSplatWarning, match="no thumbnails"):
+        catalogue.add(folder)
+    (entry,) = catalogue.ask("green plant")  # 3 units, 30 metres, to the east
+    assert entry.position is not None
+    np.testing.assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
+    assert entry.position.height == pytest.approx(80, abs=0.02)
+    east = Where(area=(13.4002, 52.4, 13.5, 52.6))
+    assert found(catalogue, "green plant", east) == [("roof", 2)]
+    assert found(catalogue, "red mug", east) == []
+    assert found(catalogue, "red mug", Where(area=(179.0, 52.4, 13.40001, 52.6))) == [("roof", 0)]  # round the back
+
+
 # --- adding and removing ---
 
 
