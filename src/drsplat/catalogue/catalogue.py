@@ -142,6 +142,17 @@ class Catalogue:
         known = table.opened(self.path)
         return [] if known is None else listed_of(known)
 
+    def scene(self, name: str) -> Scene:
+        """A scene, opened from where it was added. Raises: InputError: no such scene, or nothing is there any more."""
+        known = self._snapshot()
+        rows = known.rows(f"{of_scene(name)} AND object_id = -1", ["folder"])["folder"].to_pylist()
+        if not rows:
+            raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
+        if not rows[0] or not Path(rows[0]).exists():
+            where = f"was added from {rows[0]}, where nothing is any more" if rows[0] else "was not added from a folder"
+            raise InputError(f"'{name}' {where}: add it again")
+        return self._opened(scene_files(rows[0]))
+
     def build_index(self) -> int:
         """Make answers about 100,000 objects and more quick; returns how many partitions the index has.
 
