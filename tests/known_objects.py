@@ -27,8 +27,13 @@ def known_scene() -> Gaussians:
     return replace(scene, opacities=np.array(SIZES, np.float32)[labels])
 
 
-def known_field(gaussians: Gaussians) -> LanguageField:
-    """Per view a mask of each box, and of the first box in view c one of each half; nothing of the last 10 rows."""
+def known_field(
+    gaussians: Gaussians, embeddings: np.ndarray | None = None, encoder: EncoderIdentity = TEST
+) -> LanguageField:
+    """Per view a mask of each box, and of the first box in view c one of each half; nothing of the last 10 rows.
+
+    embeddings: of the masks, None for unit vectors.
+    """
     labels = np.repeat(np.arange(3), EACH)
     rows = np.arange(len(labels) - 10)
     half = (np.arange(len(labels)) // (EACH // 2)) % 2
@@ -40,8 +45,9 @@ def known_field(gaussians: Gaussians) -> LanguageField:
     weights = csr_array((np.ones(len(columns), np.float32), (np.concatenate([r for r, _ in entries]), columns)), shape)
     views = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2, 2], np.int32)
     masks = MaskIds(VIEWS, views, np.arange(10, dtype=np.int32))
-    embeddings = np.eye(8, dtype=np.float32)[[0, 1, 2, 0, 1, 2, 3, 0, 1, 2]]
-    field = build_field(Evidence(weights, masks, embeddings), gaussians.fingerprint, TEST)
+    if embeddings is None:
+        embeddings = np.eye(8, dtype=np.float32)[[0, 1, 2, 0, 1, 2, 3, 0, 1, 2]]
+    field = build_field(Evidence(weights, masks, embeddings), gaussians.fingerprint, encoder)
     return replace(field, up=UP)
 
 

@@ -79,6 +79,7 @@ ORDER = (
     "models",
     "drawing",
     "query",
+    "catalogue",
     "embedding",
     "serving",
     "viewing",

@@ -229,4 +229,4 @@ def test_the_height_of_a_list_is_what_enough_rows_reach() -> None:
     field = faint_room(0.5, 1.0)
     vectors = MINI.encode_texts(MINI.nouns)
     expected = np.sort(field.scores(vectors).max(0))[-PEAK]
-    assert_allclose(contrast(field, vectors).height, expected, atol=1e-5)
+    assert_allclose(contrast(field, vectors).height(), expected, atol=1e-5)

@@ -8,6 +8,7 @@ import json
 import re
 import shlex
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -63,14 +64,36 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
     endless = {"view", "serve", "mcp"}
     assert {command[1] for command in commands} - endless == set(VERBS) - endless - {"demo"}
-    commands = [
-        command[1:] for command in commands if command[1] not in ("train", "embed", "codebook", "evaluate", *endless)
-    ]
+    left_out = {"train", "embed", "codebook", "evaluate", *endless} | (
+        {"catalogue"} if find_spec("lancedb") is None else set()
+    )
+    commands = [command[1:] for command in commands if command[1] not in left_out]
     for file in capture.iterdir():
         (tmp_path / file.name).symlink_to(file)
     monkeypatch.chdir(tmp_path)
     for command in commands:
         assert main(command) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+def test_the_tour_of_a_catalogue_runs(capture, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
+    for file in capture.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    assert (
+        main(["register", "scene.ply", "capture", "--features", "capture/language_features", "-o", "scene.field"]) == 0
+    )
+    lines = "".join(blocks("docs/catalogue.md", "bash")).splitlines()
+    commands = [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("drsplat ")]
+    assert [command[1] for command in commands[1:]] == ["add", "ask", "ask", "list", "remove"]
+    for command in commands:
+        assert main(command) == 0, f"{command}: {capsys.readouterr().err}"
+    assert (tmp_path / "mugs.jpg").exists()
+    assert "1 match for “red mug”" in capsys.readouterr().out
+    names: dict[str, object] = {}
+    with pytest.warns(ds.DrSplatWarning, match="no thumbnails"):  # the capture lies in another folder
+        exec("".join(blocks("docs/catalogue.md", "python")), names)
+    assert [entry.scene for entry in names["catalogue"].ask("red mug")] == ["kitchen"]
 
 
 def test_every_public_name_has_its_purpose_in_a_line():

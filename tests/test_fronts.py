@@ -25,8 +25,8 @@ from drsplat.viewing.results import result_of
 from drsplat.viewing.session import Session
 
 pytest.importorskip("fastapi")
-from drsplat.serving.catalog import Catalog
 from drsplat.serving.conversation import Conversation
+from drsplat.serving.scene_folder import SceneFolder
 from drsplat.serving.worker import Workplace, reply_to
 
 PICTURE = np.zeros((40, 40, 3), np.uint8)
@@ -152,8 +152,8 @@ def room(household_story: household.Story, household_folder: Path) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def catalog(household_folder: Path) -> Catalog:
-    return Catalog(household_folder)
+def scene_folder(household_folder: Path) -> SceneFolder:
+    return SceneFolder(household_folder)
 
 
 @pytest.fixture(scope="module")
@@ -165,11 +165,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def over_http(catalog: Catalog, act: str, body: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+def over_http(scene_folder: SceneFolder, act: str, body: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """As a worker answers it."""
-    (name,) = catalog.folders()
+    (name,) = scene_folder.folders()
     sent = json.loads(json.dumps(body))
-    reply = reply_to(catalog, Workplace(str(catalog.folder)), act, name, sent)
+    reply = reply_to(scene_folder, Workplace(str(scene_folder.folder)), act, name, sent)
     return reply.status, json.loads(reply.body)
 
 
@@ -201,18 +201,18 @@ def test_the_command_line(asked: Asked, room: Scene, files: Path, tmp_path: Path
 
 
 @named(GOOD)
-def test_http(asked: Asked, room: Scene, catalog: Catalog) -> None:
+def test_http(asked: Asked, room: Scene, scene_folder: SceneFolder) -> None:
     expected = room.ask(Query(**asked.query))
-    status, told = over_http(catalog, "select", {**asked.body, "ids": True})
+    status, told = over_http(scene_folder, "select", {**asked.body, "ids": True})
     assert status == 200
     same_numbers(told["measured"], expected, 1e-5)
     np.testing.assert_array_equal(told["gaussian_ids"], expected.gaussian_ids)
-    _, located = over_http(catalog, "locate", {**asked.body, "top": 100})
+    _, located = over_http(scene_folder, "locate", {**asked.body, "top": 100})
     same_matches(located["matches"], room.locate(expected), exactly=False)
 
 
 @named([asked for asked in GOOD if asked.in_words])
-def test_language_models(asked: Asked, room: Scene, catalog: Catalog) -> None:
+def test_language_models(asked: Asked, room: Scene, scene_folder: SceneFolder) -> None:
     told = Conversation(room, "room").locate(asked.query["text"], top=20).model_dump()
     expected = room.ask(asked.query["text"])
     same_numbers(told["measured"], expected, 1e-5)
@@ -239,12 +239,12 @@ def test_the_viewer(asked: Asked, room: Scene) -> None:
 
 
 @pytest.mark.parametrize("cut", [{}, {"threshold": 0.6}, {"relevancy": True}])
-def test_classes(cut: dict[str, Any], room: Scene, catalog: Catalog, capsys: Capture) -> None:
+def test_classes(cut: dict[str, Any], room: Scene, scene_folder: SceneFolder, capsys: Capture) -> None:
     names = ["red vase", "laptop", "orange sofa"]
     expected = room.segment(names, Cut(**cut))
     flags = ["--relevancy"] if "relevancy" in cut else [f"--threshold={cut[k]}" for k in cut]
     told = answer_of(capsys, "segment", files_of(room), "--classes", ",".join(names), *flags)
-    _, sent = over_http(catalog, "segment", {"classes": names, "labels": True, **cut})
+    _, sent = over_http(scene_folder, "segment", {"classes": names, "labels": True, **cut})
     for one in (told, sent):
         assert [part["num_gaussians"] for part in one["classes"]] == expected.counts
     np.testing.assert_array_equal(sent["labels"], expected.labels)
@@ -254,12 +254,12 @@ def test_classes(cut: dict[str, Any], room: Scene, catalog: Catalog, capsys: Cap
 
 @named(BAD)
 def test_bad_input_is_told_in_the_same_words(
-    asked: Asked, room: Scene, files: Path, catalog: Catalog, capsys: Capture
+    asked: Asked, room: Scene, files: Path, scene_folder: SceneFolder, capsys: Capture
 ) -> None:
     """The command line has its flags for the names of arguments, and nothing else of its own."""
     with pytest.raises(DrSplatError) as caught:
         room.ask(Query(**asked.query))
-    status, told = over_http(catalog, "select", asked.body)
+    status, told = over_http(scene_folder, "select", asked.body)
     assert (status, told["error"]) == (422, str(caught.value))
     argv = ["select", files_of(room), *on_the_command_line(files, asked)]
     flags = make_parser().parse_args(list(map(str, argv))).flags

@@ -139,16 +139,16 @@ def openapi(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def tools(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     pytest.importorskip("mcp")
-    from drsplat.serving.catalog import Catalog
     from drsplat.serving.limits import Limits
     from drsplat.serving.metrics import Metrics
+    from drsplat.serving.scene_folder import SceneFolder
     from drsplat.serving.tools import make_server
     from drsplat.serving.workbench import Workbench
     from drsplat.serving.worker import Workplace
 
     folder = tmp_path_factory.mktemp("scenes")
     with closing(Workbench(Workplace(str(folder)), Metrics())) as bench:
-        return asyncio.run(make_server(Catalog(folder), bench, Limits()).list_tools())
+        return asyncio.run(make_server(SceneFolder(folder), bench, Limits()).list_tools())
 
 
 def test_the_glossary_names_what_is_retired() -> None:

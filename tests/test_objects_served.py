@@ -21,9 +21,9 @@ from scenes import look_at_view
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 
 from drsplat.commands.object_outputs import listing
-from drsplat.serving.catalog import Catalog
 from drsplat.serving.conversation import Conversation
 from drsplat.serving.replies import Reply
+from drsplat.serving.scene_folder import SceneFolder
 from drsplat.serving.worker import Workplace, reply_to
 
 EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))
@@ -44,11 +44,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def reply(folder: Path, act: str, asked: dict[str, Any] | None = None, catalog: Catalog | None = None) -> Reply:
+def reply(
+    folder: Path, act: str, asked: dict[str, Any] | None = None, scene_folder: SceneFolder | None = None
+) -> Reply:
     """As a worker answers."""
-    catalog = catalog or Catalog(folder)
-    (name,) = catalog.folders()
-    return reply_to(catalog, Workplace(str(folder)), act, name, asked or {})
+    scene_folder = scene_folder or SceneFolder(folder)
+    (name,) = scene_folder.folders()
+    return reply_to(scene_folder, Workplace(str(folder)), act, name, asked or {})
 
 
 def talk_of(folder: Path) -> Conversation:
@@ -71,11 +73,11 @@ def test_the_same_list_everywhere(folder: Path) -> None:
 
 
 def test_a_new_name_is_told_without_a_restart(folder: Path) -> None:
-    catalog = Catalog(folder)
-    assert json.loads(reply(folder, "objects", catalog=catalog).body)["objects"][0]["label"] is None
+    scene_folder = SceneFolder(folder)
+    assert json.loads(reply(folder, "objects", scene_folder=scene_folder).body)["objects"][0]["label"] is None
     scene = open_scene(folder)
     scene.label(scene.field.objects.thing(0), "bowl")  # type: ignore[union-attr]
-    assert json.loads(reply(folder, "objects", catalog=catalog).body)["objects"][0]["label"] == "bowl"
+    assert json.loads(reply(folder, "objects", scene_folder=scene_folder).body)["objects"][0]["label"] == "bowl"
 
 
 def test_one_object(folder: Path) -> None:

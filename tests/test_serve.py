@@ -38,8 +38,8 @@ import httpx
 
 from drsplat.serving import workbench
 from drsplat.serving.app import Settings, create_app
-from drsplat.serving.catalog import Catalog, Sources, UnknownSceneError
 from drsplat.serving.limits import Limits
+from drsplat.serving.scene_folder import SceneFolder, Sources, UnknownSceneError
 
 VASE = {"text": "red vase"}
 KEY = "0123456789abcdef-key"
@@ -195,13 +195,13 @@ def test_names_never_become_paths(name: str, service: Service) -> None:
         assert "root:" not in answer.text
 
 
-def test_the_catalog_looks_names_up(folder: Path) -> None:
-    catalog = Catalog(folder)
+def test_the_scene_folder_looks_names_up(folder: Path) -> None:
+    scene_folder = SceneFolder(folder)
     for name in ("../" + folder.name, str(folder / "room"), "room/../room", "", ".", "no scene"):
         with pytest.raises(UnknownSceneError, match="'room'"):
-            catalog.scene(name)
-    assert catalog.scene("room") is catalog.scene("room")
-    few = Catalog(folder, most=1)
+            scene_folder.scene(name)
+    assert scene_folder.scene("room") is scene_folder.scene("room")
+    few = SceneFolder(folder, most=1)
     first = few.scene("room")
     assert few.scene("same room") is not first
     assert few.scene("room") is not first

@@ -110,8 +110,8 @@ def test_what_is_no_request_says_nothing_here(
 
 def test_where_others_reach_it_nobody_comes_in_without_the_token() -> None:
     with a_viewer(host="0.0.0.0") as panel:
-        token = panel.window.token
-        assert f"?token={token}" in panel.window.address
+        token = panel.window.served.token
+        assert f"?token={token}" in panel.window.served.address
         for path in ("/", "/?token=", f"/?token={token[:-1]}", f"/?token={token}x"):
             assert get(panel, path).status == 401
             assert refused(panel, path=path) == 401
@@ -122,7 +122,7 @@ def test_where_others_reach_it_nobody_comes_in_without_the_token() -> None:
 
 def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
     with a_viewer(host="0.0.0.0") as panel:
-        led = get(panel, f"/?token={panel.window.token}")
+        led = get(panel, f"/?token={panel.window.served.token}")
         assert (led.status, led.headers["Location"]) == (303, "/")
         cookie = led.headers["Set-Cookie"]
         assert "HttpOnly" in cookie
@@ -134,8 +134,8 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
 
 
 def test_on_this_machine_there_is_no_token(panel: Any) -> None:
-    assert panel.window.token is None
-    assert panel.window.address == f"http://127.0.0.1:{port_of(panel)}"
+    assert panel.window.served.token is None
+    assert panel.window.served.address == f"http://127.0.0.1:{port_of(panel)}"
 
 
 @pytest.mark.parametrize(("host", "port"), [("300.1.1.1", 8080), ("127.0.0.1", 70000), ("no such name", 1)])

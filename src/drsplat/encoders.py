@@ -47,6 +47,13 @@ def identity_json(identity: EncoderIdentity) -> dict[str, object]:
     return {"name": identity.name, "dim": identity.dim, "weights": identity.weights, **known}
 
 
+def identity_said(encoder: EncoderIdentity) -> str:
+    """For people."""
+    weights = f", weights {encoder.weights[:12]}" if encoder.weights else ""
+    images = f", images at {encoder.preprocessing}" if encoder.preprocessing else ""
+    return f"{encoder.name} ({encoder.dim}-d{weights}{images})"
+
+
 @runtime_checkable
 class Encoder(Protocol):
     """Words to unit vectors in the space of the scene's embeddings."""

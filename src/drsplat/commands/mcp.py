@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--http", action="store_true", help="serve streamable HTTP at /mcp instead of stdin and stdout")
     add_listening(parser, port=8766)
     add_computing(parser, workers=1)
+    parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue for the tool search_all_scenes")
     add_query_encoders(parser)
 
 
@@ -38,20 +39,22 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--json goes with --http: stdout speaks the protocol")
     key = checked_key(arguments)
 
-    from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
     from ..serving.metrics import Metrics
+    from ..serving.scene_folder import SceneFolder, Sources
     from ..serving.speaking import over_http, over_stdio
     from ..serving.tools import make_server
     from ..serving.workbench import Workbench
     from ..serving.worker import Workplace
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
-    catalog = Catalog(Path(arguments.folder), sources)
-    catalog.check_sources()
+    catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
+    scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
+    scene_folder.check_sources()
+    scene_folder.check_catalogue()
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
-    bench = Workbench(Workplace(arguments.folder, sources, limits), Metrics())
-    server = make_server(catalog, bench, limits)
+    bench = Workbench(Workplace(arguments.folder, sources, limits, arguments.catalogue), Metrics())
+    server = make_server(scene_folder, bench, limits)
     with closing(bench):
         if arguments.http:
             over_http(server, arguments.host, arguments.port, key, own_names(arguments))

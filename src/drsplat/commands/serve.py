@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be "
         "repeated",
     )  # fmt: skip
+    parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue to answer from as well, at /catalogue")
     add_query_encoders(parser)
 
 
@@ -46,16 +47,17 @@ def show(answer: dict[str, Any]) -> None:
 
 def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.app import Settings
-    from ..serving.catalog import Catalog, Sources
     from ..serving.limits import Limits
     from ..serving.running import serve
+    from ..serving.scene_folder import SceneFolder, Sources
     from ..terminal import counted
 
     sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
     names, origins = own_names(arguments), tuple(arguments.allow_origin)
-    settings = Settings(arguments.folder, sources, limits, key, names, origins)
-    number = Catalog(Path(arguments.folder), sources).checked()
+    settings = Settings(arguments.folder, sources, limits, key, names, origins, arguments.catalogue)
+    catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
+    number = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue).checked()
     if not arguments.json:
         address = f"http://{arguments.host}:{arguments.port}/scenes"
         print(f"{counted(number, 'scene')} at {address}", flush=True)

@@ -21,6 +21,7 @@ EXAMPLES = """\
   drsplat view room.field --scene scene.ply --views capture --ask "red mug; lamp"
   drsplat view drsplat-demo --export page.html --ask "red vase; couch; something to eat"
   drsplat view scene.ply
+  drsplat view --catalogue flats.catalogue
 
 Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
 0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
@@ -31,9 +32,14 @@ BUDGET = 1_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
+        nargs="?",
         help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a "
         "trained model, without a field",
     )
+    parser.add_argument(
+        "--catalogue", metavar="CATALOGUE",
+        help="catalogue to search instead of one scene; thumbnails of its answers open their scenes",
+    )  # fmt: skip
     parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for cameras and supporting photos")
     parser.add_argument(
@@ -69,6 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..errors import InputError
+
+    if (arguments.field is None) == (arguments.catalogue is None):
+        raise InputError("view: expected a scene, or --catalogue CATALOGUE")
+    if arguments.catalogue is not None:
+        _serve_catalogue(arguments)
     return _export(arguments) if arguments.export else _serve(arguments)
 
 
@@ -113,11 +125,37 @@ def _serve(arguments: argparse.Namespace) -> NoReturn:
     panel = Panel(window, folder)
     if arguments.ask:
         panel.ask(arguments.ask)
-    _tell(arguments.json, window.address, session.shown)
+    _tell(arguments.json, window.served.address, session.shown)
     with suppress(KeyboardInterrupt):
         window.server.sleep_forever()
     panel.stop()
     raise SystemExit(0)  # all has been said
+
+
+def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
+    from ..catalogue import Catalogue
+    from ..errors import InputError
+    from ..terminal import counted
+    from ..viewing.catalogue_page import CataloguePage
+
+    one_scene = [name for name in ("scene", "views", "words", "export", "up") if getattr(arguments, name) is not None]
+    if one_scene:
+        raise InputError(f"--{one_scene[0]} is of one scene, and --catalogue of many: drop one")
+    given = {name: getattr(arguments, name) for name in ("encoder", "vocabulary", "device", "threads")}
+    catalogue = Catalogue.open(arguments.catalogue, **given)
+    folder = None if arguments.save_dir is None else Path(arguments.save_dir)
+    page = CataloguePage(catalogue, arguments.max_gaussians or BUDGET, folder, arguments.host, arguments.port)
+    if arguments.ask:
+        page.ask(arguments.ask)
+    if arguments.json:
+        print(json.dumps({"address": page.served.address, "num_objects": len(catalogue)}), flush=True)
+    else:
+        said = counted(len(catalogue), "object")
+        print(f"Open {page.served.address} in a browser; Ctrl-C ends this. {said} to search.", flush=True)
+    with suppress(KeyboardInterrupt):
+        page.server.sleep_forever()
+    page.stop()
+    raise SystemExit(0)
 
 
 def _tell(as_json: bool, address: str, shown: Shown) -> None:

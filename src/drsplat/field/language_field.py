@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, Integer, UInt32
 
 from ..codes import Best, Code, Codebook, Hits, PQCode
-from ..encoders import EncoderIdentity, identity_json
+from ..encoders import EncoderIdentity, identity_json, identity_said
 from ..errors import InputError, MismatchError
 from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..evidence.evidence import Evidence, Explanation
@@ -105,8 +105,8 @@ class LanguageField:
             )
         if isinstance(self.code, PQCode) and not self.encoder.matches(self.codebook.encoder):
             raise MismatchError(
-                f"the embeddings are of {_named(self.encoder)}, the codebook is of "
-                f"{_named(self.codebook.encoder)}: use a codebook of the same encoder"
+                f"the embeddings are of {identity_said(self.encoder)}, the codebook is of "
+                f"{identity_said(self.codebook.encoder)}: use a codebook of the same encoder"
             )
         if self.up is not None and not (self.up.shape == (3,) and abs(np.linalg.norm(self.up) - 1) < 1e-6):
             raise InputError(f"up: expected a unit vector of three numbers, got {self.up}")
@@ -145,7 +145,7 @@ class LanguageField:
     @cached_property
     def fingerprint(self) -> str:
         """Of the scene, the photos left out and every number that the features are made of: ties files together."""
-        identity = f"{self.scene} {self.code.kind} {_named(self.encoder)}"
+        identity = f"{self.scene} {self.code.kind} {identity_said(self.encoder)}"
         if self.left_out:
             identity += f" without {json.dumps(self.left_out)}"
         digest = hashlib.blake2b(identity.encode(), digest_size=16)
@@ -306,8 +306,9 @@ class LanguageField:
         """Refuse an encoder whose embeddings mean something else. Raises: MismatchError."""
         if not self.encoder.matches(identity):
             raise MismatchError(
-                f"this field was written with {_named(self.encoder)}; the given encoder is {_named(identity)}: use "
-                f"{self.encoder.name} with the same weights, or register again with {identity.name}"
+                f"this field was written with {identity_said(self.encoder)}; the given encoder is "
+                f"{identity_said(identity)}: use {self.encoder.name} with the same weights, or "
+                f"register again with {identity.name}"
             )
 
     def verify(self) -> None:
@@ -383,7 +384,7 @@ class LanguageField:
         if query.shape[-1:] != (self.encoder.dim,):
             raise MismatchError(
                 f"the query has {query.shape[-1] if query.ndim else 0} numbers; this field was written with "
-                f"{_named(self.encoder)}: embed the query with that encoder"
+                f"{identity_said(self.encoder)}: embed the query with that encoder"
             )
         return _unit(query)
 
@@ -394,9 +395,3 @@ def _unit(vectors: Float32[np.ndarray, "*n D"]) -> Float32[np.ndarray, "*n D"]:
     if not (np.isfinite(norms) & (norms > 0)).all():
         raise InputError("embeddings to compare with must be finite and not zero")
     return np.asarray(vectors / norms, np.float32)
-
-
-def _named(encoder: EncoderIdentity) -> str:
-    weights = f", weights {encoder.weights[:12]}" if encoder.weights else ""
-    images = f", images at {encoder.preprocessing}" if encoder.preprocessing else ""
-    return f"{encoder.name} ({encoder.dim}-d{weights}{images})"

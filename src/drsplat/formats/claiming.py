@@ -6,6 +6,7 @@ import json
 import os
 import socket
 import stat
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import BinaryIO
 from ..errors import InputError
 
 LOCK = ".lock"
+LOOK_AGAIN = 0.05  # seconds
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system that has none
 _NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO)  # a link, a folder, a socket
 
@@ -36,8 +38,10 @@ def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextmanager
-def claimed_output(output: str | os.PathLike[str]) -> Iterator[None]:
+def claimed_output(output: str | os.PathLike[str], patience: float = 0.0) -> Iterator[None]:
     """As `claimed_folder`, of what appears as a whole and may be no more than a name yet; the lock is beside it.
+
+    patience: seconds to wait for another process or thread that has it.
 
     Raises: InputError: another process has it, there is no folder for it to be in, or what has the lock's name is
     no file.
@@ -45,13 +49,13 @@ def claimed_output(output: str | os.PathLike[str]) -> Iterator[None]:
     path = Path(os.path.realpath(output))
     if not path.parent.is_dir():
         raise InputError(f"there is no folder {path.parent} to write {path.name} into: make it first")
-    with _held(path.with_name(f".{path.name}{LOCK}"), path):
+    with _held(path.with_name(f".{path.name}{LOCK}"), path, patience):
         yield
 
 
 @contextmanager
-def _held(lock: Path, output: Path) -> Iterator[None]:
-    file = _locked(lock, output)
+def _held(lock: Path, output: Path, patience: float = 0.0) -> Iterator[None]:
+    file = _locked(lock, output, time.monotonic() + patience)
     try:
         yield
     finally:
@@ -60,14 +64,17 @@ def _held(lock: Path, output: Path) -> Iterator[None]:
         file.close()
 
 
-def _locked(lock: Path, output: Path) -> BinaryIO:
-    """The file that has the lock's name, held."""
+def _locked(lock: Path, output: Path, until: float) -> BinaryIO:
+    """The file that has the lock's name, held. until: when waiting for another ends, by the monotonic clock."""
     while True:
         file = _opened(lock)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             with file:
+                if time.monotonic() < until:
+                    time.sleep(LOOK_AGAIN)
+                    continue
                 raise InputError(
                     f"{output} is being written by {_holder(file)}: wait until it has ended, or name another output"
                 ) from None

@@ -4,13 +4,12 @@ import numpy as np
 from jaxtyping import Float, Int32, Int64
 from scipy.spatial import cKDTree
 
+from ..scene.morton import morton_order
+
 NEIGHBOURS = 12
 FAR = 4.0  # times the usual distance to the sixth neighbour, of the scene or of the Gaussian
 
-
 CELLS = 10  # bits of each coordinate along the curve
-SPREAD = ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
-          (2, 0x1249249249249249))  # fmt: skip
 
 
 def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -18,13 +17,7 @@ def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     if not len(points):
         return np.zeros(0, np.int64)
     low, high = np.quantile(points, (0.01, 0.99), axis=0)
-    cells = np.clip((points - low) / max(float((high - low).max()), 1e-30), 0, 1) * (2**CELLS - 1)
-    keys = np.zeros(len(points), np.uint64)
-    for axis, bits in enumerate(cells.astype(np.uint64).T):
-        for by, mask in SPREAD:
-            bits = (bits | bits << np.uint64(by)) & np.uint64(mask)
-        keys |= bits << np.uint64(axis)
-    return np.argsort(keys, kind="stable")
+    return morton_order(np.clip(points, low, high), CELLS)
 
 
 def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.ndarray, "e 2"]:

@@ -5,15 +5,15 @@ query is compared, at each Gaussian, with what the words of a list reach there, 
 cosine with the pictures of the scene counts half. See docs/method.md.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
 from ..field import LanguageField
-from .thresholds import clear_threshold, peak_score
+from .thresholds import PEAK, clear_threshold, peak_score
 
 TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
 NEAR = 0.5  # cosine of two texts, seen from their mean: they mean the same and do not compete
@@ -21,6 +21,7 @@ CROWD = 75  # words of which one may fit better than the query
 SPARE = 8  # words per row beyond those that count, for when some are near to the query
 SAMPLES = 4096  # pictures that say what is usual
 LEAST_SPREAD = 1e-3
+Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
 
 
@@ -39,11 +40,10 @@ class Contrast:
     scores: Float32[np.ndarray, "r t"]
     words: UInt16[np.ndarray, "r t"]
 
-    @cached_property
-    def height(self) -> float:
+    def height(self, peak: int = PEAK) -> float:
         """The cosine that enough rows for a thing reach with a word of the list, whichever fits them best."""
         levels = (self.vectors @ self.usual)[self.words]
-        return peak_score((self.scores + levels).max(1)) if len(self.scores) else 0.0
+        return peak_score((self.scores + levels).max(1), peak) if len(self.scores) else 0.0
 
     def relevancy(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
@@ -65,6 +65,11 @@ class Contrast:
         sides = np.stack([self.vectors.mean(0), self.usual]).astype(np.float64)
         to_words, to_pictures = sides / np.linalg.norm(sides, axis=1, keepdims=True) @ query
         return bool(to_words > to_pictures)
+
+    def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
+        """What the words reach at other unit features, held against the same pictures."""
+        scores, words = _best_words(self.vectors, self.usual, len(features), lambda some: some @ features.T)
+        return replace(self, scores=scores, words=words)
 
     def _near(self, query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
         """The words that mean what the query means."""
@@ -92,9 +97,16 @@ def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threa
     return known
 
 
-def relevancy_threshold(relevancy: Float32[np.ndarray, " r"]) -> float:
+def contrast_of(features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"]) -> Contrast:
+    """The same of unit features without a field, which are the pictures as well."""
+    usual, spread = _usual(features, vectors)
+    scores, words = _best_words(vectors, usual, len(features), lambda some: some @ features.T)
+    return Contrast(vectors, usual, spread, scores, words)
+
+
+def relevancy_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) -> float:
     """0.5, or the highest where too few rows stand clearly above: then nothing is found."""
-    return clear_threshold(relevancy, 0.5, CLEAR)
+    return clear_threshold(relevancy, 0.5, CLEAR, peak=peak)
 
 
 CLEAR = 1 / (1 + float(np.exp(-0.45)))  # a margin of 0.45 spreads
@@ -102,17 +114,29 @@ _LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
 def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
-    pictures = _pictures(field)
-    usual = (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32)
-    spread = _spread(pictures @ vectors.T)
+    usual, spread = _usual(_pictures(field), vectors)
+    scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads))
+    return Contrast(vectors, usual, spread, scores, words)
+
+
+def _usual(
+    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"]
+) -> tuple[Float32[np.ndarray, " D"], float]:
+    """The mean picture, times TILT, and the unit of margins."""
+    return (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
+
+
+def _best_words(
+    vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"], rows: int, score: Score
+) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
+    """score: the cosines (c, r) of some words with all rows."""
     kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
-    scores = np.full((len(field), kept), -np.inf, np.float32)
-    words = np.zeros((len(field), kept), np.uint16)
+    scores = np.full((rows, kept), -np.inf, np.float32)
+    words = np.zeros((rows, kept), np.uint16)
     for begin in range(0, len(vectors), CHUNK):
         some = vectors[begin : begin + CHUNK]
-        found = field.scores(some, threads=threads) - (some @ usual)[:, None]
-        _keep_best(scores, words, found, begin)
-    return Contrast(vectors, usual, spread, scores, words)
+        _keep_best(scores, words, score(some) - (some @ usual)[:, None], begin)
+    return scores, words
 
 
 def _keep_best(

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from copy import copy
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from ..encoders import Encoder, EncoderIdentity
 from ..errors import InputError, MismatchError
-from ..field import LanguageField
 from ..formats.vocabulary import read_vocabulary
 from ..models.loading import load_encoder
 from ..models.mini import MiniEncoder
@@ -15,8 +15,18 @@ from ..models.words import WordEncoder
 Load = Callable[[str, str], Encoder]
 
 
+@runtime_checkable
+class Embedded(Protocol):
+    """What one encoder has embedded: a field, a catalogue."""
+
+    @property
+    def encoder(self) -> EncoderIdentity: ...
+
+    def check_encoder(self, identity: EncoderIdentity) -> None: ...
+
+
 def encoder_for(
-    field: LanguageField,
+    field: Embedded,
     vocabulary: str | None = None,
     encoder: str | None = None,
     device: str = "auto",
@@ -55,7 +65,7 @@ def encoder_for(
     )
 
 
-def _loaded_encoder(field: LanguageField, name: str, device: str, load: Load) -> Encoder:
+def _loaded_encoder(field: Embedded, name: str, device: str, load: Load) -> Encoder:
     """Checked against the field; a field that does not know its encoder takes the given one's word."""
     encoder = copy(load(name, device))
     if field.encoder.name == "unknown" and encoder.identity.dim == field.encoder.dim:

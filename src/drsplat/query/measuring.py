@@ -16,7 +16,7 @@ from .contrast import Contrast, contrast, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .query import Cut
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
-from .thresholds import default_threshold, peak_score, share_threshold, threshold_above
+from .thresholds import PEAK, default_threshold, peak_score, share_threshold, threshold_above
 from .wholes import by_object, cut_of
 from .word_list import list_vectors
 
@@ -43,8 +43,7 @@ class Background:
 
     @property
     def own_threshold(self) -> float | None:
-        """Of an encoder whose cosines mean something, and which is not to be contrasted with a list."""
-        return None if hasattr(self.encoder, "nouns") else getattr(self.encoder, "threshold", None)
+        return own_threshold(self.encoder)
 
     @cached_property
     def kept_contrast(self) -> Contrast | None:
@@ -61,10 +60,7 @@ class Background:
     @cached_property
     def least_peak(self) -> float:
         """Cosine that a thing's best rows exceed: the encoder's share of what the list reaches in this scene."""
-        share = getattr(self.encoder, "least_share", None) if self.kept_contrast is None else None
-        if share is None or self.contrast is None:
-            return -np.inf
-        return float(share * self.contrast.height)
+        return -np.inf if self.kept_contrast is not None else least_peak(self.encoder, self.contrast)
 
     @cached_property
     def negatives(self) -> Negatives:
@@ -179,14 +175,8 @@ class Measuring:
         return None if known is None else known.relevancy(query, scores)
 
     def _whole(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
-        """Relevancies, those of rows that fit half of the query lowered where others fit all of it.
-
-        "Red vase" is not asking for a red shelf. Of encoders only whose texts are sums of words, see `least_peak`.
-        """
-        if not len(scores) or not np.isfinite(self.background.least_peak):
-            return values
-        half = scores <= HALF * peak_score(scores)
-        return np.where(half, np.minimum(values, np.float32(RELEVANCY_THRESHOLD)), values)
+        """Of encoders only whose texts are sums of words, see `least_peak`."""
+        return whole(scores, values) if np.isfinite(self.background.least_peak) else values
 
     def _measured(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
@@ -225,6 +215,30 @@ class Measuring:
         if isinstance(given, tuple):
             return text_negatives(field, background.encoder, given, threads=background.threads)
         return field.score_negatives(given, threads=background.threads)
+
+
+def own_threshold(encoder: Encoder) -> float | None:
+    """Of an encoder whose cosines mean something, and which is not to be contrasted with a list."""
+    return None if hasattr(encoder, "nouns") else getattr(encoder, "threshold", None)
+
+
+def least_peak(encoder: Encoder, known: Contrast | None, peak: int = PEAK) -> float:
+    """Cosine that the best rows exceed: the encoder's share of what the list reaches, of encoders that have one."""
+    share = getattr(encoder, "least_share", None)
+    return -np.inf if share is None or known is None else float(share * known.height(peak))
+
+
+def whole(
+    scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], peak: int = PEAK
+) -> Float32[np.ndarray, " r"]:
+    """Relevancies, those of rows that fit half of the query lowered where others fit all of it.
+
+    "Red vase" is not asking for a red shelf.
+    """
+    if not len(scores):
+        return values
+    half = scores <= HALF * peak_score(scores, peak)
+    return np.where(half, np.minimum(values, np.float32(RELEVANCY_THRESHOLD)), values)
 
 
 def embedded_image(encoder: Encoder, picture: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " D"]:

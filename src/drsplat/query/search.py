@@ -12,6 +12,7 @@ from ..field import LanguageField, Negatives
 from ..kernels import splat_arrays, view_weights
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
+from .encoding import Embedded
 
 NEGATIVES = ("object", "things", "stuff", "texture")
 
@@ -20,7 +21,7 @@ CHUNK = 8  # queries whose scores are held at once
 _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
 
 
-def embed_query(encoder: Encoder, field: LanguageField, text: str) -> Float32[np.ndarray, " D"]:
+def embed_query(encoder: Encoder, field: Embedded, text: str) -> Float32[np.ndarray, " D"]:
     """The unit vector of a text. Raises: MismatchError: the field was written with another encoder."""
     field.check_encoder(encoder.identity)
     return np.asarray(encoder.encode_texts([text])[0], np.float32)

@@ -13,16 +13,16 @@ _SPREAD = (  # shift, mask: each bit of 21 to every third place
 )
 
 
-def morton_order(positions: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+def morton_order(positions: Float[np.ndarray, "n 3"], bits: int = BITS) -> Int64[np.ndarray, " n"]:
     """Rows along the curve through the box about all of them; of those in one cell the lower row first."""
-    return np.argsort(morton_codes(positions), kind="stable")
+    return np.argsort(morton_codes(positions, bits), kind="stable")
 
 
-def morton_codes(positions: Float[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
-    """Cells of the box about the positions, 2^21 along its longest side, numbered along the curve."""
+def morton_codes(positions: Float[np.ndarray, "n 3"], bits: int = BITS) -> UInt64[np.ndarray, " n"]:
+    """Cells of the box about the positions, 2^bits along its longest side, numbered along the curve."""
     low = positions.min(axis=0, initial=np.inf)
     side = float((positions.max(axis=0, initial=-np.inf) - low).max(initial=0.0))
-    scale = (2**BITS - 1) / side if side > 0 else 0.0
+    scale = (2**bits - 1) / side if side > 0 else 0.0
     codes = np.zeros(len(positions), np.uint64)
     for axis in range(3):
         cells = ((positions[:, axis].astype(np.float64) - low[axis]) * scale).astype(np.uint64)

@@ -16,7 +16,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from .. import __version__
 from ..errors import DrSplatError
-from .catalog import Catalog, Sources, without_paths
+from .catalogued import AskCatalogue, CatalogueAnswer, CatalogueScenes
 from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
@@ -25,6 +25,7 @@ from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneLis
 from .refusals import faults_of
 from .replies import JPEG, PLY, PNG, Reply, problem, refusal
 from .requests import Locate, Picture, Segment, Select, WhatIs
+from .scene_folder import SceneFolder, Sources, without_paths
 from .workbench import Job, Workbench
 from .worker import Workplace
 
@@ -52,7 +53,10 @@ def binary(media_type: str) -> dict[int | str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Settings:
-    """key: of the service, None for none. hosts: as in `Guard`. origins: of pages whose scripts may read answers."""
+    """key: of the service, None for none. hosts: as in `Guard`. origins: of pages whose scripts may read answers.
+
+    catalogue: folder of one, None for none.
+    """
 
     folder: str
     sources: Sources = field(default_factory=Sources)
@@ -60,12 +64,15 @@ class Settings:
     key: str | None = field(default=None, repr=False)
     hosts: tuple[str, ...] | None = None
     origins: tuple[str, ...] = ()
+    catalogue: str | None = None
 
 
 def create_app(settings: Settings) -> FastAPI:
     """The service over the scenes of a folder, as an ASGI application. Raises: InputError: no such folder."""
-    catalog, limits, metrics = (Catalog(Path(settings.folder), settings.sources), settings.limits, Metrics())
-    bench = Workbench(Workplace(settings.folder, settings.sources, limits), metrics)
+    limits, metrics = settings.limits, Metrics()
+    catalogue = None if settings.catalogue is None else Path(settings.catalogue)
+    scene_folder = SceneFolder(Path(settings.folder), settings.sources, catalogue_path=catalogue)
+    bench = Workbench(Workplace(settings.folder, settings.sources, limits, settings.catalogue), metrics)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -82,12 +89,14 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
         responses=REFUSALS,
     )
-    _add_errors(app, catalog)
+    _add_errors(app, scene_folder)
     app.state.bench = bench
-    _add_watching(app, catalog, metrics)
+    _add_watching(app, scene_folder, metrics)
     _add_scenes(app, bench)
     _add_objects(app, bench)
     _add_queries(app, bench)
+    if settings.catalogue is not None:
+        _add_catalogue(app, bench)
     _add_pages(app)
     app.add_middleware(Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts)  # type: ignore[arg-type]
     if settings.origins:
@@ -106,10 +115,10 @@ def _allow(app: FastAPI, origins: Sequence[str]) -> None:
     )
 
 
-def _add_errors(app: FastAPI, catalog: Catalog) -> None:
+def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
     @app.exception_handler(DrSplatError)
     async def refused(_: Any, error: DrSplatError) -> Response:
-        return _sent(refusal(error, without_paths(str(error), catalog.roots)))
+        return _sent(refusal(error, without_paths(str(error), scene_folder.roots)))
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Any, error: RequestValidationError) -> Response:
@@ -127,11 +136,11 @@ def _sent(reply: Reply, headers: Any = None) -> Response:
     return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)
 
 
-def _add_watching(app: FastAPI, catalog: Catalog, metrics: Metrics) -> None:
+def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> None:
     @app.get("/health", tags=["watching"])
     async def health() -> Health:
         """Whether the service lives; needs no key."""
-        return Health(status="ok", num_scenes=len(catalog.folders()))
+        return Health(status="ok", num_scenes=len(scene_folder.folders()))
 
     @app.get(
         "/metrics",
@@ -212,6 +221,28 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
     async def picture(scene: Scene, asked: Picture) -> Response:
         """A rendering as PNG, optionally with the matches of a query kept in colour."""
         return await computed("picture", scene, asked)
+
+
+def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
+    @app.get("/catalogue", tags=["catalogue"], response_model=CatalogueScenes)
+    async def catalogue_scenes() -> Response:
+        """The scenes whose objects can be asked for together."""
+        return _sent(await bench.run(Job("catalogue-list")))
+
+    @app.post("/catalogue/ask", tags=["catalogue"], response_model=CatalogueAnswer)
+    async def ask_catalogue(asked: AskCatalogue) -> Response:
+        """The objects of all scenes that a text, vector or image means, best first."""
+        return _sent(await bench.run(Job("catalogue-ask", asked=asked.model_dump(mode="json"))))
+
+    @app.get("/catalogue/picture", tags=["catalogue"], response_class=Response, responses=binary(JPEG))
+    async def catalogue_picture(
+        scene: Annotated[str, Query(min_length=1, max_length=200, description="name of the scene")],
+        object_id: Annotated[int, Query(ge=0, le=2**31 - 1)],
+        tile: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
+    ) -> Response:
+        """The thumbnail of an object, as JPEG."""
+        asked = {"scene": scene, "object_id": object_id, "tile": tile}
+        return _sent(await bench.run(Job("catalogue-picture", asked=asked)))
 
 
 def _add_pages(app: FastAPI) -> None:

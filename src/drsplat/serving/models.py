@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from .. import query as engine
 from ..query.objects import objects_of, photos_of
-from .catalog import Summary
+from .scene_folder import Summary
 
 UNITS = "scene units"
 MOST_PHOTOS = 8  # listed of an object

@@ -1,5 +1,7 @@
 """Pictures as bytes, and bytes as pictures."""
 
+import base64
+import binascii
 import io
 
 import numpy as np
@@ -31,3 +33,12 @@ def decoded(data: bytes, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
         return decoded_picture(io.BytesIO(data), most_pixels)
     except FormatError as error:
         raise InputError(f"the image {error}") from error
+
+
+def from_base64(text: str, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
+    """As `decoded`, of base64. Raises: InputError: it is none; as `decoded`."""
+    try:
+        data = base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise InputError(f"image: expected base64: {error}") from None
+    return decoded(data, most_pixels)

@@ -4,7 +4,7 @@ import json
 from typing import NamedTuple
 
 from ..errors import DrSplatError, MissingExtraError
-from .catalog import SceneFaultError, UnknownSceneError
+from .scene_folder import SceneFaultError, UnknownSceneError
 
 JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
 

@@ -1,7 +1,5 @@
 """What can be asked over HTTP, and how it becomes a query of the engine."""
 
-import base64
-import binascii
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,7 +10,7 @@ from ..errors import InputError
 from ..query.defaults import MIN_GAUSSIANS
 from ..scene.boxes import BoxKind
 from .limits import Limits
-from .pictures import decoded
+from .pictures import from_base64
 
 MOST = Limits()
 Text = Annotated[str, StringConstraints(min_length=1, max_length=MOST.text)]
@@ -146,7 +144,7 @@ def query_of(given: Query, limits: Limits) -> engine.Query:
     return engine.Query(
         given.text,
         None if given.vector is None else np.asarray(given.vector, np.float32),
-        None if given.image is None else _picture(given.image, limits),
+        None if given.image is None else from_base64(given.image, limits.pixels),
         None if given.point is None else _point(given.point),
         None if given.click is None else _pixel(given.click),
         tuple(given.exclude),
@@ -179,11 +177,3 @@ def _point(given: list[float]) -> tuple[float, float, float]:
 
 def _pixel(click: Click) -> tuple[str, float, float]:
     return click.view, click.x, click.y
-
-
-def _picture(text: str, limits: Limits) -> np.ndarray:
-    try:
-        data = base64.b64decode(text, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise InputError(f"image: expected base64: {error}") from None
-    return decoded(data, limits.pixels)

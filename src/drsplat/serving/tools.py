@@ -14,7 +14,7 @@ from .. import __version__
 from ..errors import DrSplatError
 from ..query.relations import Relation
 from ..scene.boxes import BoxKind
-from .catalog import Catalog
+from .catalogued import CatalogueAnswer
 from .conversation import (
     MOST_MATCHES,
     MOST_OBJECTS,
@@ -31,6 +31,7 @@ from .conversation import (
 from .limits import Limits
 from .models import Body, Located, ObjectList, SceneList
 from .refusals import faults_of
+from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
 
 INSTRUCTIONS = """\
@@ -84,7 +85,7 @@ def _terse(result: Any) -> Any:
 class _Asking:
     """How tools are computed: in a process of the workbench, and no longer than it may take."""
 
-    catalog: Catalog
+    scene_folder: SceneFolder
     bench: Workbench
     limits: Limits
 
@@ -95,12 +96,15 @@ class _Asking:
 
     async def told(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
         """What a tool of `Conversation` says of a scene; "" is the only one."""
-        name = scene or self.catalog.only()
+        name = scene or self.scene_folder.only()
         if not name:
-            known = ", ".join(map(repr, list(self.catalog.folders())[:MOST_MATCHES])) or "none"
+            known = ", ".join(map(repr, list(self.scene_folder.folders())[:MOST_MATCHES])) or "none"
             raise ToolError(f"name a scene; there are: {known}")
         asked = {"tool": tool, "name": name, "arguments": arguments}
         return model.model_validate_json(await self._answer(Job("tool", name, asked)))
+
+    async def search(self, **asked: Any) -> CatalogueAnswer:
+        return CatalogueAnswer.model_validate_json(await self._answer(Job("catalogue-ask", asked=asked)))
 
     async def _answer(self, job: Job) -> bytes:
         try:
@@ -115,8 +119,8 @@ class _Asking:
         return reply.body
 
 
-def make_server(catalog: Catalog, bench: Workbench, limits: Limits) -> MCPServer:
-    """An MCP server over the scenes of a catalog; run it with `run("stdio")` or as streamable HTTP.
+def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> MCPServer:
+    """An MCP server over the scenes of a folder; run it with `run("stdio")` or as streamable HTTP.
 
     bench: of the same folder; whoever made it closes it.
     """
@@ -127,12 +131,14 @@ def make_server(catalog: Catalog, bench: Workbench, limits: Limits) -> MCPServer
         version=__version__,
         log_level="WARNING",
     )
-    asking = _Asking(catalog, bench, limits)
+    asking = _Asking(scene_folder, bench, limits)
     _add_scenes(server, asking)
     _add_matches(server, asking)
     _add_places(server, asking)
     _add_objects(server, asking)
     _add_pictures(server, asking)
+    if scene_folder.catalogue_path is not None:
+        _add_catalogue(server, asking)
     return server
 
 
@@ -242,3 +248,16 @@ def _add_pictures(server: MCPServer, asking: _Asking) -> None:
         picture = ImageContent(type="image", data=found.png, mime_type="image/png")
         content: Any = [TextContent(type="text", text=found.shown.model_dump_json()), picture]
         return CallToolResult(content=content, structured_content=found.shown.model_dump())
+
+
+def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
+    @server.tool(title="Search all scenes", annotations=READS)
+    async def search_all_scenes(
+        text: Text,
+        top: Annotated[int, Field(ge=1, le=MOST_MATCHES, description="most matches to list")] = 5,
+        scenes: Annotated[
+            list[str] | None, Field(description="names of scenes to search; left out: all", max_length=64)
+        ] = None,
+    ) -> CatalogueAnswer:
+        """Where is it, in all that was scanned? The best objects of a catalogue, with scene, box and photo."""
+        return await asking.search(text=text, top=top, scenes=scenes or [])

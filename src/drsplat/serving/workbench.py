@@ -39,6 +39,11 @@ class Job:
     _process: "subprocess.Popen[bytes] | None" = None
     _lock: Lock = field(default_factory=Lock)
 
+    @property
+    def opens(self) -> bool:
+        """Whether files are read and models loaded for it, which may take longer than a question."""
+        return bool(self.scene) or self.act == "catalogue-ask"
+
     def begin(self, process: "subprocess.Popen[bytes]") -> bool:
         """Say where it is computed; False where it has ended already."""
         with self._lock:
@@ -133,7 +138,7 @@ class _Worker:
 
     def answer(self, job: Job) -> Reply:
         """Raises: LostError."""
-        if job.scene:
+        if job.opens:
             opened = self._open(job)
             if opened.status != 200:
                 return opened

@@ -19,10 +19,11 @@ from typing import Any
 
 from ..errors import DrSplatError
 from .answers import ANSWERS, answered
-from .catalog import Catalog, Sources, without_paths
+from .catalogued import catalogue_reply
 from .limits import Limits
 from .models import SceneList, summarized
 from .replies import Reply, packed, refusal
+from .scene_folder import SceneFolder, Sources, without_paths
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class Workplace:
     folder: str
     sources: Sources = field(default_factory=Sources)
     limits: Limits = field(default_factory=Limits)
+    catalogue: str | None = None
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
@@ -39,7 +41,7 @@ class Workplace:
     @classmethod
     def from_json(cls, text: str | bytes) -> "Workplace":
         given = json.loads(text)
-        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]))
+        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]), given["catalogue"])
 
 
 def main(descriptor: int) -> None:
@@ -49,19 +51,26 @@ def main(descriptor: int) -> None:
     link = Connection(descriptor)
     with suppress(EOFError, OSError):
         place = Workplace.from_json(link.recv_bytes())
-        catalog = Catalog(Path(place.folder), place.sources)
+        catalogue = None if place.catalogue is None else Path(place.catalogue)
+        scene_folder = SceneFolder(Path(place.folder), place.sources, catalogue_path=catalogue)
         while True:
             asked = json.loads(link.recv_bytes())
-            link.send_bytes(packed(reply_to(catalog, place, **asked)))
+            link.send_bytes(packed(reply_to(scene_folder, place, **asked)))
 
 
-def reply_to(catalog: Catalog, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
-    """act: "list", "open" (which also loads who embeds words), or one of `ANSWERS`."""
+def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
+    """act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
     try:
         if act == "list":
-            scenes = [summarized(one) for one in catalog.summaries()]
+            scenes = [summarized(one) for one in scene_folder.summaries()]
             return Reply(SceneList(scenes=scenes).model_dump_json().encode())
-        opened = catalog.scene(scene)
+        if act == "open" and not scene:
+            with suppress(DrSplatError):  # told when it is asked
+                scene_folder.catalogue.query_encoder  # noqa: B018
+            return Reply(b"")
+        if act.startswith("catalogue-"):
+            return catalogue_reply(scene_folder.catalogue, act, asked, place.limits)
+        opened = scene_folder.scene(scene)
         if act != "open":
             return answered(opened, act, asked, place.limits)
         if ANSWERS[asked["for"]].words:
@@ -69,7 +78,7 @@ def reply_to(catalog: Catalog, place: Workplace, act: str, scene: str, asked: di
                 opened.encoder  # noqa: B018
         return Reply(b"")
     except DrSplatError as error:
-        return refusal(error, without_paths(str(error), catalog.roots))
+        return refusal(error, without_paths(str(error), scene_folder.roots))
 
 
 def _end_with(descriptor: int) -> None:

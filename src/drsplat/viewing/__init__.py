@@ -1,7 +1,7 @@
 """Seeing a scene answer: what is shown, picked, painted and saved, apart from how a browser shows it.
 
-Only `window` knows viser. Source: Dr. Splat Sec. F "Broader application".
+Only `window` and `catalogue_page` start viser. Source: Dr. Splat Sec. F "Broader application".
 
-Imports `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`, `query` and
-`serving`.
+Imports `catalogue`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`,
+`query` and `serving`.
 """

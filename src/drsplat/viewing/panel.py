@@ -19,6 +19,7 @@ from .cameras import before
 from .choosing import ChosenControls
 from .finds import FindList, finds_of
 from .naming import This, photo_of
+from .prompts import prompt
 from .saving import Saves
 from .session import Mode
 from .suggestions import suggestions
@@ -39,12 +40,20 @@ class Panel:
         self.gui = window.server.gui
         self.actions, self.flights = Actions(), Actions()
         self._build()
-        window.server.scene.on_click()(lambda event: self._do("click", event, self._clicked))
+        window.server.scene.on_click()(self._on_click)
 
-    def stop(self) -> None:
+    def close(self) -> None:
+        """Act on nothing any more; the window stays."""
+        self.window.server.scene.remove_click_callback(self._on_click)
         self.actions.stop()
         self.flights.stop()
+
+    def stop(self) -> None:
+        self.close()
         self.window.stop()
+
+    def _on_click(self, event: Any) -> None:
+        self._do("click", event, self._clicked)
 
     # --- doing what was pressed ---
 
@@ -99,15 +108,7 @@ class Panel:
         self.gui.add_html(paragraphs(f"<b>{escaped(scene.name)}</b> {counted}"))
 
     def _prompt(self, label: str, hint: str, act: Callable[[Any], None]) -> Any:
-        """A field whose text ends in a new line when enter is pressed.
-
-        viser's page sends the latest of many changes only: what a form submits overtakes the text that was typed
-        just before, and that is lost. This comes with the text, or not at all.
-        """
-        prompt = self.gui.add_text(label, "", hint=hint, multiline=True)
-
-        prompt.on_update(lambda event: self._do(label, event, act) if "\n" in prompt.value else None)
-        return prompt
+        return prompt(self.gui, label, hint, lambda event: self._do(label, event, act))
 
     def _by_hand(self, control: Any, what: str, act: Callable[[Any], None]) -> None:
         """When people change a control, not when we do."""
@@ -124,7 +125,7 @@ class Panel:
             self.which = self.gui.add_dropdown("Threshold of", ("-",), visible=False, order=0.0)
             self._by_hand(self.which, "which", self._new_slider)
             self.slider: Any = None
-        self.finds = FindList(self.gui, self.answer, self._fly)
+        self.finds = FindList(self.gui, self.answer, self.fly)
         self._new_slider()
 
     def _build_show(self) -> None:
@@ -156,10 +157,10 @@ class Panel:
             self.more.visible = False
 
     def _build_thing(self) -> ChosenControls:
-        def prompt(label: str, act: Callable[[Any], None]) -> Any:
+        def naming(label: str, act: Callable[[Any], None]) -> Any:
             return self._prompt(label, "my mug", act)
 
-        return ChosenControls(self.session, self.gui, self._button, prompt, self._chose)
+        return ChosenControls(self.session, self.gui, self._button, naming, self._chose)
 
     def _build_edit(self) -> None:
         session = self.session
@@ -190,6 +191,15 @@ class Panel:
         """As if it had been typed."""
         self.text.value = text
         self._do("ask", None, self._ask)
+
+    def choose(self, number: int) -> None:
+        """As if an object had been clicked."""
+
+        def act(_: Any) -> None:
+            self.session.choose_object(number)
+            self._chose()
+
+        self._do("choose", None, act)
 
     def _ask(self, _: Any) -> None:
         self.text.value = self.text.value.replace("\n", "")
@@ -233,7 +243,8 @@ class Panel:
         if self.thing is not None:
             self.thing.show()
 
-    def _fly(self, event: Any, match: Match) -> None:
+    def fly(self, event: Any, match: Match) -> None:
+        """Move the camera of the browser that a press came from before a match."""
         scene = self.session.scene
         eye = before(match, scene.gaussians, scene.views, self.window.up)
         self.flights.do(event.client_id, lambda: self.window.fly(event.client, eye, match.center))

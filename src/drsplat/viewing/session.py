@@ -171,6 +171,11 @@ class Session:
 
     # --- objects ---
 
+    def choose_object(self, number: int) -> None:
+        """Select an object by its number. Raises: InputError: there is none of that number, or the field has none."""
+        self.clicked = None
+        self._choose(Chosen((objects_of(self.scene.field).thing(number),), 0))
+
     def smaller(self) -> None:
         """Select the next smaller node at the place that was clicked.
 

@@ -6,7 +6,7 @@ import socket
 import time
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -47,6 +47,32 @@ def guarded_server(host: str, port: int, token: str | None) -> Any:
     return server
 
 
+class Served(NamedTuple):
+    """viser's server, its address for a browser, and the token in that, None where only this machine reaches it."""
+
+    server: Any
+    address: str
+    token: str | None
+
+
+def served(host: str, port: int) -> Served:
+    """A server that looks as ours do, behind a gate.
+
+    Raises: MissingExtraError: viser is not installed. InputError: nothing can listen there.
+    """
+    token = None if is_loopback(host) else secrets.token_urlsafe(24)
+    server = guarded_server(host, port, token)
+    server.gui.configure_theme(
+        dark_mode=True, control_width="large", show_logo=False, show_share_button=False,
+        brand_color=painting.accent(0),
+    )  # fmt: skip
+    server.gui.main_panel.dock_right()
+    name = socket.gethostname() if host in EVERYWHERE else host
+    name = f"[{name}]" if ":" in name and not name.startswith("[") else name
+    address = f"http://{name}:{server.get_port()}" + ("" if token is None else f"/?token={token}")
+    return Served(server, address, token)
+
+
 def viser_module() -> Any:
     """Raises: MissingExtraError: it is not installed."""
     try:
@@ -59,36 +85,26 @@ def viser_module() -> Any:
 class Window:
     """What a browser shows of a session. All who open the page see, and change, the same one.
 
-    up: of the scene, in the world. Where other machines reach `host`, the address has a token.
+    up: of the scene, in the world. Where other machines reach `host`, the address has a token. server: one that is
+    there already; what it showed before has been removed.
 
     Raises: MissingExtraError: viser is not installed. InputError: nothing can listen there.
     """
 
-    def __init__(self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-        self.session, self.up, self.host = session, up, host
-        self.token = None if is_loopback(host) else secrets.token_urlsafe(24)
-        self.server: Any = guarded_server(host, port, self.token)
+    def __init__(
+        self, session: Session, up: Vector, *, host: str = "127.0.0.1", port: int = 8080, server: "Served | None" = None
+    ) -> None:
+        self.session, self.up = session, up
+        self.served = served(host, port) if server is None else server
+        self.server: Any = self.served.server
         self._marks: list[Any] = []
         self._cameras: list[Any] = []
         self.boxes = True
         self._open()
 
-    @property
-    def address(self) -> str:
-        """For a browser."""
-        name = socket.gethostname() if self.host in EVERYWHERE else self.host
-        host = f"[{name}]" if ":" in name and not name.startswith("[") else name
-        token = "" if self.token is None else f"/?token={self.token}"
-        return f"http://{host}:{self.server.get_port()}{token}"
-
     def _open(self) -> None:
         scene, shown = self.server.scene, self.session.shown
         scene.set_up_direction(tuple(float(x) for x in self.up))
-        self.server.gui.configure_theme(
-            dark_mode=True, control_width="large", show_logo=False, show_share_button=False,
-            brand_color=painting.accent(0),
-        )  # fmt: skip
-        self.server.gui.main_panel.dock_right()
         eye, target = first_look(self.session.scene.views, shown.frame, self.up)
         camera = self.server.initial_camera
         camera.position, camera.look_at = shown.frame.shown(eye), shown.frame.shown(target)

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from threading import Lock
 
+from ..catalogue import Catalogue
 from ..encoders import Encoder
 from ..errors import DrSplatError, InputError
 from ..field.labels import LabelFile
@@ -52,11 +53,11 @@ class Summary:
 
 
 @dataclass(eq=False)
-class Catalog:
+class SceneFolder:
     """A folder that is a scene itself, or has one in each of some subfolders.
 
     A name is looked up among those listed and never becomes a path. The `most` scenes used last stay open, each
-    until one of its files is another; encoders are shared by all. Safe for several threads.
+    until one of its files is another; encoders are shared by all, and by a catalogue. Safe for several threads.
 
     Raises: InputError: no such folder.
     """
@@ -64,6 +65,7 @@ class Catalog:
     folder: Path
     sources: Sources = Sources()
     most: int = 8
+    catalogue_path: Path | None = None
     _open: "OrderedDict[str, tuple[Version, Scene]]" = field(default_factory=OrderedDict)
     _encoders: dict[tuple[str, str], Encoder] = field(default_factory=dict)
     _lock: Lock = field(default_factory=Lock)
@@ -73,13 +75,26 @@ class Catalog:
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
         self.folder = self.folder.resolve()
+        self.catalogue_path = None if self.catalogue_path is None else self.catalogue_path.resolve()
 
     @cached_property
     def roots(self) -> tuple[Path, ...]:
         """Folders that clients are not told: of the scenes, and of the files that embed words."""
         given = (self.sources.vocabulary, self.sources.encoder)
         files = [Path(one) for one in given if one is not None and _is_file(one)]
-        return (self.folder, *(way.parent for one in files for way in (one, one.resolve())))
+        catalogue = () if self.catalogue_path is None else (self.catalogue_path,)
+        return (self.folder, *catalogue, *(way.parent for one in files for way in (one, one.resolve())))
+
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """Raises: InputError: there is none. FormatError: damaged. MissingExtraError."""
+        if self.catalogue_path is None:
+            raise InputError("there is no catalogue here")
+        given = self.sources
+        return Catalogue.open(
+            self.catalogue_path, encoder=given.encoder, vocabulary=given.vocabulary, device=given.device,
+            threads=given.threads, load=self._load,
+        )  # fmt: skip
 
     def folders(self) -> dict[str, Path]:
         """Name and folder of each scene, as they are now."""
@@ -99,9 +114,15 @@ class Catalog:
             raise InputError("encoder=NAME and vocabulary=FILE both embed the words: drop one")
         read_vocabulary(self.sources.vocabulary)
 
+    def check_catalogue(self) -> None:
+        """Raises: InputError: nothing was added yet. FormatError: damaged. MissingExtraError."""
+        if self.catalogue_path is not None:
+            _ = self.catalogue.encoder
+
     def checked(self) -> int:
         """How many scenes there are, for whoever starts a service. Raises: InputError: none; as `check_sources`."""
         self.check_sources()
+        self.check_catalogue()
         number = len(self.folders())
         if not number:
             raise InputError(

@@ -1,0 +1,235 @@
+"""A catalogue of many scenes on this machine: recall of the index, times, sizes, and asking while others write.
+
+    python benchmarks/bench_catalogue.py OFFICIAL [--scenes 1000] [--each 300] [--descriptors 0] [--thumbnail 4096]
+        [--queries 200] [--seconds 30] [--clients 16] [--real FOLDER...] [--keep FOLDER]
+
+OFFICIAL is the authors' folder with `pq_index.faiss`: embeddings of objects and words are drawn with its statistics
+(drawn_embeddings.py), an object as one of 5,000 kinds of things, a descriptor as one mask of it, which is noisier than
+the mean that it is. --descriptors 0: 1 to 4 of an object, as often as in two real scenes; else so many of each.
+--thumbnail: bytes of each, not compressible; 0 for none. Half of the queries are words, half are pictures of a kind.
+
+Exact answers compare all descriptors; recall is the share of their first 10 that the index finds too. Then --clients
+threads ask for --seconds, while one writer adds, replaces and removes scenes of 300 objects: an answer is wrong where
+an object that is always there is missing, or a scene that comes and goes is there in part.
+"""
+
+import resource
+import shutil
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from drawn_embeddings import CLIP, Drawn
+from machine import arguments
+
+from drsplat import DrSplatWarning, Query
+from drsplat.catalogue import Catalogue, Where, table
+
+KINDS, AT_ONCE, TOP = 5000, 25, 10
+OFTEN = (38, 64, 75, 48)  # objects of 1 to 4 descriptors, of the room of `drsplat demo` and of a phone's capture
+MARKED = 300  # objects of a scene that comes and goes
+
+
+class Simulated:
+    """Rows of scenes, and queries for them."""
+
+    def __init__(self, official: Path, each: int, descriptors: int, thumbnail: int) -> None:
+        self.drawn, self.each, self.descriptors, self.thumbnail = Drawn(official), each, descriptors, thumbnail
+        self.kinds = self.drawn.things(KINDS)
+        self.rng = self.drawn.rng
+
+    def counts(self, number: int) -> np.ndarray:
+        if self.descriptors:
+            return np.full(number, self.descriptors)
+        return self.rng.choice(4, number, p=np.array(OFTEN) / sum(OFTEN)) + 1
+
+    def scenes(self, names: list[str]) -> object:
+        """The rows of some scenes, as the table takes them."""
+        objects = self.each * len(names)
+        counts = self.counts(objects)
+        vectors = self.drawn.masks(np.repeat(self.kinds[self.rng.integers(0, KINDS, objects)], counts, axis=0))
+        parts = np.split(vectors.astype(np.float16), np.cumsum(counts)[:-1])
+        return rows_of(names, parts, self.each, lambda: self.rng.bytes(self.thumbnail) if self.thumbnail else None)
+
+    def queries(self, count: int) -> np.ndarray:
+        kinds = self.kinds[self.rng.choice(KINDS, count, replace=False)]
+        half = count // 2
+        return np.concatenate([self.drawn.texts(kinds[:half]), self.drawn.masks(kinds[half:])])
+
+
+def rows_of(names: list[str], parts: list[np.ndarray], each: int, thumbnail: object) -> object:
+    """`each` objects of each scene, and the scene's own row."""
+    empty = np.empty((0, CLIP.dim), np.float16)
+    descriptors, numbers, scenes = [], [], []
+    for at, name in enumerate(names):
+        descriptors += [*parts[at * each : (at + 1) * each], empty]
+        numbers += [*range(each), -1]
+        scenes += [name] * (each + 1)
+    rows = len(numbers)
+    place = np.random.default_rng(rows).uniform(-5, 5, (3, rows)).tolist()
+    columns = {
+        "scene": scenes, "tile": [0] * rows, "object_id": numbers, "field": ["0" * 32] * rows,
+        "added": [datetime.now(UTC)] * rows, **dict(zip("xyz", place, strict=True)), "sure": [0.8] * rows,
+        "num_gaussians": [500] * rows, "num_views": [12] * rows, "photo": ["frame_00042.jpg"] * rows,
+        "mask": [7] * rows, "name": ["mug"] * rows, "extent": [[0.1, 0.2, 0.3]] * rows,
+        "axes": [[1.0, 0, 0, 0, 1, 0, 0, 0, 1]] * rows,
+        "thumbnail": [thumbnail() if number >= 0 else None for number in numbers],  # type: ignore[operator]
+    }  # fmt: skip
+    return table.batch(columns, descriptors, CLIP)
+
+
+def marked(name: str, vector: np.ndarray) -> object:
+    return rows_of([name], [vector[None].astype(np.float16)] * MARKED, MARKED, lambda: None)
+
+
+@contextmanager
+def timed(what: str) -> Iterator[None]:
+    start, cpu = time.perf_counter(), time.process_time()
+    yield
+    print(f"{what}: {time.perf_counter() - start:.1f} s, {time.process_time() - cpu:.1f} s of processor", flush=True)
+
+
+def filled(path: Path, simulated: Simulated, scenes: int) -> Catalogue:
+    for begin in range(0, scenes, AT_ONCE):
+        names = [f"scene {number:05d}" for number in range(begin, min(begin + AT_ONCE, scenes))]
+        known = table.opened(path)
+        if known is None:
+            table.replace_scene(path, names[0], simulated.scenes(names), CLIP)
+        else:
+            known.table.add(simulated.scenes(names))
+    return Catalogue.open(path)
+
+
+def told(path: Path, catalogue: Catalogue) -> None:
+    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    indexed = sum(file.stat().st_size for file in (path / "objects.lance/_indices").rglob("*") if file.is_file())
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(
+        f"{len(catalogue):,} objects: {size / 1e9:.2f} GB, {size / len(catalogue):,.0f} bytes an object, of which the "
+        f"index {indexed / len(catalogue):,.0f}; this process has held {peak:.1f} GB", flush=True
+    )  # fmt: skip
+
+
+def measured(catalogue: Catalogue, queries: np.ndarray, exact: bool, where: Where, said: str) -> list[list[tuple]]:
+    """What is found first, and the times of it."""
+    found, seconds, cpu = [], [], time.process_time()
+    catalogue.answer(Query(vector=queries[0], threshold=-1.0), where, top=TOP, exact=exact)  # opens and warms
+    for query in queries:
+        start = time.perf_counter()
+        entries = catalogue.ask(Query(vector=query, threshold=-1.0), where, top=TOP, exact=exact)
+        seconds.append(time.perf_counter() - start)
+        found.append([(entry.scene, entry.object_id) for entry in entries])
+    p50, p99 = np.percentile(seconds, (50, 99)) * 1000
+    each = (time.process_time() - cpu) / (len(queries) + 1) * 1000
+    print(f"{said}: median {p50:.0f} ms, 99 of 100 within {p99:.0f} ms, {each:.0f} ms of processor", flush=True)
+    return found
+
+
+def recall(found: list[list[tuple]], exact: list[list[tuple]]) -> str:
+    shares = [len(set(a) & set(b)) / max(len(b), 1) for a, b in zip(found, exact, strict=True)]
+    half = len(shares) // 2
+    firsts = [a[:1] == b[:1] for a, b in zip(found, exact, strict=True)]
+    return (
+        f"recall of the first {TOP}: words {np.mean(shares[:half]):.3f}, pictures {np.mean(shares[half:]):.3f}; "
+        f"the best is the best in {np.mean(firsts):.3f}"
+    )
+
+
+def under_load(path: Path, catalogue: Catalogue, clients: int, seconds: float) -> None:
+    """Threads ask for what one scene has and others have at times, while one writer changes these."""
+    vector = -catalogue._surroundings(catalogue._snapshot()).usual.mean(axis=0)  # like nothing that is there
+    vector = (vector / np.linalg.norm(vector)).astype(np.float32)
+    table.replace_scene(path, "stays", marked("stays", vector), CLIP)
+    done, times, wrong, writes = threading.Event(), [], [], []
+
+    def ask() -> None:
+        while not done.is_set():
+            start = time.perf_counter()
+            entries = catalogue.ask(Query(vector=vector, threshold=0.9), top=1000)
+            times.append(time.perf_counter() - start)
+            counts = {name: sum(entry.scene == name for entry in entries) for name in {e.scene for e in entries}}
+            if counts.get("stays") != MARKED or any(number != MARKED for number in counts.values()):
+                wrong.append(counts)
+
+    def write() -> None:
+        number = 0
+        while not done.is_set():
+            name, start = f"comes {number % 2}", time.perf_counter()
+            if number % 3 == 2 and any(one.scene == name for one in catalogue.scenes()):
+                catalogue.remove(name)
+                writes.append(("remove", time.perf_counter() - start))
+            else:
+                table.replace_scene(path, name, marked(name, vector), CLIP)
+                table.tidy(path)
+                writes.append(("add", time.perf_counter() - start))
+            number += 1
+
+    threads = [threading.Thread(target=ask) for _ in range(clients)] + [threading.Thread(target=write)]
+    for thread in threads:
+        thread.start()
+    time.sleep(seconds)
+    done.set()
+    for thread in threads:
+        thread.join()
+    p50, p99 = np.percentile(times, (50, 99))
+    print(
+        f"{clients} clients for {seconds:.0f} s: {len(times)} answers of {MARKED} to {3 * MARKED} objects, median "
+        f"{p50:.2f} s, 99 of 100 within {p99:.2f} s; {len(wrong)} wrong: {wrong[:3]}"
+    )
+    for kind in ("add", "remove"):
+        some = [took for one, took in writes if one == kind]
+        print(f"  {len(some)} times {kind}: median {np.median(some or [0]):.2f} s, at most {max(some or [0]):.2f} s")
+
+
+def real(path: Path, folders: list[Path]) -> None:
+    """Scenes as people have them: what adding one takes, and its size."""
+    warnings.simplefilter("ignore", DrSplatWarning)
+    catalogue = Catalogue.open(path)
+    for folder in folders:
+        with timed(f"add {folder}"):
+            listed = catalogue.add(folder)
+        known = table.opened(path)
+        assert known is not None
+        sizes = [len(data) for data in known.rows("thumbnail IS NOT NULL", ["thumbnail"])["thumbnail"].to_pylist()]
+        print(f"  {listed.num_objects} objects; thumbnails so far: {np.mean(sizes or [0]):,.0f} bytes on average")
+    told(path, catalogue)
+
+
+def main() -> None:
+    given = arguments(
+        __doc__, "official", scenes=1000, each=300, descriptors=0, thumbnail=4096, queries=200, seconds=30.0,
+        clients=16, real=[Path()], keep=Path,
+    )  # fmt: skip
+    folder = given.keep or Path(tempfile.mkdtemp(prefix="drsplat-catalogue-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folders = [one for one in given.real if one != Path()]
+        if folders:
+            real(folder / "real", folders)
+        simulated, path = Simulated(given.official, given.each, given.descriptors, given.thumbnail), folder / "many"
+        with timed("fill"):
+            catalogue = filled(path, simulated, given.scenes)
+        told(path, catalogue)
+        queries, everywhere = simulated.queries(given.queries), Where()
+        exact = measured(catalogue, queries, True, everywhere, "all compared")
+        measured(catalogue, queries[:50], True, Where(scenes=("scene 00001",)), "one scene, all compared")
+        with timed("index"):
+            print(f"{catalogue.build_index():,} partitions")
+        told(path, catalogue)
+        found = measured(catalogue, queries, False, everywhere, "by the index")
+        print(recall(found, exact))
+        measured(catalogue, queries[:50], False, Where(scenes=("scene 00001",)), "one scene, by the index")
+        under_load(path, catalogue, given.clients, given.seconds)
+    finally:
+        if given.keep is None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,12 @@
+"""A catalogue: the objects of many scenes in one table, asked in words.
+
+`table` is all that knows LanceDB and Arrow, both of the extra `catalogue`; they are imported when a catalogue is used.
+
+Imports `encoders`, `scene`, `formats`, `codes`, `field`, `models`, `drawing` and `query`.
+"""
+
+from .catalogue import Catalogue
+from .conditions import Where
+from .entries import CatalogueAnswer, Entry, Listed
+
+__all__ = ["Catalogue", "CatalogueAnswer", "Entry", "Listed", "Where"]

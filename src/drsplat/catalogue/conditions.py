@@ -1,0 +1,90 @@
+"""Which objects of a catalogue are looked at, as SQL: LanceDB's filters are texts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from ..errors import InputError
+from ..formats.json_files import is_text
+
+LONGEST = 200  # characters of a scene's name
+Corners = tuple[float, float, float, float, float, float]
+Degrees = tuple[float, float, float, float]
+
+
+def quoted(text: str) -> str:
+    """A text as SQL has it: between quotes, those in it twice."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def checked_name(name: str) -> str:
+    """A scene's name as the table keeps it. Raises: InputError: empty, too long, or it cannot be written."""
+    if not is_text(name) or not 1 <= len(name) <= LONGEST or "\0" in name:
+        raise InputError(f"a scene's name: expected a text of 1 to {LONGEST} characters, got {name!a:.80}")
+    return name
+
+
+def of_scene(name: str) -> str:
+    return f"scene = {quoted(checked_name(name))}"
+
+
+@dataclass(frozen=True)
+class Where:
+    """scenes: names, () for all. box: the lowest and the highest corner of a box that centres lie in, in the world of
+    each scene. area: west, south, east and north in degrees, of scenes with a georeference; west above east goes
+    round the back of the Earth. since: added then or later.
+
+    Raises: InputError: corners that are no box, names that are none, a time without a zone.
+    """
+
+    scenes: Sequence[str] = ()
+    box: Corners | None = None
+    area: Degrees | None = None
+    since: datetime | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.scenes:
+            checked_name(name)
+        if self.box is not None and not _rises(self.box[:3], self.box[3:]):
+            raise InputError(f"box: expected two corners, the lowest first, six finite numbers, got {self.box}")
+        if self.area is not None:
+            _check_area(self.area)
+        if self.since is not None and self.since.tzinfo is None:
+            raise InputError("since: expected a time with its zone, as in 2026-11-22T14:00Z")
+
+    @property
+    def sql(self) -> str:
+        """What of the table is looked at: rows of objects, not those of scenes."""
+        parts = ["object_id >= 0"]
+        if self.scenes:
+            parts.append(f"scene IN ({', '.join(quoted(name) for name in self.scenes)})")
+        if self.box is not None:
+            parts += _between("xyz", self.box[:3], self.box[3:])
+        if self.area is not None:
+            west, south, east, north = self.area
+            parts += _between(("latitude",), (south,), (north,))
+            joined = " AND " if west <= east else " OR "
+            parts.append(f"({joined.join([f'longitude >= {west!r}', f'longitude <= {east!r}'])})")
+        if self.since is not None:
+            moment = self.since.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
+            parts.append(f"added >= TIMESTAMP '{moment}+00:00'")
+        return " AND ".join(parts)
+
+
+def _between(names: Sequence[str], low: Sequence[float], high: Sequence[float]) -> list[str]:
+    sides = zip(names, low, high, strict=True)
+    return [f"{name} >= {float(least)!r} AND {name} <= {float(most)!r}" for name, least, most in sides]
+
+
+def _rises(low: Sequence[float], high: Sequence[float]) -> bool:
+    return bool(np.isfinite([*low, *high]).all()) and all(a <= b for a, b in zip(low, high, strict=True))
+
+
+def _check_area(area: Degrees) -> None:
+    west, south, east, north = area
+    if not (
+        _rises((south, -180.0, -180.0), (north, west, east)) and max(west, east) <= 180 and -90 <= south <= north <= 90
+    ):
+        raise InputError(f"area: expected west, south, east and north in degrees, got {area}")

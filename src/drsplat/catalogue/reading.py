@@ -1,0 +1,94 @@
+"""From rows of the table to what people get, checked on the way: the files may be anybody's."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import DrSplatError, FormatError, InputError
+from ..formats.field_folder import read_manifest
+from ..query.opening import scene_files
+from ..query.ranking import Ranked
+from .conditions import of_scene
+from .entries import Entry, Listed, Position, checked_jpeg
+from .table import CURE, ROW_ID, Snapshot
+
+NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
+
+
+def entries_of(known: Snapshot, nearest: Any, ranked: Ranked, top: int) -> list[Entry]:
+    """The best of the objects that a query selects; equal ones by scene and number.
+
+    Raises: FormatError: rows that are no objects.
+    """
+    heads = [nearest[name].to_pylist() for name in ("scene", "tile", "object_id")]
+    chosen = sorted(
+        np.flatnonzero(ranked.selected).tolist(), key=lambda at: (-float(ranked.values[at]), *(h[at] for h in heads))
+    )[:top]
+    rows = nearest.take(chosen).drop_columns(["descriptors"]).to_pylist() if chosen else []
+    thumbnails = known.thumbnails([row[ROW_ID] for row in rows])
+    scores = ranked.values[chosen].tolist()
+    return [
+        _entry(known.path, row, score, thumbnails.get(row[ROW_ID])) for row, score in zip(rows, scores, strict=True)
+    ]
+
+
+def thumbnail_of(known: Snapshot, scene: str, object_id: int, tile: int) -> bytes:
+    """Raises: InputError: no such object, or it has none. FormatError: it is no JPEG."""
+    where = f"{of_scene(scene)} AND object_id = {int(object_id)} AND tile = {int(tile)} AND object_id >= 0"
+    rows = known.rows(where, ["thumbnail"])["thumbnail"].to_pylist()
+    if not rows:
+        raise InputError(f"there is no object {object_id} of a scene {scene!r:.80} here")
+    if rows[0] is None:
+        raise InputError(f"object {object_id} of {scene!r:.80} has no thumbnail: its scene was added without photos")
+    try:
+        return checked_jpeg(rows[0])
+    except FormatError as error:
+        raise FormatError(
+            f"the thumbnail of object {object_id} of {scene!r:.80} {error}: add the scene again"
+        ) from error
+
+
+def listed_of(known: Snapshot) -> list[Listed]:
+    """All scenes, by name. Raises: FormatError: damaged."""
+    counts: dict[str, int] = {}
+    for name in known.rows("object_id >= 0", ["scene"])["scene"].to_pylist():
+        counts[name] = counts.get(name, 0) + 1
+    rows = known.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
+    if any(row[key] is None for row in rows for key in ("scene", "added", "field")):
+        raise FormatError(f"{known.path}: {CURE}")
+    listed = [_listed(row, counts.get(row["scene"], 0)) for row in rows]
+    return sorted(listed, key=lambda one: one.scene)
+
+
+def _listed(row: dict[str, Any], num_objects: int) -> Listed:
+    folder = row["folder"] or ""
+    state = state_of(folder, row["field"], num_objects) if folder else "unknown"
+    return Listed(row["scene"], num_objects, row["added"], row["field"], folder, state)
+
+
+def state_of(folder: str, field: str, num_objects: int) -> str:
+    """Whether the field that is there now is the one that was added, as its manifest tells."""
+    try:
+        manifest = read_manifest(scene_files(Path(folder)).field)
+    except (DrSplatError, OSError):
+        return "missing"
+    return "current" if (manifest.get("field"), manifest.get("objects")) == (field, num_objects) else "changed"
+
+
+def _entry(path: Path, row: dict[str, Any], score: float, thumbnail: bytes | None) -> Entry:
+    numbers = [row[name] for name in NUMBERS]
+    lists = [row["axes"], row["extent"]]
+    texts = [row["scene"], row["field"], row["added"]]
+    if any(one is None for one in (*numbers, *lists, *texts)):
+        raise FormatError(f"{path}: an object without a box, a number or a scene: {CURE}")
+    box = np.array([*lists[0], *lists[1], row["x"], row["y"], row["z"], row["sure"]], np.float64)
+    if not np.isfinite(box).all():
+        raise FormatError(f"{path}: object {row['object_id']} of {row['scene']!r:.80} has no finite box: {CURE}")
+    place = [row[name] for name in Position._fields]
+    return Entry(
+        row["scene"], row["tile"], row["object_id"], score, box[12:15], box[:9].reshape(3, 3), box[9:12],
+        None if None in place else Position(*place),
+        row["num_gaussians"], row["num_views"], row["sure"], row["label"], row["name"], row["photo"], row["mask"],
+        row["added"], row["field"], thumbnail,
+    )  # fmt: skip

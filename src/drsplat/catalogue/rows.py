@@ -1,0 +1,118 @@
+"""A scene on its way into a catalogue: its objects as columns of the table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from ..codes import Track
+from ..errors import InputError
+from ..field import LanguageField
+from ..formats.georeference import Georeference
+from ..query import Match, Scene
+from ..query.objects import objects_of, support_of
+from ..query.sheets import object_picture, object_views
+from .entries import Position
+from .thumbnails import SIZE, thumbnail
+
+UNTILED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SceneRows:
+    """The rows of one scene. columns: by name, of one length; descriptors: of each row (k, D) float16.
+
+    pictured: how many have a thumbnail.
+    """
+
+    columns: dict[str, list[Any]]
+    descriptors: list[np.ndarray]
+    pictured: int
+
+    def __len__(self) -> int:
+        """How many objects there are; the last row is the scene's own."""
+        return len(self.descriptors) - 1
+
+
+def rows_of(
+    scene: Scene, name: str, folder: str, added: datetime, georeference: Georeference | None, track: Track
+) -> SceneRows:
+    """All objects of a scene, and the scene's own row, which has no object.
+
+    Raises: InputError: nobody has looked for objects. FormatError: damaged files.
+    """
+    objects, matches = objects_of(scene.field), scene.objects
+    pictures = _pictures(scene, matches, track)
+    positions = _positions(matches, georeference)
+    words = scene.object_names()
+    rows = [
+        _row(scene.field, match, position, word, picture)
+        for match, position, word, picture in zip(matches, positions, words, pictures, strict=True)
+    ]
+    common = {"scene": name, "tile": UNTILED, "field": scene.field.fingerprint, "added": added}
+    rows = [common | row for row in [*rows, {"object_id": -1, "folder": folder}]]
+    descriptors = [_halves(objects.descriptors_of(node)) for node in objects.things.tolist()]
+    descriptors.append(np.empty((0, scene.field.encoder.dim), np.float16))
+    columns = {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
+    return SceneRows(columns, descriptors, sum(picture[0] is not None for picture in pictures))
+
+
+def _row(
+    field: LanguageField, match: Match, position: Position | None, word: str | None, picture: tuple[bytes | None, str]
+) -> dict[str, Any]:
+    node = objects_of(field).thing(_number(match))
+    photo, mask = _best_mask(field, node, picture[1])
+    x, y, z = match.center.tolist()
+    return {
+        "object_id": match.object_id,
+        "x": x,
+        "y": y,
+        "z": z,
+        "axes": match.axes.ravel().tolist(),
+        "extent": match.extent.tolist(),
+        **({} if position is None else position._asdict()),
+        "num_gaussians": len(match),
+        "num_views": int(objects_of(field).num_views[node]),
+        "sure": match.score,
+        "label": match.label,
+        "name": word,
+        "photo": photo,
+        "mask": mask,
+        "thumbnail": picture[0],
+    }
+
+
+def _number(match: Match) -> int:
+    if match.object_id is None:
+        raise InputError("a catalogue keeps objects, and this match is none")
+    return match.object_id
+
+
+def _best_mask(field: LanguageField, node: int, photo: str) -> tuple[str | None, int | None]:
+    """A photo and the node's mask of the largest share in it; photo "": that of the largest share anywhere."""
+    for mask in support_of(field, node):
+        if photo in ("", mask.view_name):
+            return mask.view_name, mask.mask_id
+    return photo or None, None
+
+
+def _pictures(scene: Scene, matches: Sequence[Match], track: Track) -> list[tuple[bytes | None, str]]:
+    """Thumbnail and photo of each; nothing where there are no photos or Gaussians."""
+    if not scene.has_gaussians or not scene.views:
+        return [(None, "")] * len(matches)
+    views = object_views(scene, matches)
+    pairs = track(list(zip(matches, views, strict=True)), "drawing objects")
+    return [(thumbnail(object_picture(scene, match, view, SIZE)), view.name) for match, view in pairs]
+
+
+def _positions(matches: Sequence[Match], georeference: Georeference | None) -> list[Position | None]:
+    if georeference is None or not matches:
+        return [None] * len(matches)
+    found = georeference.positions(np.stack([match.center for match in matches]))
+    return [Position(*row) for row in found.tolist()]
+
+
+def _halves(descriptors: np.ndarray) -> np.ndarray:
+    return descriptors.astype(np.float16)

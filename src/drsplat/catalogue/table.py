@@ -1,0 +1,269 @@
+"""The table of a catalogue: all that knows LanceDB and Arrow.
+
+A folder in LanceDB's layout with one table, `objects`; docs/catalogue.md has its columns. Every change is one version,
+and who reads looks at one version: nobody sees half of a change.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..encoders import EncoderIdentity, identity_json, identity_said
+from ..errors import DrSplatError, FormatError, InputError, MismatchError, MissingExtraError
+from .conditions import of_scene
+
+NAME, KEY = "objects", b"drsplat catalogue"
+VERSION = 1
+MOST_DIM = 1 << 16
+INDEX = "descriptors_idx"
+PROBES = 64  # partitions of an index that are looked into; what comes from them is compared exactly by who asked
+FRAGMENTS = 24  # files of rows from which they are put together
+OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
+INDEXING = timedelta(minutes=119)  # as long as LanceDB waits
+HEAD = ("scene", "tile", "object_id")  # what a row is known by
+ROW_ID = "_rowid"
+
+
+def libraries() -> tuple[Any, Any]:
+    """LanceDB and Arrow. Raises: MissingExtraError: they are not installed."""
+    try:
+        import lancedb
+        import pyarrow
+    except ImportError as error:
+        raise MissingExtraError(f'a catalogue needs LanceDB ({error}): pip install "drsplat[catalogue]"') from error
+    return lancedb, pyarrow
+
+
+def schema_of(encoder: EncoderIdentity) -> Any:
+    """The columns of a catalogue of one encoder."""
+    _, pa = libraries()
+    vectors = pa.list_(pa.list_(pa.float16(), encoder.dim))
+    texts = dict.fromkeys(("label", "name", "photo", "folder"), pa.string())
+    places = dict.fromkeys(("x", "y", "z", "longitude", "latitude", "height"), pa.float64())
+    columns = {
+        "scene": pa.string(), "tile": pa.int32(), "object_id": pa.int32(), "field": pa.string(),
+        "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float64(), 9),
+        "extent": pa.list_(pa.float64(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
+        "sure": pa.float32(), "mask": pa.int32(), **texts, "descriptors": vectors, "thumbnail": pa.binary(),
+    }  # fmt: skip
+    about = {"version": VERSION, "encoder": identity_json(encoder)}
+    return pa.schema(list(columns.items()), metadata={KEY: json.dumps(about)})
+
+
+def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray], encoder: EncoderIdentity) -> Any:
+    """Rows as Arrow has them; columns that are missing are null. descriptors: of each row (k, D) float16."""
+    _, pa = libraries()
+    schema = schema_of(encoder)
+    flat = np.concatenate([np.empty((0, encoder.dim), np.float16), *descriptors])
+    starts = np.append(0, np.cumsum([len(rows) for rows in descriptors]))
+    vectors = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), encoder.dim)
+    arrays = {"descriptors": pa.ListArray.from_arrays(pa.array(starts, pa.int32()), vectors)}
+    nothing = [None] * len(descriptors)
+    for column in schema:
+        if column.name not in arrays:
+            arrays[column.name] = pa.array(columns.get(column.name, nothing), column.type)
+    return pa.table([arrays[name] for name in schema.names], schema=schema)
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One version of the table, which stays as it is. encoder: who made its descriptors."""
+
+    path: Path
+    table: Any
+    encoder: EncoderIdentity
+
+    def check_encoder(self, identity: EncoderIdentity) -> None:
+        """Refuse an encoder whose embeddings mean something else. Raises: MismatchError."""
+        if not self.encoder.matches(identity):
+            raise MismatchError(
+                f"{self.path}: the descriptors of this catalogue are of {identity_said(self.encoder)}, given was "
+                f"{identity_said(identity)}: a catalogue has one encoder; use that one, or another catalogue"
+            )
+
+    @property
+    def version(self) -> int:
+        with reading(self.path):
+            return int(self.table.version)
+
+    @cached_property
+    def num_rows(self) -> int:
+        with reading(self.path):
+            return int(self.table.count_rows())
+
+    def count(self, where: str) -> int:
+        with reading(self.path):
+            return int(self.table.count_rows(where))
+
+    @property
+    def has_index(self) -> bool:
+        with reading(self.path):
+            return any(index.name == INDEX for index in self.table.list_indices())
+
+    def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int, exact: bool) -> Any:
+        """The rows whose descriptors have the highest cosines with a unit vector, without their thumbnails.
+
+        where: SQL that they meet. exact: compare all of them, though there is an index.
+        """
+        columns = [name for name in schema_of(self.encoder).names if name not in ("thumbnail", "folder")]
+        with reading(self.path):
+            search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
+            search = search.distance_type("cosine").where(where, prefilter=True).limit(count)
+            search = search.bypass_vector_index() if exact else search.nprobes(PROBES)
+            return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
+
+    def spread(self, count: int) -> Any:
+        """The descriptors of some rows, evenly spread over the table."""
+        at = np.unique(np.linspace(0, self.num_rows - 1, min(count, self.num_rows)).astype(np.int64))
+        with reading(self.path):
+            return self.table.take_offsets(at.tolist()).select(["descriptors"]).to_arrow()
+
+    def rows(self, where: str, columns: Sequence[str]) -> Any:
+        with reading(self.path):
+            return self.table.search().where(where).select(list(columns)).to_arrow()
+
+    def thumbnails(self, row_ids: Sequence[int]) -> dict[int, bytes | None]:
+        if not row_ids:
+            return {}
+        with reading(self.path):
+            taken = self.table.take_row_ids(list(row_ids)).select(["thumbnail"]).with_row_id().to_arrow()
+            return dict(zip(taken[ROW_ID].to_pylist(), taken["thumbnail"].to_pylist(), strict=True))
+
+
+def opened(path: Path) -> Snapshot | None:
+    """The table as it is now; None where there is none yet.
+
+    Raises: FormatError: the folder holds something else, or is damaged. MissingExtraError.
+    """
+    lancedb, _ = libraries()
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return None
+    if not (path / f"{NAME}.lance").is_dir():
+        raise FormatError(
+            f"{path}: expected a catalogue, a folder with {NAME}.lance: `drsplat catalogue add` makes one"
+        )
+    with reading(path):
+        table = lancedb.connect(path).open_table(NAME)
+        schema = table.schema
+    return Snapshot(path, table, _checked(path, schema))
+
+
+def replace_scene(path: Path, name: str, rows: Any, encoder: EncoderIdentity) -> None:
+    """All rows of a scene by others, in one version; makes the table where there is none."""
+    lancedb, _ = libraries()
+    known = opened(path)
+    with writing(path):
+        if known is None:
+            lancedb.connect(path).create_table(NAME, data=rows, schema=schema_of(encoder))
+            return
+        merge = known.table.merge_insert(list(HEAD)).when_matched_update_all().when_not_matched_insert_all()
+        merge.when_not_matched_by_source_delete(of_scene(name)).execute(rows)
+
+
+def remove_scene(path: Path, table: Any, name: str) -> None:
+    with writing(path):
+        table.delete(of_scene(name))
+
+
+def tidy(path: Path) -> None:
+    """Put small files of rows together, take new rows into the index, and let old versions go."""
+    known = opened(path)
+    if known is None:
+        return
+    with writing(path):
+        if known.table.stats()["fragment_stats"]["num_fragments"] > FRAGMENTS:
+            known.table.optimize(cleanup_older_than=OUTDATED)
+
+
+def index(known: Snapshot, partitions: int) -> None:
+    """Build the index of all descriptors, and wait until it is there."""
+    from lancedb.index import IvfPq
+
+    dim = known.encoder.dim
+    parts = max(part for part in range(1, max(dim // 16, 1) + 1) if dim % part == 0)
+    kind = IvfPq(distance_type="cosine", num_partitions=partitions, num_sub_vectors=parts)
+    with writing(known.path):
+        known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
+        known.table.wait_for_index([INDEX], timeout=INDEXING)
+
+
+def vectors_of(column: Any, path: Path) -> list[Float32[np.ndarray, "k D"]]:
+    """The descriptors of each row, of unit length.
+
+    Raises: FormatError: some that are not finite, or have no length.
+    """
+    lists = column.combine_chunks()
+    lengths = np.asarray(lists.value_lengths().fill_null(0), np.int64)
+    vectors = lists.flatten()
+    flat = np.asarray(vectors.flatten(), np.float16).astype(np.float32).reshape(-1, vectors.type.list_size)
+    norms = np.linalg.norm(flat, axis=1, keepdims=True)
+    if len(flat) != lengths.sum() or not (np.isfinite(norms) & (norms > 0.5) & (norms < 2)).all():
+        raise FormatError(f"{path}: descriptors that are no unit vectors: {CURE}")
+    return np.split(flat / norms, np.cumsum(lengths)[:-1]) if len(lengths) else []
+
+
+CURE = "the table is damaged: restore it from a copy, or remove the folder and add its scenes again"
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raises: FormatError: LanceDB cannot read what is there."""
+    with _told(path):
+        yield
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raises: InputError: LanceDB could not write; what was there is as it was."""
+    try:
+        with _told(path):
+            yield
+    except FormatError as error:
+        raise InputError(f"{path}: nothing was changed: {error.__cause__!s:.300}") from error
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except DrSplatError:
+        raise
+    except (ValueError, RuntimeError, OSError) as error:  # Arrow's are among these
+        raise FormatError(f"{path}: {CURE} ({type(error).__name__}: {error!s:.300})") from error
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":  # of Rust, on what its readers did not expect
+            raise
+        raise FormatError(f"{path}: {CURE} ({error!s:.300})") from error
+
+
+def _checked(path: Path, schema: Any) -> EncoderIdentity:
+    """Who made the descriptors. Raises: FormatError: other columns than a catalogue has."""
+    encoder = _identity(path, (schema.metadata or {}).get(KEY))
+    expected = schema_of(encoder)
+    if not schema.equals(expected):
+        known = {column.name: column.type for column in schema}
+        wrong = [column.name for column in expected if known.get(column.name) != column.type]
+        raise FormatError(f"{path}: other columns than a catalogue's: {', '.join(wrong) or 'more of them'}")
+    return encoder
+
+
+def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
+    try:
+        document = json.loads(about or b"null")
+        given, version = document["encoder"], document["version"]
+        texts = [given["name"], given["weights"], given.get("preprocessing", "")]
+        if type(given["dim"]) is not int or not 1 <= given["dim"] <= MOST_DIM or not all(type(t) is str for t in texts):
+            raise ValueError("encoder")
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
+    if version != VERSION:
+        raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}")
+    return EncoderIdentity(texts[0], given["dim"], texts[1], texts[2])

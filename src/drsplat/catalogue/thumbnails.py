@@ -1,0 +1,28 @@
+"""Objects as small pictures, of a few kilobytes each."""
+
+import io
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+SIZE = (240, 180)
+MOST_BYTES = 16 << 10
+QUALITIES = (85, 70, 50, 30, 15)
+
+
+def thumbnail(pixels: UInt8[np.ndarray, "_ _ 3"]) -> bytes:
+    """As JPEG of at most MOST_BYTES: of the best quality that is so small, halved in size until one is."""
+    picture = Image.fromarray(pixels)
+    while True:
+        for quality in QUALITIES:
+            data = _jpeg(picture, quality)
+            if len(data) <= MOST_BYTES:
+                return data
+        picture = picture.resize((max(picture.width // 2, 1), max(picture.height // 2, 1)))
+
+
+def _jpeg(picture: Image.Image, quality: int) -> bytes:
+    file = io.BytesIO()
+    picture.save(file, "JPEG", quality=quality, optimize=True)
+    return file.getvalue()

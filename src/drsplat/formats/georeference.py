@@ -1,0 +1,63 @@
+"""Where on the Earth a scene lies: georeference.json beside it."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import FormatError
+from ..scene.geodesy import geodetic
+from .json_files import as_matrix, as_number, read_json
+
+NAME = "georeference.json"
+FORMAT, VERSION = "drsplat georeference", 1
+SQUARE = 1e-4  # how far rows of the rotation may be from unit length and right angles
+
+
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """longitude, latitude: degrees of WGS 84 of the world's origin; height: its metres above the ellipsoid.
+
+    enu_from_world: rotation whose rows are east, north and up in the world. scale: metres of one unit of the world.
+    """
+
+    longitude: float
+    latitude: float
+    height: float
+    enu_from_world: Float64[np.ndarray, "3 3"]
+    scale: float
+
+    def positions(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Longitude and latitude in degrees and height in metres of points of the world."""
+        offsets = self.scale * points @ self.enu_from_world.T
+        return geodetic((self.longitude, self.latitude, self.height), offsets)
+
+
+def read_georeference(*folders: str | os.PathLike[str] | None) -> Georeference | None:
+    """Of the first folder that has one, None where none has.
+
+    Raises: FormatError: damaged, no rotation, a place that is not on the Earth.
+    """
+    paths = (Path(folder) / NAME for folder in folders if folder is not None)
+    return next((_read(path) for path in paths if path.is_file()), None)
+
+
+def _read(path: Path) -> Georeference:
+    document = read_json(path)
+    if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (FORMAT, VERSION):
+        raise FormatError(f"{path}: expected '{FORMAT}' of version {VERSION}")
+    numbers = {
+        name: as_number(document.get(name), f"{path}: {name}") for name in ("longitude", "latitude", "height", "scale")
+    }
+    rotation = as_matrix(document.get("enu_from_world"), 3, 3, f"{path}: enu_from_world")
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.abs(rotation @ rotation.T - np.eye(3)).max() <= SQUARE
+    if not square or np.linalg.det(rotation) < 0:
+        raise FormatError(f"{path}: enu_from_world: expected a rotation, rows east, north and up")
+    if abs(numbers["longitude"]) > 180 or abs(numbers["latitude"]) > 90 or not 1e-9 <= numbers["scale"] <= 1e9:
+        raise FormatError(f"{path}: expected degrees of the Earth, and a scale above 0 in metres per unit")
+    if abs(numbers["height"]) > 1e7:
+        raise FormatError(f"{path}: height: expected metres above the ellipsoid, got {numbers['height']:g}")
+    return Georeference(**numbers, enu_from_world=rotation)

@@ -1,0 +1,180 @@
+"""Objects of any scenes, by their descriptors alone: how a query measures them, and above which value it means them.
+
+The rules are those of `measuring`, with an object in place of Gaussians: an object's value is that of the descriptor
+that fits best, and one that fits is enough.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from ..encoders import Encoder, identity_said
+from ..errors import InputError, MismatchError
+from ..field import relevancy_from_scores
+from .contrast import Contrast, contrast_of, relevancy_threshold
+from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD
+from .encoding import Embedded
+from .measuring import LEAST_OF_OBJECTS, embedded_image, least_peak, own_threshold, whole
+from .query import Query
+from .search import NEGATIVES, embed_query, split_negation
+from .thresholds import CUT_OF_OBJECTS, automatic_threshold, threshold_above
+from .word_list import list_vectors
+
+ONE = 1  # object that fits is enough
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """Objects by what they look like: object i has the unit rows starts[i] to starts[i + 1], one or more."""
+
+    descriptors: Float32[np.ndarray, "P D"]
+    starts: Int64[np.ndarray, " o1"]
+
+    @classmethod
+    def of(cls, parts: Sequence[Float32[np.ndarray, "_ D"]], dim: int) -> "Described":
+        """Of the descriptors of each object."""
+        rows = np.concatenate([np.empty((0, dim), np.float32), *parts])
+        return cls(rows, np.append(0, np.cumsum([len(part) for part in parts], dtype=np.int64)))
+
+    def best(self, values: Float32[np.ndarray, " P"]) -> Float32[np.ndarray, " o"]:
+        """Of values of descriptors the highest of each object."""
+        if len(self.starts) < 2:
+            return np.empty(0, np.float32)
+        return np.asarray(np.maximum.reduceat(values, self.starts[:-1]), np.float32)
+
+    def cosines(self, vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " o"]:
+        return self.best(self.descriptors @ vector)
+
+
+class Ranked(NamedTuple):
+    """values: per object. selected: those that the query means: above the threshold, and not excluded."""
+
+    values: Float32[np.ndarray, " o"]
+    selected: Bool[np.ndarray, " o"]
+    measure: str
+    threshold: float
+    rule: str
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What objects are held against. source: makes the encoder of queries; raises where there is none.
+
+    embedded: who made the descriptors. usual: unit descriptors spread over all objects.
+    """
+
+    embedded: Embedded
+    source: Callable[[], Encoder]
+    usual: Float32[np.ndarray, "s D"]
+
+    @cached_property
+    def encoder(self) -> Encoder:
+        encoder = self.source()
+        self.embedded.check_encoder(encoder.identity)
+        return encoder
+
+    @cached_property
+    def contrast(self) -> Contrast | None:
+        """What a list of words reaches; None where no list is known."""
+        vectors = list_vectors(self.encoder)
+        return contrast_of(self.usual, vectors) if len(vectors) and len(self.usual) else None
+
+    def vector(self, query: Query) -> Float32[np.ndarray, " D"]:
+        """The unit vector of a query.
+
+        Raises: InputError: a point, a click or a share, which are of one scene; no encoder; words that it does not
+        know. MismatchError: a vector of another dimension, or another encoder.
+        """
+        if query.point is not None or query.click is not None or query.top_share is not None:
+            raise InputError("a point, a click and a share mean something in one scene only: give words or a picture")
+        if query.text is not None:
+            return self._text(split_negation(query.text)[0])
+        if query.image is not None:
+            return _unit(embedded_image(self.encoder, query.image))
+        assert query.vector is not None
+        if query.vector.shape != (self.embedded.encoder.dim,):
+            raise MismatchError(
+                f"the query has {query.vector.size} numbers; the descriptors are of "
+                f"{identity_said(self.embedded.encoder)}: embed the query with that encoder"
+            )
+        return _unit(query.vector)
+
+    def rank(self, query: Query, vector: Float32[np.ndarray, " D"], objects: Described) -> Ranked:
+        """How well each object answers. vector: the query's. Raises: as `vector`."""
+        cosines = objects.cosines(vector)
+        values, measure, threshold, rule = self._measured(query, vector, objects, cosines)
+        if query.threshold is not None and query.threshold != AUTO:
+            threshold, rule = float(query.threshold), GIVEN
+        return Ranked(values, (values > threshold) & ~self._excluded(query, objects, cosines), measure, threshold, rule)
+
+    def _measured(
+        self, query: Query, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
+    ) -> tuple[Float32[np.ndarray, " o"], str, float, str]:
+        if query.measures_relevancy:
+            rivals = (objects.descriptors @ self._negatives(query).T).max(axis=1)
+            values = objects.best(relevancy_from_scores(objects.descriptors @ vector, rivals))
+            return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
+        own = own_threshold(self.encoder) if query.text is not None else None
+        if own is not None:
+            return cosines, COSINE, threshold_above(cosines, own, CUT_OF_OBJECTS, peak=ONE), ENCODER
+        known = None if query.text is None else self.contrast
+        contrasted = None if known is None else self._contrasted(known, vector, objects, cosines)
+        if contrasted is not None:
+            return contrasted, RELEVANCY, self._list_threshold(cosines, contrasted), LIST
+        return cosines, COSINE, self._automatic(vector, cosines), AUTO
+
+    def _contrasted(
+        self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
+    ) -> Float32[np.ndarray, " o"] | None:
+        values = known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
+        if values is None:
+            return None
+        values = objects.best(values)
+        return whole(cosines, values, ONE) if np.isfinite(self._least) else values
+
+    @cached_property
+    def _least(self) -> float:
+        return least_peak(self.encoder, self.contrast, ONE)
+
+    def _list_threshold(self, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"]) -> float:
+        """As relevancies have it, or the highest where nothing stands out, or no cosine is high enough."""
+        least = relevancy_threshold(values, ONE)
+        if not len(values) or least != RELEVANCY_THRESHOLD:
+            return least
+        if cosines.max() <= self._least:
+            return float(values.max())
+        return threshold_above(values, LEAST_OF_OBJECTS, CUT_OF_OBJECTS, peak=ONE)
+
+    def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
+        """Between what objects usually reach and the best."""
+        known = np.concatenate([self.usual @ vector, cosines])
+        return automatic_threshold(known, CUT_OF_OBJECTS, peak=ONE) if len(known) else 0.0
+
+    def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
+        """Objects that the text with a word of an exclusion before it fits as well: "red mug", of "mug, not red"."""
+        out = np.zeros(len(cosines), np.bool_)
+        if query.text is not None:
+            wanted, unwanted = split_negation(query.text)
+            for word in (*unwanted, *query.exclude):
+                out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
+        return out
+
+    def _negatives(self, query: Query) -> Float32[np.ndarray, "n D"]:
+        given = NEGATIVES if query.negatives is None else query.negatives
+        if isinstance(given, tuple):
+            return np.stack([self._text(text) for text in given])
+        return np.stack([_unit(vector) for vector in given])
+
+    def _text(self, text: str) -> Float32[np.ndarray, " D"]:
+        return _unit(embed_query(self.encoder, self.embedded, text))
+
+
+def _unit(vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
+    length = float(np.linalg.norm(vector.astype(np.float64)))
+    if not np.isfinite(length) or not length > 0:
+        raise InputError("embeddings to compare with must be finite and not zero")
+    return np.asarray(vector / length, np.float32)

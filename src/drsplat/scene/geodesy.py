@@ -1,0 +1,46 @@
+"""Points near a place of the Earth, in its longitude, latitude and height.
+
+Source: WGS 84, NGA.STND.0036: semi-major axis and flattening; Bowring 1976 for the way back from geocentric ones.
+"""
+
+import numpy as np
+from jaxtyping import Float64
+
+RADIUS, FLATTENING = 6_378_137.0, 1 / 298.257223563
+E2 = FLATTENING * (2 - FLATTENING)
+ROUNDS = 6  # far more than are needed near the surface
+
+
+def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    """Longitude and latitude in degrees and height in metres of points `enu` metres east, north and up of an origin.
+
+    origin: its longitude, latitude and height.
+    """
+    longitude, latitude = np.radians(origin[:2])
+    sin_l, cos_l, sin_p, cos_p = np.sin(longitude), np.cos(longitude), np.sin(latitude), np.cos(latitude)
+    east, north = (-sin_l, cos_l, 0.0), (-sin_p * cos_l, -sin_p * sin_l, cos_p)
+    up = (cos_p * cos_l, cos_p * sin_l, sin_p)
+    return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ np.array([east, north, up]))
+
+
+def geocentric(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    """Metres from the middle of the Earth, of longitudes and latitudes in degrees and heights in metres."""
+    longitude, latitude = np.radians(positions[:, :2]).T
+    height = positions[:, 2]
+    normal = RADIUS / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    around = (normal + height) * np.cos(latitude)
+    z = (normal * (1 - E2) + height) * np.sin(latitude)
+    return np.stack([around * np.cos(longitude), around * np.sin(longitude), z], axis=1)
+
+
+def _from_geocentric(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    x, y, z = points.T
+    around = np.hypot(x, y)
+    latitude = np.arctan2(z, around * (1 - E2))
+    for _ in range(ROUNDS):
+        normal = RADIUS / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+        latitude = np.arctan2(z + E2 * normal * np.sin(latitude), around)
+    normal = RADIUS / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    # of the two ways to the height the one that is sound also at the poles
+    height = around * np.cos(latitude) + z * np.sin(latitude) - RADIUS**2 / normal
+    return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(latitude), height], axis=1)

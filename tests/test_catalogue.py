@@ -1,0 +1,496 @@
+"""Many scenes in one table: what is found, in which, and what whoever reads sees while others write."""
+
+import io
+import json
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from catalogued import boxes_of, write_scene
+from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field
+from drsplat.cli import main
+from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
+from drsplat.query.objects import support_of
+from known_objects import CENTERS, known_scene
+
+pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
+
+from drsplat.catalogue import Catalogue, Where, table
+from drsplat.catalogue.conditions import quoted
+from drsplat.catalogue.thumbnails import MOST_BYTES, thumbnail
+
+ANYWHERE = Where()
+WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scenes")
+    for number, (name, words) in enumerate(WORDS.items()):
+        write_scene(folder / name, words, moved=10.0 * number)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def filled(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
+    catalogue = Catalogue.open(tmp_path_factory.mktemp("c") / "flats.catalogue")
+    for name in WORDS:
+        catalogue.add(scenes / name)
+    return catalogue
+
+
+def found(catalogue: Catalogue, query: Query | str, where: Where = ANYWHERE, **options: Any) -> list[tuple[str, int]]:
+    return [(entry.scene, entry.object_id) for entry in catalogue.ask(query, where, **options)]
+
+
+def rows_of(name: str, vectors: np.ndarray, encoder: EncoderIdentity, each: int = 2) -> Any:
+    """Objects without pictures, of `each` descriptors."""
+    count = len(vectors) // each
+    numbers = [*range(count), -1]
+    columns: dict[str, Sequence[Any]] = {
+        "scene": [name] * (count + 1),
+        "tile": [0] * (count + 1),
+        "object_id": numbers,
+        "field": ["f"] * (count + 1),
+        "added": [datetime(2026, 1, 1, tzinfo=UTC)] * (count + 1),
+        **{key: [1.0] * count + [None] for key in ("x", "y", "z", "sure")},
+        **{key: [5] * count + [None] for key in ("num_gaussians", "num_views")},
+        "axes": [[1.0, 0, 0, 0, 1, 0, 0, 0, 1]] * count + [None],
+        "extent": [[1.0, 1, 1]] * count + [None],
+    }
+    descriptors = np.split(vectors.astype(np.float16), count) if count else []
+    return table.batch(columns, [*descriptors, np.empty((0, encoder.dim), np.float16)], encoder)
+
+
+def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    vectors = rng.standard_normal(shape).astype(np.float32)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+# --- asking ---
+
+
+def test_the_best_objects_of_all_scenes(filled: Catalogue) -> None:
+    assert found(filled, "red mug") == [("kitchen", 0)]
+    assert found(filled, "mug") == [("kitchen", 0), ("o'hara", 0)]
+    assert found(filled, "mug", top=1) == [("kitchen", 0)]
+    assert found(filled, "lamp") == [("o'hara", 2)]
+    assert found(filled, "elephant") == []
+    assert len(filled) == 6
+
+
+def test_exclusions_and_thresholds_mean_what_they_mean_in_a_scene(filled: Catalogue) -> None:
+    assert found(filled, "mug, not red") == [("o'hara", 0)]
+    assert found(filled, Query("mug", exclude=("red",))) == [("o'hara", 0)]
+    assert found(filled, Query("mug", threshold=0.99)) == []
+    assert len(found(filled, Query("mug", threshold=-1.0))) == 6
+    answer = filled.answer(Query("red mug", relevancy=True))
+    assert (answer.measure, answer.threshold) == ("relevancy", 0.5)
+    assert [entry.scene for entry in answer.entries[:2]] == ["kitchen", "o'hara"]
+    vector = WordEncoder().encode_texts(["white lamp"])[0]
+    assert found(filled, Query(vector=vector)) == [("o'hara", 2)]
+
+
+def test_what_means_nothing_across_scenes_is_refused(filled: Catalogue) -> None:
+    for query in (Query(point=(0.0, 0.0, 0.0)), Query(click=("a", 1.0, 1.0)), Query("mug", top_share=0.1)):
+        with pytest.raises(InputError, match="one scene only"):
+            filled.ask(query)
+    with pytest.raises(MismatchError, match="3 numbers"):
+        filled.ask(Query(vector=np.ones(3, np.float32)))
+    with pytest.raises(InputError, match="top: expected 1 to"):
+        filled.ask("mug", top=0)
+
+
+def test_filters(filled: Catalogue) -> None:
+    assert found(filled, "mug", Where(scenes=("o'hara",))) == [("o'hara", 0)]
+    assert found(filled, "mug", Where(scenes=("nobody",))) == []
+    assert found(filled, "mug", Where(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))) == [("kitchen", 0)]
+    now = datetime.now(UTC)
+    assert found(filled, "mug", Where(since=now + timedelta(hours=1))) == []
+    assert len(found(filled, "mug", Where(since=now - timedelta(hours=1)))) == 2
+    assert found(filled, "mug", Where(area=(-180.0, -90.0, 180.0, 90.0))) == []  # none has a georeference
+
+
+def test_an_answer_says_what_it_is(filled: Catalogue, scenes: Path) -> None:
+    (entry,) = filled.ask("white lamp")
+    field = load_field(scenes / "o'hara/a.field")
+    assert (entry.scene, entry.tile, entry.object_id, entry.photo) == ("o'hara", 0, 2, entry.photo)
+    assert entry.score == pytest.approx(1.0, abs=2e-3)
+    np.testing.assert_allclose(entry.center, np.add(CENTERS[2], (10, 0, 0)), atol=0.02)
+    assert field.objects is not None
+    np.testing.assert_array_equal(entry.extent, field.objects.extents[field.objects.thing(2)])
+    assert entry.field == field.fingerprint
+    masks = {(mask.view_name, mask.mask_id) for mask in support_of(field, field.objects.thing(2))}
+    assert (entry.photo, entry.mask) in masks
+    picture = entry.picture()
+    assert picture.shape == (180, 240, 3)
+    assert entry.thumbnail == filled.thumbnail("o'hara", 2)
+    assert json.loads(json.dumps(entry.json()))["scene"] == "o'hara"
+
+
+def test_exact_answers_are_those_of_all_descriptors(tmp_path: Path) -> None:
+    rng, encoder = np.random.default_rng(1), EncoderIdentity("test", 24)
+    vectors = unit(rng, 800, 24)
+    table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors[:500], encoder), encoder)
+    table.replace_scene(tmp_path / "c", "two", rows_of("two", vectors[500:], encoder), encoder)
+    query = unit(rng, 24)
+    best = (vectors.astype(np.float16).astype(np.float32).reshape(400, 2, 24) @ query).max(1)
+    order = np.argsort(-best)[:20]
+    expected = [("one", int(at)) if at < 250 else ("two", int(at) - 250) for at in order]
+    catalogue = Catalogue.open(tmp_path / "c")
+    with pytest.raises(InputError, match="so words must be too: pass encoder=NAME"):
+        catalogue.ask("mug")
+    answer = catalogue.answer(Query(vector=query, threshold=-1.0), top=20)
+    assert [(entry.scene, entry.object_id) for entry in answer.entries] == expected
+    assert answer.exact
+    np.testing.assert_allclose([entry.score for entry in answer.entries], best[order], atol=1e-3)
+
+
+def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> None:
+    rng, encoder = np.random.default_rng(2), EncoderIdentity("test", 32)
+    centers = unit(rng, 40, 32)
+    vectors = unit(rng, 1200, 32) * 0.4 + centers[rng.integers(0, 40, 1200)]
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors, encoder), encoder)
+    catalogue = Catalogue.open(tmp_path / "c")
+    assert catalogue.build_index() == 24
+    shares = []
+    for query in centers[:10]:
+        asked = Query(vector=query, threshold=-1.0)
+        near, exact = catalogue.answer(asked, top=10), catalogue.answer(asked, top=10, exact=True)
+        assert (near.exact, exact.exact) == (False, True)
+        ids = [{entry.object_id for entry in answer.entries} for answer in (near, exact)]
+        shares.append(len(ids[0] & ids[1]) / 10)
+    assert np.mean(shares) > 0.8
+    table.replace_scene(tmp_path / "c", "two", rows_of("two", unit(rng, 2, 32), encoder), encoder)
+    later = catalogue.scenes()
+    assert [one.num_objects for one in later] == [600, 1]
+    assert ("two", 0) in found(catalogue, Query(vector=centers[0], threshold=-1.0), Where(scenes=("two",)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(text=st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), min_size=1, max_size=40))
+def test_names_are_texts_and_never_conditions(filled: Catalogue, text: str) -> None:
+    name = f"x' OR 1 = 1 OR scene = '{text}"
+    assert found(filled, "mug", Where(scenes=(text, name))) == []
+    with pytest.raises(InputError, match="no object 0"):
+        filled.thumbnail(name, 0)
+    with pytest.raises(InputError, match="no scene"):
+        filled.remove(f"{text}\\' --")
+    assert len(filled) == 6
+
+
+@settings(max_examples=25, deadline=None)
+@given(text=st.text("'\"\\ a;-", max_size=12))
+def test_a_quoted_text_is_one_text(text: str) -> None:
+    """Read as SQL reads: a quote ends a text unless another follows."""
+    assert re.fullmatch("'(?:[^']|'')*'", quoted(text))
+    assert quoted(text)[1:-1].replace("''", "'") == text
+
+
+@pytest.mark.parametrize("name", ["", "a" * 201, "a\0b", "\ud800"])
+def test_names_that_are_none(filled: Catalogue, name: str) -> None:
+    with pytest.raises(InputError, match="a scene's name"):
+        Where(scenes=(name,))
+
+
+def test_boxes_and_times_that_are_none() -> None:
+    for wrong in ({"box": (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)}, {"box": (0.0, 0.0, 0.0, 1.0, 1.0, float("nan"))},
+                  {"area": (0.0, 5.0, 1.0, 4.0)}, {"area": (0.0, 0.0, 181.0, 4.0)},
+                  {"since": datetime(2026, 1, 1)}):  # fmt: skip
+        with pytest.raises(InputError, match=r"box|area|since"):
+            Where(**wrong)
+
+
+def test_places_on_the_earth(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "roof", WORDS["kitchen"], photos=False)
+    here = {"format": "drsplat georeference", "version": 1, "longitude": 13.4, "latitude": 52.5, "height": 80.0,
+            "scale": 10.0, "enu_from_world": np.eye(3).tolist()}  # fmt: skip
+    (folder / "georeference.json").write_text(json.dumps(here))
+    catalogue = Catalogue.open(tmp_path / "c")
+    with pytest.warns(DrSplatWarning, match="no thumbnails"):
+        catalogue.add(folder)
+    (entry,) = catalogue.ask("green plant")  # 3 units, 30 metres, to the east
+    assert entry.position is not None
+    np.testing.assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
+    assert entry.position.height == pytest.approx(80, abs=0.02)
+    east = Where(area=(13.4002, 52.4, 13.5, 52.6))
+    assert found(catalogue, "green plant", east) == [("roof", 2)]
+    assert found(catalogue, "red mug", east) == []
+    assert found(catalogue, "red mug", Where(area=(179.0, 52.4, 13.40001, 52.6))) == [("roof", 0)]  # round the back
+
+
+# --- adding and removing ---
+
+
+def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    catalogue.add(scenes / "kitchen")
+    field = load_field(scenes / "kitchen/a.field")
+    version = table.opened(catalogue.path).version  # type: ignore[union-attr]
+    opened = Scene(boxes_of(("red mug", "red bowl", "red rug"), known_scene()), known_scene(), name="kitchen")
+    with pytest.warns(DrSplatWarning, match="no thumbnails"):
+        listed = catalogue.add(opened)
+    assert table.opened(catalogue.path).version == version + 1  # type: ignore[union-attr]
+    assert listed.field != field.fingerprint
+    assert found(catalogue, "green plant") == []
+    assert found(catalogue, "red rug") == [("kitchen", 2)]
+    assert [(one.scene, one.num_objects, one.state) for one in catalogue.scenes()] == [("kitchen", 3, "unknown")]
+    assert catalogue.ask("red rug")[0].thumbnail is None
+    with pytest.raises(InputError, match="has no thumbnail"):
+        catalogue.thumbnail("kitchen", 2)
+
+
+def test_removing(scenes: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    for name in WORDS:
+        catalogue.add(scenes / name)
+    assert catalogue.remove("o'hara") == 3
+    assert found(catalogue, "mug") == [("kitchen", 0)]
+    with pytest.raises(InputError, match=r"there is no scene \"o'hara\""):
+        catalogue.remove("o'hara")
+    catalogue.remove("kitchen")
+    assert (len(catalogue), catalogue.scenes(), catalogue.ask("mug")) == (0, [], [])
+
+
+def test_stale_scenes_are_told(tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    for name, words in WORDS.items():
+        catalogue.add(write_scene(tmp_path / name, words))
+    assert [one.state for one in catalogue.scenes()] == ["current", "current"]
+    gaussians = known_scene()
+    boxes_of(("red bowl", "red rug", "red sofa"), gaussians).save(tmp_path / "kitchen/a.field", overwrite=True)
+    (tmp_path / "o'hara").rename(tmp_path / "elsewhere")
+    assert [(one.scene, one.state) for one in catalogue.scenes()] == [("kitchen", "changed"), ("o'hara", "missing")]
+
+
+def test_another_encoder_is_refused(filled: Catalogue) -> None:
+    other = EncoderIdentity("somebody", 512, "abc")
+    gaussians = known_scene()
+    with pytest.raises(MismatchError, match=r"somebody.*a catalogue has one encoder"):
+        filled.add(Scene(boxes_of(WORDS["kitchen"], gaussians, other), gaussians, name="x"))
+    assert len(filled) == 6
+
+
+def test_a_field_without_objects_says_how_to_find_them(tmp_path: Path) -> None:
+    gaussians = known_scene()
+    field = boxes_of(WORDS["kitchen"], gaussians).with_objects(None)
+    with pytest.raises(InputError, match="drsplat objects FIELD --scene SCENE"):
+        Catalogue.open(tmp_path / "c").add(Scene(field, gaussians))
+    assert not (tmp_path / "c").exists()
+
+
+def test_two_scenes_of_one_name_are_told_apart(scenes: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    catalogue.add(scenes / "kitchen")
+    other = write_scene(tmp_path / "kitchen", WORDS["o'hara"], photos=False)
+    with pytest.raises(InputError, match="pass name=NAME"):
+        catalogue.add(other)
+    with pytest.warns(DrSplatWarning, match="second: no thumbnails"):
+        catalogue.add(other, name="second")
+    assert [one.scene for one in catalogue.scenes()] == ["kitchen", "second"]
+
+
+def test_thumbnails_are_small_whatever_they_show() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (900, 1200, 3), np.uint8)
+    data = thumbnail(noise)
+    assert len(data) <= MOST_BYTES
+    assert Image.open(io.BytesIO(data)).format == "JPEG"
+
+
+# --- many at once ---
+
+
+def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
+    """Scenes come, are replaced and go; one stays, and each answer has all of it and whole others."""
+    rng, encoder, path = np.random.default_rng(3), EncoderIdentity("test", 16), tmp_path / "c"
+    own = unit(rng, 16)
+    stays = np.repeat(own[None], 20, axis=0)
+    table.replace_scene(path, "stays", rows_of("stays", stays, encoder, 1), encoder)
+    wrong: list[str] = []
+    done = threading.Event()
+
+    def ask() -> None:
+        catalogue = Catalogue.open(path)
+        while not done.is_set():
+            entries = catalogue.ask(Query(vector=own, threshold=0.5), top=200)
+            counts = {name: sum(e.scene == name for e in entries) for name in {e.scene for e in entries}}
+            if counts.pop("stays", 0) != 20 or any(count not in (10, 15) for count in counts.values()):
+                wrong.append(str(counts))
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for number in range(12):
+        name, size = f"comes{number % 3}", (10, 15)[number % 2]
+        table.replace_scene(path, name, rows_of(name, np.repeat(own[None], size, axis=0), encoder, 1), encoder)
+        if number % 4 == 3:
+            Catalogue.open(path).remove(name)
+    done.set()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
+    """Two processes add at once, and a thread of this one."""
+    code = "import sys; from drsplat.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
+    path = tmp_path / "c"
+    processes = [
+        subprocess.Popen([sys.executable, "-c", code, str(path), str(scenes / name)], stderr=subprocess.PIPE)
+        for name in WORDS
+    ]
+    Catalogue.open(path).add(scenes / "kitchen")
+    for process in processes:
+        _, error = process.communicate(timeout=120)
+        assert process.returncode == 0, error.decode()
+    assert [(one.scene, one.num_objects) for one in Catalogue.open(path).scenes()] == [("kitchen", 3), ("o'hara", 3)]
+
+
+# --- damaged and strange folders ---
+
+
+def test_a_folder_of_something_else(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("no table")
+    with pytest.raises(FormatError, match="expected a catalogue"):
+        Catalogue.open(tmp_path)
+    with pytest.raises(FormatError, match="expected a catalogue"):
+        Catalogue.open(tmp_path / "a.txt")
+    with pytest.raises(InputError, match="no catalogue is here"):
+        Catalogue.open(tmp_path / "none").ask("mug")
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_table_of_somebody_else(tmp_path: Path) -> None:
+    import lancedb
+    import pyarrow as pa
+
+    lancedb.connect(tmp_path).create_table("objects", data=pa.table({"a": [1]}))
+    with pytest.raises(FormatError, match="not of a catalogue"):
+        Catalogue.open(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ({"version": 2, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 2"),
+        ({"version": 1, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "other columns"),
+        ({"version": 1, "encoder": {"name": "a", "dim": 10**9, "weights": ""}}, "not of a catalogue"),
+        ({"version": 1, "encoder": {"name": 7, "dim": 4, "weights": ""}}, "not of a catalogue"),
+        ([], "not of a catalogue"),
+    ],
+)
+def test_a_table_that_says_it_is_a_catalogue(tmp_path: Path, document: object, said: str) -> None:
+    import lancedb
+    import pyarrow as pa
+
+    data = pa.table({"a": [1]}).replace_schema_metadata({table.KEY: json.dumps(document)})
+    lancedb.connect(tmp_path).create_table("objects", data=data)
+    with pytest.raises(FormatError, match=said):
+        Catalogue.open(tmp_path)
+
+
+@pytest.mark.parametrize("wrong", ["nan", "zero", "box", "scene"])
+def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
+    encoder = EncoderIdentity("test", 8)
+    vectors = unit(np.random.default_rng(0), 4, 8)
+    columns = rows_of("one", vectors, encoder, 1)
+    if wrong in ("nan", "zero"):
+        vectors[1] = np.nan if wrong == "nan" else 0
+        columns = rows_of("one", vectors, encoder, 1)
+    else:
+        import pyarrow as pa
+
+        name, value = {"box": ("x", [None, 1.0, 1.0, 1.0, None]), "scene": ("scene", [None] * 5)}[wrong]
+        at = columns.schema.get_field_index(name)
+        columns = columns.set_column(at, name, pa.array(value, columns.schema.field(name).type))
+        columns = columns.replace_schema_metadata(table.schema_of(encoder).metadata)
+    table.replace_scene(tmp_path / "c", "one", columns, encoder)
+    with pytest.raises(FormatError, match="damaged"):
+        Catalogue.open(tmp_path / "c").ask(Query(vector=np.ones(8, np.float32), threshold=-1.0))
+
+
+def test_thumbnails_that_are_none(filled: Catalogue) -> None:
+    (entry,) = filled.ask("red mug")
+    assert entry.thumbnail is not None
+    for data in (b"", b"<svg onload=alert(1)>", entry.thumbnail[:40], b"\xff\xd8\xff" + bytes(500)):
+        with pytest.raises(FormatError, match="add the scene again"):
+            replace(entry, thumbnail=data).picture()
+
+
+def test_damaged_files_are_told_or_harm_nothing(filled: Catalogue, tmp_path: Path) -> None:
+    """Cut short, with bytes turned, or gone: an answer, or an error that names the catalogue."""
+    import shutil
+
+    rng = np.random.default_rng(5)
+    told = 0
+    files = [file.relative_to(filled.path) for file in sorted(filled.path.rglob("*")) if file.is_file()]
+    for number in range(24):
+        copy = tmp_path / str(number)
+        shutil.copytree(filled.path, copy)
+        file = copy / files[number % len(files)]
+        data = bytearray(file.read_bytes())
+        if number % 3 == 0:
+            data = data[: int(rng.integers(0, len(data)))]
+        else:
+            for at in rng.integers(0, len(data), 8):
+                data[at] ^= int(rng.integers(1, 256))
+        file.write_bytes(data)
+        try:
+            catalogue = Catalogue.open(copy)
+            assert len(catalogue.ask("mug")) <= 6
+            catalogue.scenes()
+        except FormatError as error:
+            told += str(copy) in str(error)
+    assert told > 3
+
+
+# --- the command line ---
+
+
+def test_the_command_line(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def said(*argv: str) -> dict[str, Any]:
+        assert main(["catalogue", *argv, "--json"]) == 0
+        document: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return document
+
+    added = said("add", "flats", *(str(scenes / name) for name in WORDS))
+    assert [one["num_objects"] for one in added["scenes"]] == [3, 3]
+    answer = said("ask", "flats", "mug", "--picture", "sheet.jpg")
+    assert [one["scene"] for one in answer["matches"]] == ["kitchen", "o'hara"]
+    assert np.asarray(Image.open("sheet.jpg")).std() > 20
+    assert said("ask", "flats", "mug", "--scene", "o'hara", "--box=9,-1,-1,11,1,1")["num_matches"] == 1
+    assert said("ask", "flats", "mug", "--since", "2999-01-01")["num_matches"] == 0
+    assert said("ask", "flats", "mug", "--exclude", "red")["num_matches"] == 1
+    assert [one["state"] for one in said("list", "flats")["scenes"]] == ["current", "current"]
+    assert said("remove", "flats", "kitchen")["removed"] == {"kitchen": 3}
+    for argv in (["list", "flats"], ["ask", "flats", "mug"], ["ask", "flats", "elephant"]):
+        assert main(["catalogue", *argv]) == 0
+    assert "No object of any scene answers this" in capsys.readouterr().out
+    for argv, message in (
+        (["add", "flats"], "expected folders"),
+        (["list", "flats", "x"], "takes no more"),
+        (["ask", "flats"], "exactly one of text"),
+        (["ask", "flats", "mug", "--box", "1,2"], "--box 1,2: expected 6"),
+        (["ask", "flats", "mug", "--since", "never"], "--since never"),
+        (["ask", "flats", "mug", "--picture", "a.gif"], r"written as .png or .jpg"),
+        (["index", "flats"], "256 objects or more"),
+    ):
+        assert main(["catalogue", *argv]) == 1
+        assert message in capsys.readouterr().err
