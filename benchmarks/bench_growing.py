@@ -28,9 +28,8 @@ from drsplat.progress import Stopwatch
 class BothClocks(Stopwatch):
     """A stopwatch that notes the processor's time as well."""
 
-    noted: dict[str, float] = {}
-
     def __init__(self) -> None:
+        self.noted: dict[str, float] = {}
         super().__init__()
         self._busy = time.process_time()
 
