@@ -33,12 +33,14 @@ if TYPE_CHECKING:
     from ..scene.gaussians import Gaussians
     from ..scene.views import View
 
-DEFAULT_TOPK = 40
+DEFAULT_TOPK, DEFAULT_LEVEL = 40, "large"
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
 EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --output scene.field
   drsplat register scene.ply capture --features capture/language_features --topk 45 --first-hits 100 \\
       --codebook pq_index.faiss --encoder-name ViT-B-16/laion2b_s34b_b88k --output scene.field --json
+
+  drsplat register scene.ply capture --features capture/siglip2 --weights-of scene.field --output siglip2.field
 
 A stopped run resumes when the same command is given again."""
 
@@ -61,6 +63,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )
+    parser.add_argument(
+        "--weights-of", metavar="FIELD",
+        help="field of the same scene, photos and masks, of which only the embeddings are others: its weights are "
+        "taken, with its level, topk, first hits and near plane, and no photo is looked at",
+    )  # fmt: skip
     add_overwrite(parser)
     _add_method(parser.add_argument_group("method"))
     parser.add_argument(
@@ -73,7 +80,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
-        "--level", "--feature-level", "--feature_level", type=_level, default="large", metavar="LEVEL", help=LEVEL_HELP
+        "--level",
+        "--feature-level",
+        "--feature_level",
+        type=_level,
+        default=DEFAULT_LEVEL,
+        metavar="LEVEL",
+        help=LEVEL_HELP,
     )
     method.add_argument(
         "--topk", "--top-k", "-k", type=count_or_all, default=argparse.SUPPRESS, metavar="K",
@@ -128,20 +141,25 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from .. import load_field, register
-    from ..evidence.aggregation import aggregator
+    from ..evidence.aggregation import Sampling, aggregator
+    from ..growing import with_weights_of
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)
-    sampling = _sampling(arguments, how)
+    known = _weights_of(arguments)
+    sampling = _sampling(arguments, how) if known is None else known.aggregator.sampling
     gaussians, views, without, features, code = _read(arguments)
     watch.lap("read")
     parts = Path(arguments.parts or parts_of(output))
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
-    registration = register(gaussians, views, features, sampling, parts=parts, **shared)
+    if known is None or sampling is None:
+        registration = register(gaussians, views, features, sampling or Sampling(), parts=parts, **shared)
+        registration = replace(registration, left_out=tuple(sorted(without)))
+    else:
+        registration = with_weights_of(known, gaussians, views, features, track=shared["track"])
     watch.lap("register")
-    registration = replace(registration, left_out=tuple(sorted(without)))
     field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, arguments.features)
     watch.lap("code")
@@ -158,7 +176,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         **_facts(registration, field),
         "num_views_reused": len(registration.masks.view_names) - computed,
         "left_out": sorted(without),
-        "topk": sampling.topk,
+        "topk": registration.sampling.topk if registration.sampling else None,
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
         "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
@@ -238,6 +256,27 @@ def show(answer: dict[str, Any]) -> None:
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
+
+
+def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
+    """The field of --weights-of; its settings become those of the command.
+
+    Raises: InputError: options that have a word in what the field has settled.
+    """
+    from .. import load_field
+    from ..errors import InputError
+
+    if arguments.weights_of is None:
+        return None
+    given = {"--topk": hasattr(arguments, "topk"), "--level": arguments.level != DEFAULT_LEVEL}
+    given |= {f"--{name.replace('_', '-')}": getattr(arguments, name) for name in ("first_hits", "near", "without")}
+    clashing = [flag for flag, value in given.items() if value]
+    if clashing:
+        raise InputError(f"--weights-of FIELD takes these from the field: drop {' and '.join(clashing)}")
+    field = load_field(arguments.weights_of)
+    if field.growth is not None:
+        arguments.level = field.growth.provenance.level or DEFAULT_LEVEL
+    return field
 
 
 def _written(parts: Path) -> dict[str, int]:

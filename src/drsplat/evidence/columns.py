@@ -52,7 +52,7 @@ class ColumnMaker:
         """
         mask_ids = _mask_ids(view, features)
         key = self._key(view, mask_ids)
-        marks = {"key": key.hex(), "isa": default_isa()}  # another instruction set changes the last bits
+        marks = _marks(key)
         path = self.folder / part_name(view.name)
         if not _is_finished(path, marks):
             triples = self.sampling.triples(self.splats, view, mask_ids, self.threads)
@@ -105,6 +105,11 @@ def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.digest()
+
+
+def _marks(key: bytes) -> dict[str, str]:
+    """Of a finished part: another instruction set changes the last bits."""
+    return {"key": key.hex(), "isa": default_isa()}
 
 
 def _is_finished(path: Path, marks: Mapping[str, str]) -> bool:

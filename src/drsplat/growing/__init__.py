@@ -5,5 +5,6 @@ Imports `evidence`, `field`, `formats`, `kernels`, `masks`, `objects`, `registra
 
 from .changing import Change, add_views, remove_views
 from .folder import change_field
+from .swapping import with_weights_of
 
-__all__ = ["Change", "add_views", "change_field", "remove_views"]
+__all__ = ["Change", "add_views", "change_field", "remove_views", "with_weights_of"]
