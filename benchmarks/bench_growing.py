@@ -13,6 +13,7 @@ brackets, of the processor, all threads together.
 import tempfile
 import time
 from pathlib import Path
+from typing import ClassVar
 from unittest.mock import patch
 
 from machine import arguments
@@ -28,7 +29,7 @@ from drsplat.progress import Stopwatch
 class BothClocks(Stopwatch):
     """A stopwatch that notes the processor's time as well."""
 
-    noted: dict[str, float] = {}
+    noted: ClassVar[dict[str, float]] = {}
 
     def __init__(self) -> None:
         super().__init__()

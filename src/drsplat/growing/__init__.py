@@ -1,6 +1,6 @@
 """Views that come to a registered scene and go from it: only they are looked at, and the field is as of all at once.
 
-Imports `evidence`, `field`, `formats`, `kernels`, `masks`, `objects`, `registration` and `scene`.
+Imports `codes`, `encoders`, `evidence`, `field`, `formats`, `kernels`, `masks`, `objects`, `registration` and `scene`.
 """
 
 from .changing import Change, add_views, remove_views
