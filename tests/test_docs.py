@@ -7,6 +7,7 @@ import ast
 import json
 import re
 import shlex
+from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -188,6 +189,7 @@ def field_folder(capture, tmp_path_factory) -> Path:
     views = ds.read_views(capture / "capture")
     gaussians = ds.read_gaussians(capture / "scene.ply")
     field = ds.register(gaussians, views, features).to_field()
+    field = replace(field, growth=ds.register(gaussians, views, features).to_field(ds.Mixture()).growth)
     node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
     roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
     field = field.with_objects(describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32))))
@@ -201,7 +203,7 @@ def test_the_layout_of_a_field_is_as_documented(field_folder):
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
     documented = {(file, name): dtype for file, name, dtype in listed}
-    for part in ("codes", "evidence", "negatives", "contrast", "objects"):
+    for part in ("codes", "evidence", "negatives", "contrast", "objects", "growth"):
         file = f"{part}.safetensors"
         tensors, _ = map_tensors(field_folder / file)
         for name, array in tensors.items():

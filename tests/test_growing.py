@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 
 from drsplat import load_field
 from drsplat.codes import PQ, Mixture, Smaller
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.evidence.aggregation import Sampling
+from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, learning
 from drsplat.formats.claiming import claimed_output
 from drsplat.growing import Change, add_views, change_field, remove_views
@@ -89,6 +91,26 @@ def test_only_rows_that_are_seen_are_coded_again():
     assert min(coded) < 0.4 * max(total)
     assert sum(count < whole for count, whole in zip(coded, total, strict=True)) >= 3
     assert any(count == whole for count, whole in zip(coded, total, strict=True))
+
+
+def test_a_view_more_seldom_changes_what_is_learnt_from(monkeypatch: pytest.MonkeyPatch):
+    """With a chance of LEARNT_FROM / V, whatever its name."""
+    monkeypatch.setattr(learning, "LEARNT_FROM", 8)
+    names = [f"photo_{number:03d}.jpg" for number in range(100)]
+    masks = MaskIds(tuple(names), np.arange(100, dtype=np.int32), np.zeros(100, np.int32))
+    weights = csr_array(np.eye(100, dtype=np.float32))
+    rows = np.tile(np.eye(8, dtype=np.float32)[0], (100, 1))
+    changes = []
+    for number in range(50, 100):
+        few = [Evidence(weights[:, :n], MaskIds(tuple(names[:n]), masks.views[:n], masks.ids[:n]), rows[:n])
+               for n in (number, number + 1)]  # fmt: skip
+        before, now = map(learning.learning_views, few)
+        assert len(before) == len(now) == 8
+        assert len(set(now) - set(before)) <= 1
+        changes.append(before != now)
+    assert 0 < sum(changes) < 12  # 5.5 are expected
+    blind = Evidence(csr_array(np.diag((np.arange(100) % 2).astype(np.float32))), masks, rows)
+    assert all(int(name[6:9]) % 2 for name in learning.learning_views(blind))
 
 
 def test_gaussians_whose_features_cancel_out_are_kept_for_later():

@@ -39,8 +39,10 @@ def some_features(room: Path, *stems: str) -> Path:
     return folder
 
 
-def register(room: Path, capsys: Capture, name: str, *stems: str, more: tuple[str, ...] = ()) -> Path:
-    argv = ["register", room / "scene.ply", room / "capture", "--features", some_features(room, *stems)]
+def register(
+    room: Path, capsys: Capture, name: str, *stems: str, more: tuple[str, ...] = (), capture: str = "capture"
+) -> Path:
+    argv = ["register", room / "scene.ply", room / capture, "--features", some_features(room, *stems)]
     answer_of(capsys, *argv, "--encoder-name", "drsplat-words", "--output", room / name, *more)
     return room / name
 
@@ -225,11 +227,12 @@ def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypat
     from drsplat.growing import watching
 
     monkeypatch.setattr(watching, "EVERY_S", 0.05)
-    field = register(room, capsys, "a.field", *PHOTOS[:1])
     views = ds.read_views(room / "capture")
     capture, features = room / "live", room / "live/features"
     shutil.copytree(room / "capture/images", capture / "images")
     features.mkdir()
+    write_cameras_json(capture / "cameras.json", views[:1])
+    field = register(room, capsys, "a.field", *PHOTOS[:1], capture="live")
 
     def write() -> None:
         for number, stem in enumerate(PHOTOS[1:], 2):
@@ -246,7 +249,7 @@ def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypat
     told = answer_of(capsys, *argv)
     writer.join()
     assert told["added"] == [f"{stem}.png" for stem in PHOTOS[1:]]
-    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
+    assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS, capture="live"))
 
 
 def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Path) -> None:
@@ -283,3 +286,50 @@ def test_watching_ends_on_ctrl_c(room: Path, capsys: Capture, monkeypatch: pytes
     told = answer_of(capsys, *add(room, field, room / "capture/language_features", "--watch"))
     assert told["added"] == ["photo_2.png", "photo_3.png"]
     assert json.loads((field / "field.json").read_text())["growth"]["level"] == "large"
+
+
+def swapped(room: Path, capsys: Capture, *more: object, code: int = 0) -> tuple[object, ...]:
+    """The command that registers the features of another encoder with the weights of a.field."""
+    features = room / "other_encoder"
+    known = ds.read_features(room / "capture/language_features")
+    for number, name in enumerate(known):
+        ids, rows = known.stored(name)
+        turned = np.roll(rows, number + 1, axis=1)[:, :64]
+        write_features(features, name, ids, turned / np.linalg.norm(turned, axis=1, keepdims=True), form="compact")
+    return (
+        "register",
+        room / "scene.ply",
+        room / "capture",
+        "--features",
+        features,
+        "--encoder-name",
+        "another",
+        *more,
+    )
+
+
+def test_another_encoder_takes_the_weights_of_a_field(
+    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from drsplat.evidence.aggregation import sampling
+
+    field = register(room, capsys, "a.field", *PHOTOS, more=("--topk", "7", "--near", "0.3"))
+    argv = swapped(room, capsys)
+    answer_of(capsys, *argv, "--output", room / "whole.field", "--topk", "7", "--near", "0.3")
+    monkeypatch.setattr(sampling, "view_weights", None)  # no photo is rasterised
+    told = answer_of(capsys, *argv, "--output", room / "swapped.field", "--weights-of", field)
+    assert (told["num_views_reused"], told["topk"], told["dim"]) == (4, 7, 64)
+    assert files_of(room / "swapped.field") == files_of(room / "whole.field")
+
+
+def test_weights_of_other_masks_are_refused(room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS)
+    argv = (*swapped(room, capsys), "--output", room / "b.field", "--weights-of", field)
+    assert "drop --topk and --near" in error_of(capsys, *argv, "--topk", "3", "--near", "0.1")
+    features = room / "other_encoder"
+    ids, rows = ds.read_features(features).stored("photo_1")
+    write_features(features, "photo_1", np.roll(ids, 3, axis=1), rows, overwrite=True, form="compact")
+    assert "1 of 4 views have other masks or poses than the field" in error_of(capsys, *argv)
+    (features / "photo_1.features.safetensors").unlink()
+    assert "1 of it have none here" in error_of(capsys, *argv)
+    assert not (room / "b.field").exists()

@@ -36,12 +36,14 @@ if TYPE_CHECKING:
     from ..scene.views import View
     from .workers import Register
 
-DEFAULT_TOPK = 40
+DEFAULT_TOPK, DEFAULT_LEVEL = 40, "large"
 SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
 EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --output scene.field
   drsplat register scene.ply capture --features capture/language_features --topk 45 --first-hits 100 \\
       --codebook pq_index.faiss --encoder-name ViT-B-16/laion2b_s34b_b88k --output scene.field --json
+
+  drsplat register scene.ply capture --features capture/siglip2 --weights-of scene.field --output siglip2.field
 
   drsplat tile city.ply --output city.tiles
   drsplat register city.tiles capture --features capture/language_features --workers 8 --output city.field
@@ -70,6 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )
+    parser.add_argument(
+        "--weights-of", metavar="FIELD",
+        help="field of the same scene, photos and masks, of which only the embeddings are others: its weights are "
+        "taken, with its level, topk, first hits and near plane, and no photo is looked at",
+    )  # fmt: skip
     add_overwrite(parser)
     _add_method(parser.add_argument_group("method"))
     parser.add_argument(
@@ -84,7 +91,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
-        "--level", "--feature-level", "--feature_level", type=_level, default="large", metavar="LEVEL", help=LEVEL_HELP
+        "--level",
+        "--feature-level",
+        "--feature_level",
+        type=_level,
+        default=DEFAULT_LEVEL,
+        metavar="LEVEL",
+        help=LEVEL_HELP,
     )
     method.add_argument(
         "--topk", "--top-k", "-k", type=count_or_all, default=argparse.SUPPRESS, metavar="K",
@@ -144,17 +157,17 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
 
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)
-    sampling = _sampling(arguments, how)
-    scene, register, views, without, features, code = _read(arguments)
+    known = _weights_of(arguments)
+    sampling = _sampling(arguments, how) if known is None else known.aggregator.sampling
+    inputs = _read(arguments)
     watch.lap("read")
     parts = _parts(arguments, output)
     before = _written(parts)
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
-    registration = register(scene, views, features, sampling, parts=parts, **shared)
+    registration = _registration(inputs, known, sampling, parts, shared)
     watch.lap("register")
-    registration = replace(registration, left_out=tuple(sorted(without)))
-    gaussians = in_memory(scene) if how.voting else None
-    field = registration.to_field(code, aggregator=how, gaussians=gaussians, **shared)
+    gaussians = in_memory(inputs.scene) if how.voting else None
+    field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, arguments.features)
     watch.lap("code")
     complete = was_complete(output, arguments.overwrite, lambda: load_field(output).equals(field))
@@ -169,13 +182,28 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
         "was_complete": complete,
         **_facts(registration, field),
         "num_views_reused": None if "://" in str(parts) else len(registration.masks.view_names) - computed,
-        "left_out": sorted(without),
-        "topk": sampling.topk,
+        "left_out": sorted(inputs.left_out),
+        "topk": registration.sampling.topk if registration.sampling else None,
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
         "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
         "peak_memory_bytes": peak_memory_bytes(),
     }
+
+
+def _registration(
+    given: "_Inputs", known: "LanguageField | None", sampling: "Sampling | None", parts: str | Path,
+    shared: Mapping[str, Any],
+) -> "Registration":  # fmt: skip
+    from ..evidence.aggregation import Sampling
+    from ..growing import with_weights_of
+
+    if known is not None and sampling is not None:
+        return with_weights_of(
+            known, in_memory(given.scene), given.views, given.features, track=shared["track"]
+        )
+    made = given.register(given.scene, given.views, given.features, sampling or Sampling(), parts=parts, **shared)
+    return replace(made, left_out=tuple(sorted(given.left_out)))
 
 
 def _read(arguments: argparse.Namespace) -> "_Inputs":
@@ -260,6 +288,28 @@ def _parts(arguments: argparse.Namespace, output: Path) -> str | Path:
 
 
 def _written(parts: str | Path) -> dict[str, int]:
+def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
+    """The field of --weights-of; its settings become those of the command.
+
+    Raises: InputError: options that have a word in what the field has settled.
+    """
+    from .. import load_field
+    from ..errors import InputError
+
+    if arguments.weights_of is None:
+        return None
+    given = {"--topk": hasattr(arguments, "topk"), "--level": arguments.level != DEFAULT_LEVEL}
+    given |= {f"--{name.replace('_', '-')}": getattr(arguments, name) for name in ("first_hits", "near", "without")}
+    clashing = [flag for flag, value in given.items() if value]
+    if clashing:
+        raise InputError(f"--weights-of FIELD takes these from the field: drop {' and '.join(clashing)}")
+    field = load_field(arguments.weights_of)
+    if field.growth is not None:
+        arguments.level = field.growth.provenance.level or DEFAULT_LEVEL
+    return field
+
+
+def _written(parts: Path) -> dict[str, int]:
     """Time of writing of each finished view's file."""
     return {file.name: file.stat().st_mtime_ns for file in Path(parts).glob("*.columns.safetensors")}
 

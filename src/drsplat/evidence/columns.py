@@ -99,7 +99,7 @@ class ColumnMaker:
         """As `columns`, and whether they were computed now."""
         mask_ids = _mask_ids(view, features)
         key = self._key(view, mask_ids)
-        marks = {"key": key.hex(), "isa": default_isa()}  # another instruction set changes the last bits
+        marks = _marks(key)
         path = self.folder / part_name(view.name)
         columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
         if is_new:
@@ -155,6 +155,11 @@ def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.digest()
+
+
+def _marks(key: bytes) -> dict[str, str]:
+    """Of a finished part: another instruction set changes the last bits."""
+    return {"key": key.hex(), "isa": default_isa()}
 
 
 def is_finished(path: Path, marks: Mapping[str, str]) -> bool:

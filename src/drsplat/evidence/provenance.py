@@ -10,6 +10,7 @@ from ..errors import InputError
 from ..scene.boxes import upward_of
 
 KEY_BYTES = 16
+LARGEST = 2.0  # of any number of a direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +36,8 @@ class Provenance:
             given = getattr(self, name)
             if given.dtype != dtype or given.shape != shape:
                 raise InputError(f"{name}: expected {dtype} {shape}, got {given.dtype} {given.shape}")
-        if not np.isfinite(self.axes).all():
-            raise InputError("axes: expected finite numbers")
+        if not (np.abs(self.axes) <= LARGEST).all():  # NaN is not either
+            raise InputError("axes: expected unit vectors")
 
     def __len__(self) -> int:
         return len(self.axes)

@@ -76,17 +76,18 @@ class Growth:
                 f"growth: of {len(self.provenance)} views and {self.rest.shape[1]} masks in evidence of {views} "
                 f"and {masks}"
             )
-        if rows + len(self.rest_ids) > count or self.rest_ids.max(initial=0) >= count:
+        if rows + len(self.rest_ids) > count or (len(self.rest_ids) and self.rest_ids[-1] >= count):
             raise InputError(f"growth: {len(self.rest_ids)} further rows of a scene of {count} Gaussians")
 
     def check_code(self, code: Code) -> None:
-        """Refuse scene atoms of another code. Raises: InputError."""
-        if self.scene_atoms is None or self.scene_places is None:
-            return
+        """Refuse scene atoms or columns of another code. Raises: InputError."""
         masks = code.atoms.masks if isinstance(code, MixtureCode) else np.empty(0, np.int32)
-        if np.count_nonzero(masks == SCENE_ATOM) != len(self.scene_places):
-            raise InputError(f"growth: {len(self.scene_places)} scene atoms, of which the code has others")
-        if self.scene_atoms.vectors.shape[1] != code.dim:
+        places = 0 if self.scene_places is None else len(self.scene_places)
+        if np.count_nonzero(masks == SCENE_ATOM) != places:
+            raise InputError(f"growth: {places} scene atoms, of which the code has others")
+        if masks.max(initial=-1) >= self.rest.shape[1]:
+            raise InputError(f"growth: atoms of mask {masks.max()} among {self.rest.shape[1]}")
+        if self.scene_atoms is not None and self.scene_atoms.vectors.shape[1] != code.dim:
             raise InputError(f"growth: scene atoms of {self.scene_atoms.vectors.shape[1]} numbers, not {code.dim}")
 
     def tensors(self) -> dict[str, np.ndarray]:

@@ -66,8 +66,7 @@ class LanguageField:
     contrast: the words that queries are contrasted with, None where whoever embeds queries embeds them.
     up: the unit direction that is up in the photos, in the world; None where they do not tell. left_out: names of
     photos that were kept from it on purpose, such as labelled ones.
-    objects: what belongs together, None where nobody has looked. growth: what adding and removing views needs; None in
-    fields of older versions.
+    objects: what belongs together, None where nobody has looked. growth: what adding views needs, None in old fields.
 
     Raises: InputError: arrays that do not fit each other. MismatchError: a codebook of another
     encoder.
@@ -247,10 +246,9 @@ class LanguageField:
 
     def with_words_of(self, other: "LanguageField", *, threads: int = 0) -> "LanguageField":
         """With the negatives of another field of the same encoder, scored anew, and the words of its contrast."""
-        known = other.negatives
-        if known is not None:
-            known = replace(known, maxima=self._maxima(known.embeddings, threads))
-        return replace(self, negatives=known, contrast=other.contrast)
+        old = other.negatives
+        negatives = old and replace(old, maxima=self._maxima(old.embeddings, threads))
+        return replace(self, negatives=negatives, contrast=other.contrast)
 
     def with_contrast(self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]) -> "LanguageField":
         """The same field with the words that queries are contrasted with; `save` keeps them.

@@ -14,6 +14,7 @@ from ..codes import Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
 from ..codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
 from ..errors import InputError
 from ..evidence.aggregation import MEAN, aggregator
+from ..evidence.aggregation.entries import canonical
 from ..evidence.changing import GONE
 from ..evidence.evidence import Evidence, MaskIds
 from ..evidence.provenance import Provenance
@@ -81,7 +82,8 @@ def _can_stay(field: LanguageField, growth: Growth, evidence: Evidence, changed:
     """Whether rows that have not changed have the same code as if all were coded anew."""
     how = aggregator(field.aggregator.name)
     code = chosen_code(growth.specification(field.code), evidence)
-    if how.steps or how.voting or not evidence.weights.nnz:
+    assert field.evidence is not None
+    if how.steps or how.voting or not evidence.weights.nnz or canonical(field.evidence) is not field.evidence:
         return False
     if isinstance(code, Codebook):
         return True

@@ -89,7 +89,7 @@ def add_views(
     if change.is_none:
         return replace(change, seconds=watch.seconds)
     assert before.sampling is not None
-    _tell_isa(before.provenance)
+    tell_isa(before.provenance)
     more = register(gaussians, [*new, *others], features, before.sampling, parts=parts, threads=threads, track=track)
     watch.lap("register")
     after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
@@ -125,12 +125,16 @@ def recorded_aggregator(field: LanguageField) -> Aggregator:
     return how
 
 
-def _opened(field: LanguageField, gaussians: Gaussians) -> tuple[Registration, Aggregator]:
-    """What the field was made from, and how its features were."""
+def registration_of(field: LanguageField, gaussians: Gaussians) -> Registration:
+    """What a field was made from. Raises: InputError: it does not say how. MismatchError: another scene."""
     field.check_scene(gaussians)
     if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
         raise InputError(f"this field does not say how it was made, as fields of older versions do not: {CURE}")
-    return Registration.from_field(field), recorded_aggregator(field)
+    return Registration.from_field(field)
+
+
+def _opened(field: LanguageField, gaussians: Gaussians) -> tuple[Registration, Aggregator]:
+    return registration_of(field, gaussians), recorded_aggregator(field)
 
 
 def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) -> None:
@@ -140,7 +144,8 @@ def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) 
         field.check_encoder(encoder)
 
 
-def _tell_isa(provenance: Provenance | None) -> None:
+def tell_isa(provenance: Provenance | None) -> None:
+    """Warns: DrSplatWarning: weights that were computed with another instruction set than this process has."""
     if provenance is None or provenance.isa == default_isa():
         return
     cure = f"set DRSPLAT_ISA={provenance.isa}" if provenance.isa in available_isas() else "register all on one machine"

@@ -1,0 +1,86 @@
+"""Files of growth from strangers: read, refused or used, never believed."""
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drsplat import load_field
+from drsplat.codes import PQ, Mixture
+from drsplat.errors import DrSplatError, FormatError
+from drsplat.growing import add_views, remove_views
+from fields import as_version_2, without_checksums
+from growing_fields import at_once, features, files_of, scene, views
+from mutations import mutants, quota, seeded
+
+NAMES = tuple(view.name for view in views())
+MUTANTS = quota(150)
+
+
+@lru_cache
+def files(mixture: bool) -> dict[str, bytes]:
+    """Of a field without checksums, so that damage gets past them."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.field"
+        at_once(NAMES[:5], Mixture(2) if mixture else PQ(4)).save(path)
+        as_version_2(path)
+        without_checksums(path / "growth.safetensors")
+        return files_of(path)
+
+
+def write(folder: Path, mixture: bool) -> Path:
+    path = folder / "a.field"
+    path.mkdir(exist_ok=True)
+    for name, content in files(mixture).items():
+        (path / name).write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("mixture", [False, True])
+def test_mutants_are_refused_or_used(mixture: bool, tmp_path: Path) -> None:
+    path = write(tmp_path, mixture)
+    file = path / "growth.safetensors"
+    good, used = file.read_bytes(), 0
+    for mutant in mutants(good, seeded(11 + mixture), MUTANTS):
+        file.write_bytes(mutant)
+        try:
+            field = load_field(path)
+            grown = add_views(field, scene(), views()[5:6], features()).field
+            assert len(remove_views(grown, scene(), NAMES[:2]).field) > 0
+            used += 1
+        except DrSplatError:
+            pass
+    assert 0 < used < MUTANTS
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("growth", None, "growth: expected an object"),
+        ("growth", {"isa": "avx2", "level": None, "code": {"kind": "mixture", "atoms": -1}}, "expected a code"),
+        ("growth", {"isa": 3, "level": None, "code": {"kind": "codebook"}}, "expected an instruction set"),
+        ("growth", {"isa": "avx2", "level": [], "code": {"kind": "codebook"}}, "a level or null"),
+    ],
+)
+def test_manifests_that_do_not_say_how_it_was_made(name: str, value: object, said: str, tmp_path: Path) -> None:
+    path = write(tmp_path, True)
+    manifest = json.loads((path / "field.json").read_text())
+    (path / "field.json").write_text(json.dumps(manifest | {name: value}))
+    field = load_field(path)
+    assert field.scores(np.ones(8, np.float32)).shape == (len(field),)  # a search does not ask
+    with pytest.raises(FormatError, match=said):
+        _ = field.growth
+
+
+def test_a_missing_or_foreign_file_is_told(tmp_path: Path) -> None:
+    path = write(tmp_path, True)
+    (path / "growth.safetensors").unlink()
+    with pytest.raises(FormatError, match=r"there is no growth\.safetensors"):
+        load_field(path)
+    (path / "growth.safetensors").write_bytes(files(False)["growth.safetensors"])
+    with pytest.raises(DrSplatError, match="was written with another field"):
+        _ = load_field(path).growth
