@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -357,6 +358,53 @@ def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
         _, error = process.communicate(timeout=120)
         assert process.returncode == 0, error.decode()
     assert [(one.scene, one.num_objects) for one in Catalogue.open(path).scenes()] == [("kitchen", 3), ("o'hara", 3)]
+
+
+ADDING = """
+import resource, sys, time
+from drsplat.catalogue import Catalogue, table
+from drsplat.query import open_scene
+scene, catalogue = open_scene(sys.argv[2]), Catalogue.open(sys.argv[1])
+print("ready", flush=True)
+if len(sys.argv) > 3:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)
+    catalogue.add(scene)
+while True:
+    catalogue.add(scene, name=f"scene {int(time.time() * 1000) % 3}")
+"""
+
+
+def adding(*argv: object) -> "subprocess.Popen[str]":
+    """A process that opens a scene and then adds it, again and again."""
+    command = [sys.executable, "-W", "ignore", "-c", ADDING, *map(str, argv)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    for seconds in (0.05, 0.4):
+        process = adding(path, scenes / "kitchen")
+        time.sleep(seconds)
+        process.kill()
+        process.communicate()
+        assert all(one.num_objects == 3 for one in Catalogue.open(path).scenes())
+    catalogue = Catalogue.open(path)
+    catalogue.add(scenes / "o'hara")  # nobody holds the lock
+    assert found(catalogue, "white lamp") == [("o'hara", 2)]
+
+
+def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    Catalogue.open(path).add(scenes / "kitchen")
+    process = adding(path, scenes / "o'hara", 2000)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "InputError" in error
+    assert "nothing was changed" in error
+    assert [one.scene for one in Catalogue.open(path).scenes()] == ["kitchen"]
 
 
 # --- damaged and strange folders ---

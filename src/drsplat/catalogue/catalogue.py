@@ -153,6 +153,12 @@ class Catalogue:
             raise InputError(f"'{name}' {where}: add it again")
         return self._opened(scene_files(rows[0]))
 
+    @property
+    def wants_index(self) -> bool:
+        """Whether it is so large that every answer takes long without one, and has none."""
+        known = table.opened(self.path)
+        return known is not None and known.num_rows > LARGE and not known.has_index
+
     def build_index(self) -> int:
         """Make answers about 100,000 objects and more quick; returns how many partitions the index has.
 

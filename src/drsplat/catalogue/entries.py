@@ -12,7 +12,7 @@ from ..errors import FormatError, InputError
 from ..scene.photos import decoded_picture
 
 JPEG = b"\xff\xd8\xff"
-MOST_PIXELS = 1 << 20  # of a thumbnail
+MOST_PIXELS = MOST_JPEG = 1 << 20  # of a thumbnail; bytes of one
 
 
 class Position(NamedTuple):
@@ -125,7 +125,7 @@ class Listed:
 
 
 def checked_jpeg(data: bytes) -> bytes:
-    """Raises: FormatError: it does not begin as a JPEG does."""
-    if not data.startswith(JPEG):
-        raise FormatError("is no JPEG")
+    """Raises: FormatError: it does not begin as a JPEG does, or is far larger than a thumbnail."""
+    if not data.startswith(JPEG) or len(data) > MOST_JPEG:
+        raise FormatError("is no JPEG of a thumbnail's size")
     return data

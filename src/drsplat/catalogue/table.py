@@ -24,6 +24,7 @@ NAME, KEY = "objects", b"drsplat catalogue"
 VERSION = 1
 MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
+LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
 PROBES = 64  # partitions of an index that are looked into; what comes from them is compared exactly by who asked
 FRAGMENTS = 24  # files of rows from which they are put together
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
@@ -189,7 +190,7 @@ def index(known: Snapshot, partitions: int) -> None:
 
     dim = known.encoder.dim
     parts = max(part for part in range(1, max(dim // 16, 1) + 1) if dim % part == 0)
-    kind = IvfPq(distance_type="cosine", num_partitions=partitions, num_sub_vectors=parts)
+    kind = IvfPq(distance_type="cosine", num_partitions=partitions, num_sub_vectors=parts, sample_rate=LEARNED_FROM)
     with writing(known.path):
         known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
         known.table.wait_for_index([INDEX], timeout=INDEXING)

@@ -106,7 +106,11 @@ def _add(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
         catalogue.add(scene_files(path, views=arguments.views), name=arguments.name, track=tracker(arguments))
         for path in arguments.given
     ]
-    return {"scenes": [_scene_json(one) for one in listed], "num_objects": len(catalogue)}
+    return {
+        "scenes": [_scene_json(one) for one in listed],
+        "num_objects": len(catalogue),
+        "wants_index": catalogue.wants_index,
+    }
 
 
 def _remove(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:

@@ -18,6 +18,8 @@ def _show_add(answer: dict[str, Any]) -> None:
     for one in answer["scenes"]:
         print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}")
     print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
+    if answer["wants_index"]:
+        print(f"Every query compares all of them: drsplat catalogue index {answer['catalogue']}")
 
 
 def _show_remove(answer: dict[str, Any]) -> None:
