@@ -199,9 +199,7 @@ def _registration(
     from ..growing import with_weights_of
 
     if known is not None and sampling is not None:
-        return with_weights_of(
-            known, in_memory(given.scene), given.views, given.features, track=shared["track"]
-        )
+        return with_weights_of(known, in_memory(given.scene), given.views, given.features, track=shared["track"])
     made = given.register(given.scene, given.views, given.features, sampling or Sampling(), parts=parts, **shared)
     return replace(made, left_out=tuple(sorted(given.left_out)))
 
@@ -287,7 +285,6 @@ def _parts(arguments: argparse.Namespace, output: Path) -> str | Path:
     return given if "://" in str(given) else Path(given)
 
 
-def _written(parts: str | Path) -> dict[str, int]:
 def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
     """The field of --weights-of; its settings become those of the command.
 
@@ -309,7 +306,7 @@ def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
     return field
 
 
-def _written(parts: Path) -> dict[str, int]:
+def _written(parts: str | Path) -> dict[str, int]:
     """Time of writing of each finished view's file."""
     return {file.name: file.stat().st_mtime_ns for file in Path(parts).glob("*.columns.safetensors")}
 
