@@ -1,16 +1,18 @@
 """Mask NMS beside a plain loop, and what segmenting an image costs with SAM 2's smallest model.
 
     python benchmarks/bench_masks.py [--masks 300] [--rounds 5] [--points 32] [--crop-layers 0] [--skip-models]
+                                     [--model sam2.1-tiny sam-base sam-huge] [--device cpu] [--size 1920x1080]
 
-The model has the architecture of SAM 2.1 Hiera tiny and random weights. Its time to encode and to
-decode is that of trained weights; that of enlarging and choosing masks depends on how many pass the
-thresholds: the run with thresholds at the median of the model's own scores passes about half of all,
-more than a photo does. CPU seconds are of all threads.
+The model has the architecture of SAM 2.1 Hiera tiny, or of SAM ViT-B or ViT-H, and random weights. Its
+time to encode and to decode is that of trained weights; that of enlarging and choosing masks depends on
+how many pass the thresholds: the run with thresholds at the median of the model's own scores passes
+about half of all, more than a photo does. CPU seconds are of all threads.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from machine import arguments
@@ -52,13 +54,21 @@ def nms_by_loop(masks: Masks) -> np.ndarray:
     return np.flatnonzero(~gone)
 
 
-def tiny_sam2() -> object:
-    """SAM 2.1 Hiera tiny: transformers' defaults of Sam2Config are its sizes."""
+HUGE = {
+    "hidden_size": 1280, "num_hidden_layers": 32, "num_attention_heads": 16, "mlp_dim": 5120,
+    "global_attn_indexes": [7, 15, 23, 31],
+}  # fmt: skip
+
+
+def random_model(name: str) -> Any:
+    """transformers' defaults of Sam2Config are the sizes of SAM 2.1 Hiera tiny, those of SamConfig of ViT-B."""
     import torch
-    from transformers import Sam2Config, Sam2Model
+    from transformers import Sam2Config, Sam2Model, SamConfig, SamModel
 
     torch.manual_seed(0)
-    return Sam2Model(Sam2Config()).eval()
+    if name == "sam2.1-tiny":
+        return Sam2Model(Sam2Config()).eval()
+    return SamModel(SamConfig(vision_config=HUGE if name == "sam-huge" else {})).eval()
 
 
 def timed(name: str, run: Callable[[], object], rounds: int) -> None:
@@ -85,26 +95,23 @@ def bench_nms(number: int, rounds: int) -> None:
     timed("plain loop", lambda: nms_by_loop(masks), 1)
 
 
-def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
+def bench_segmenter(name: str, device: str, size: tuple[int, int], points: int, crop_layers: int, rounds: int) -> None:
     import torch
 
     from drsplat.models.point_masks import PointMaskSettings, PointSegmenter
     from drsplat.models.sam import ModelFrame, SamPredictor
 
-    model = tiny_sam2()
+    model = random_model(name)
     weights = sum(tensor.numel() for tensor in model.parameters())
-    print(f"SAM 2.1 Hiera tiny, {weights / 1e6:.1f} M random weights, {torch.get_num_threads()} threads")
-    frame = ModelFrame(1024, stretched=True)
-    predictor = SamPredictor(model, frame, "cpu", {})
+    print(f"{name}, {weights / 1e6:.1f} M random weights, {device}, {torch.get_num_threads()} threads")
+    predictor = SamPredictor(model, ModelFrame(1024, stretched=name.startswith("sam2")), device, {})
     rng = np.random.default_rng(0)
-    image = rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
-    pixels = torch.from_numpy(frame.pixel_values(image))[None]
-    with torch.inference_mode():
-        timed("encoder", lambda: model.get_image_embeddings(pixels), rounds)
-        features = model.get_image_embeddings(pixels)
-        asked = rng.uniform(0, 1024, (64, 2)).astype(np.float32)
-        timed("decoder, 64 points", lambda: predictor._answers(features, asked), rounds)
-        logits, iou = predictor._answers(features, asked)
+    image = rng.integers(0, 256, (*size[::-1], 3), np.uint8)
+    timed("encoder", lambda: _waited(device, lambda: predictor._features([image])), rounds)
+    features = predictor._features([image])
+    asked = rng.uniform(0, 1024, (64, 2)).astype(np.float32)
+    timed("decoder, 64 points", lambda: predictor._answers(features, asked), rounds)
+    logits, iou = predictor._answers(features, asked)
     spread = float(logits.std())
     none = PointMaskSettings(points_per_side=points, crop_layers=crop_layers, min_predicted_iou=2.0)
     half = replace(
@@ -114,13 +121,28 @@ def bench_segmenter(points: int, crop_layers: int, rounds: int) -> None:
     for name, settings in (("no mask passes", none), ("half pass", half)):
         segmenter = PointSegmenter(predictor, settings)
         timed(f"{what}, {name}", lambda s=segmenter: s.segment(image), 1)
+    if device == "cuda":
+        print(f"at most {torch.cuda.max_memory_allocated() / 2**30:.2f} GiB of the GPU's memory")
+
+
+def _waited(device: str, run: Callable[[], object]) -> None:
+    """Until a GPU has done it; the decoder's answers wait by themselves."""
+    import torch
+
+    run()
+    if device == "cuda":
+        torch.cuda.synchronize()
 
 
 def main() -> None:
-    args = arguments(__doc__, masks=300, rounds=5, points=32, crop_layers=0, skip_models=False)
+    args = arguments(
+        __doc__, masks=300, rounds=5, points=32, crop_layers=0, skip_models=False, model=["sam2.1-tiny"],
+        device=("cpu", "cuda"), size="1920x1080",
+    )  # fmt: skip
     bench_nms(args.masks, args.rounds)
-    if not args.skip_models:
-        bench_segmenter(args.points, args.crop_layers, args.rounds)
+    width, height = map(int, args.size.split("x"))
+    for name in [] if args.skip_models else args.model:
+        bench_segmenter(name, args.device or "cpu", (width, height), args.points, args.crop_layers, args.rounds)
 
 
 if __name__ == "__main__":

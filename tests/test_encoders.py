@@ -496,11 +496,40 @@ def test_absent_libraries(monkeypatch: pytest.MonkeyPatch, folders: dict[str, Pa
     assert isinstance(load_encoder("drsplat-words"), WordEncoder)
 
 
+def test_a_batch_that_does_not_fit_into_memory_is_made_smaller(folders: dict[str, Path], monkeypatch: Any) -> None:
+    encoder, images = tiny(folders["clip"]), IMAGES * 4
+    expected, whole, asked = encoder.encode_images(images), encoder._image_rows, []
+
+    def narrow(some: Sequence[np.ndarray]) -> np.ndarray:
+        asked.append(len(some))
+        if len(some) > 6:
+            raise torch.cuda.OutOfMemoryError("tried to allocate 3 GiB")
+        return whole(some)
+
+    monkeypatch.setattr(encoder, "_image_rows", narrow)
+    assert_allclose(encoder.encode_images(images), expected, atol=1e-6)
+    assert asked == [20, 10, 5, 5, 10, 5, 5]
+    assert encoder.batch < tiny(folders["clip"]).batch
+
+
+def test_a_memory_that_holds_not_one_image_is_told(folders: dict[str, Path], monkeypatch: Any) -> None:
+    encoder = tiny(folders["clip"])
+
+    def full(some: Sequence[np.ndarray]) -> np.ndarray:
+        raise torch.cuda.OutOfMemoryError("tried to allocate 3 GiB")
+
+    monkeypatch.setattr(encoder, "_image_rows", full)
+    with pytest.raises(DrSplatError, match=r"images do not fit even one at a time.*device 'cpu'.*3 GiB"):
+        encoder.encode_images(IMAGES)
+
+
 def test_a_broken_torchvision_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "torchvision").mkdir()
     broken = "raise RuntimeError('operator torchvision::nms does not exist')"
     (tmp_path / "torchvision" / "__init__.py").write_text(broken)
     monkeypatch.syspath_prepend(tmp_path)
+    for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
+        monkeypatch.delitem(sys.modules, name)
     assert "torchvision::nms does not exist" in str(libraries.torchvision_fault())
 
     class Stumbling:

@@ -443,6 +443,22 @@ def test_masks_do_not_depend_on_how_many_are_enlarged_at_a_time(folder, monkeypa
     np.testing.assert_array_equal(few.scores, whole.scores)
 
 
+def test_points_that_do_not_fit_into_memory_are_asked_in_parts(folder, monkeypatch):
+    import torch
+
+    segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
+    whole, expected = segmenter.predictor._answers, segmenter.segment(IMAGE)
+
+    def narrow(features, points):
+        if len(points) > 16:
+            raise torch.cuda.OutOfMemoryError("tried to allocate 3 GiB")
+        return whole(features, points)
+
+    monkeypatch.setattr(segmenter.predictor, "_answers", narrow)
+    for level, masks in segmenter.segment(IMAGE).items():
+        np.testing.assert_array_equal(masks.boxes, expected[level].boxes)
+
+
 def test_answers_are_those_of_the_bare_model(folder, library):
     """One point at a time through the model's own call, on an image that fills the square."""
     import torch

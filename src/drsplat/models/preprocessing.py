@@ -45,7 +45,7 @@ class Preprocessing:
         if min(height, width) < 1:
             raise InputError(f"an image of {width}x{height} pixels: expected at least one pixel")
         pixels = np.asarray(self._square(Image.fromarray(np.ascontiguousarray(image))))
-        return np.stack([self._levels(c)[pixels[..., c]] for c in range(3)])
+        return np.stack([self._levels(c).take(pixels[..., c]) for c in range(3)])
 
     def _square(self, picture: Image.Image) -> Image.Image:
         width, height = picture.size

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from ..formats.json_files import as_vector, read_json, shown
 from .devices import chosen_device
 from .graph import GraphSegmenter
 from .libraries import models_library
+from .memory import fitting
 from .point_masks import Found, PointMaskSettings, PointSegmenter
 from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
 
@@ -92,19 +94,23 @@ class SamPredictor:
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
         """See PointPredictor. The image is encoded once; batches of points are decoded."""
-        import torch
-
         size = crop.shape[:2]
-        with torch.inference_mode():  # never across a yield: it would hold in the caller
-            pixels = torch.from_numpy(self.frame.pixel_values(crop))[None].to(self.device)
-            features = self.model.get_image_embeddings(pixels)
+        features = fitting(self._features, [crop], "photos")[0]
         asked = self.frame.scaled_points(points, *size)
         for start in range(0, len(asked), settings.points_per_batch):
             batch = asked[start : start + settings.points_per_batch]
-            logits, iou = self._answers(features, batch)
-            # before masks are enlarged, which costs time and memory
-            wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
-            yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
+            for logits, iou in fitting(partial(self._answers, features), batch, "points"):
+                # before masks are enlarged, which costs time and memory
+                wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
+                yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
+
+    def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> Any:
+        """Of the only one."""
+        import torch
+
+        with torch.inference_mode():  # never across a yield: it would hold in the caller
+            pixels = torch.from_numpy(self.frame.pixel_values(crops[0]))[None].to(self.device)
+            return self.model.get_image_embeddings(pixels)
 
     def _answers(self, features: Any, points: Float32[np.ndarray, "p 2"]) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
         """Three masks' logits per point, (p, 3, h, w) over the square, and their predicted IoU."""
@@ -132,22 +138,22 @@ class SamPredictor:
         chunk = max(1, _CHUNK_NUMBERS // max(size[0] * size[1], self.frame.side**2))
         for start in range(0, len(wanted), chunk):
             points, outputs = wanted[start : start + chunk].T
-            masks, stability = self._stable(logits[points, outputs], size, settings)
-            good = stability >= settings.min_stability
-            yield Found(masks[good], iou[points, outputs][good], stability[good], outputs[good])
+            good, masks, stability = self._stable(logits[points, outputs], size, settings)
+            yield Found(masks, iou[points, outputs][good], stability, outputs[good])
 
     def _stable(
         self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
-    ) -> tuple[Bool[np.ndarray, "n h w"], Float32[np.ndarray, " n"]]:
-        """Masks at the size of the crop, and how little they change with the threshold."""
+    ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, "g h w"], Float32[np.ndarray, " g"]]:
+        """Which are stable enough; these at the size of the crop, and how little they change with the threshold."""
         import torch
 
         with torch.inference_mode():
             enlarged = self.frame.enlarged(logits, size[0], size[1])
             strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
             lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
-            # nothing above the laxer bound: 0
-            return (enlarged > 0).cpu().numpy(), _array(strict / lax.clamp(min=1))
+            stability = strict / lax.clamp(min=1)  # nothing above the laxer bound: 0
+            good = stability >= settings.min_stability
+            return good.cpu().numpy(), (enlarged[good] > 0).cpu().numpy(), _array(stability[good])
 
 
 def load_segmenter(

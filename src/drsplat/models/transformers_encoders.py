@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from math import isqrt
 from pathlib import Path
@@ -14,6 +15,7 @@ from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
 from .devices import chosen_device, chosen_dtype
 from .libraries import models_library
+from .memory import fitting
 from .open_clip import load_open_clip
 from .open_clip_settings import open_clip_preprocessing
 from .preprocessing import Preprocessing, read_preprocessing
@@ -60,7 +62,8 @@ class TransformersEncoder:
     """Images and texts to unit vectors. Made by `loading.load_encoder`.
 
     identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what precision images
-    are computed; texts always in float32. batch: images in one pass. The last TEXTS_KEPT texts are remembered.
+    are computed; texts always in float32. batch: images in one pass, fewer from when the device's memory was full on.
+    The last TEXTS_KEPT texts are remembered.
     """
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
@@ -90,9 +93,16 @@ class TransformersEncoder:
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
         """Unit vectors of images of any size, in their order; a batch at a time is in memory.
 
-        Raises: InputError: an image without pixels. FormatError: a vector without direction.
+        Raises: InputError: an image without pixels. FormatError: a vector without direction. DrSplatError: not even
+        one image fits into the device's memory.
         """
-        rows = [self._image_rows(images[block]) for block in _blocks(len(images), self.batch)]
+        rows: list[np.ndarray] = []
+        done = 0
+        while done < len(images):
+            fits = fitting(self._image_rows, images[done : done + self.batch], "images")
+            done += sum(map(len, fits))
+            rows += fits
+            self.batch = max(1, self.batch // len(fits))
         return self._unit(rows, "image")
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
@@ -128,7 +138,9 @@ class TransformersEncoder:
 
     def _image_rows(self, images: Sequence[np.ndarray]) -> np.ndarray:
         torch = import_module("torch")
-        values = torch.from_numpy(np.stack([self.preprocessing.pixel_values(i) for i in images]))
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # a GPU would wait for one core's scaling
+            scaled = list(pool.map(self.preprocessing.pixel_values, images))
+        values = torch.from_numpy(np.stack(scaled))
         inputs = self._patches(values) if self._family.patches else {"pixel_values": values}
         inputs["pixel_values"] = inputs["pixel_values"].to(getattr(torch, self.dtype))
         inputs = {name: value.to(self.device) for name, value in inputs.items()}

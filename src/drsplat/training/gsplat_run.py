@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..scene.views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
 from .job import Beginning
 from .optimizer import Optimizer
@@ -18,7 +17,7 @@ from .run import Outcome, Run
 from .schedules import active_sh_degree
 from .torch_loss import photometric_loss
 from .torch_parameters import DeviceParameters
-from .training_photos import Photo
+from .torch_photos import DevicePhotos
 
 BLUR = 0.3  # square pixels, added to every splat's covariance, as the kernels add it
 
@@ -43,6 +42,8 @@ class DeviceRun(Run):
     def __init__(self, beginning: Beginning, engine: Engine) -> None:
         super().__init__(beginning)
         self.engine = engine
+        self.targets = DevicePhotos(self.photos, engine.device)
+        self.cameras = [(self._sent(view.cam_from_world), self._sent(view.K)) for view in self.views]
         self._upload()
 
     def __len__(self) -> int:
@@ -74,30 +75,23 @@ class DeviceRun(Run):
         # a stream of its own for each iteration: a run that goes on needs no state of it
         torch.manual_seed((self.settings.seed << 32 | self.iteration) % 2**63)
         index = self.order.next(self.rng)
-        target, outside = self._photo(self.photos[index])
+        target, outside = self.targets[index]
         self._lap("photo")
-        image, seen = self._rendered(self.views[index])
+        image, seen = self._rendered(index)
         self._lap("forward")
         outcome = self._compared(image, target, outside, seen)
         self._lap("backward")
         self._learnt(seen)
         return outcome
 
-    def _photo(self, photo: Photo) -> tuple[Tensor, Tensor]:
-        """Colours (h, w, 3), and where there is none (h, w, 1)."""
-        pixels = torch.tensor(photo.pixels, device=self.engine.device)
-        outside = torch.zeros(pixels.shape[:2], dtype=torch.bool, device=pixels.device)
-        if len(photo.outside):
-            outside.view(-1)[torch.tensor(photo.outside, device=pixels.device).long()] = True
-        return pixels * (1 / 255), outside[..., None]
-
-    def _rendered(self, view: View) -> tuple[Tensor, dict[str, Any]]:
-        tensors = self.scene.tensors
+    def _rendered(self, index: int) -> tuple[Tensor, dict[str, Any]]:
+        tensors, view = self.scene.tensors, self.views[index]
+        pose, K = self.cameras[index]
         images, _, seen = self.engine.rasterization(
             means=tensors["means"], quats=tensors["quats"], scales=torch.exp(tensors["scales"]),
             opacities=torch.sigmoid(tensors["opacities"]), colors=self.scene.sh,
             sh_degree=active_sh_degree(self.settings, self.iteration), backgrounds=self._sent(self._background()),
-            viewmats=self._sent(view.cam_from_world), Ks=self._sent(view.K), width=view.width, height=view.height,
+            viewmats=pose, Ks=K, width=view.width, height=view.height,
             near_plane=self.near, eps2d=BLUR, packed=False,
         )  # fmt: skip
         return images[0], seen
@@ -106,19 +100,22 @@ class DeviceRun(Run):
         """One camera's."""
         return torch.tensor(array[None], dtype=torch.float32, device=self.engine.device)
 
-    def _compared(self, image: Tensor, target: Tensor, outside: Tensor, seen: dict[str, Any]) -> Outcome:
-        """Loss and gradients. Where the photo says nothing, the rendering is its own target."""
-        fixed = image.detach()
-        target = torch.where(outside, fixed, target)
-        shown = torch.where(outside, fixed, image)
+    def _compared(self, image: Tensor, target: Tensor, outside: Tensor | None, seen: dict[str, Any]) -> Outcome:
+        """Loss and gradients. Where the photo says nothing, the rendering is its own target and learns nothing."""
+        shown = image.detach()
+        if outside is not None:
+            target = torch.where(outside, shown, target)
         loss = photometric_loss(shown, target, self.settings.dssim_weight)
-        value = float(loss.detach())
+        if outside is not None:
+            loss.gradient.masked_fill_(outside, 0)
         self._lap("loss")
+        self.control.before_backward(seen, self.iteration)
+        penalty = self.control.penalty()
+        torch.autograd.backward([image, *penalty], [loss.gradient, *(None for _ in penalty)])
+        value = float(loss.value)  # the first that waits for the device, which has all of this to do by now
         if not math.isfinite(value):
             raise self._diverged()
-        self.control.before_backward(seen, self.iteration)
-        (loss + self.control.penalty()).backward()  # type: ignore[no-untyped-call]
-        return Outcome(value, partial(_psnr, fixed, target))
+        return Outcome(value, partial(_psnr, shown, target))
 
     def _learnt(self, seen: dict[str, Any]) -> None:
         rates = self._rates()

@@ -18,7 +18,6 @@ from .torch_parameters import DeviceParameters
 FIXED_BY_DEFAULT = {"split_shrink": 1.6, "max_screen_px": None}
 FIXED_BY_MCMC = {"growth": 0.05, "noise_steepness": 100.0, "noise_opacity": 0.005}
 OBSERVED = {"pull": "grad2d", "times_seen": "count"}  # ours, gsplat's
-ONLY_OBSERVE = 0  # an iteration in which gsplat refines nothing
 
 
 class Strategies(NamedTuple):
@@ -77,9 +76,11 @@ class DefaultControl:
         self.strategy = kinds.DefaultStrategy(**default_arguments(settings))
         self.strategy.check_sanity(scene.tensors, scene.adams)
         self.state: dict[str, Any] = self.strategy.initialize_state(scene_scale=extent)
+        for theirs in OBSERVED.values():
+            self.state[theirs] = torch.zeros(len(scene), device=scene.tensors["means"].device)
 
-    def penalty(self) -> float:
-        return 0.0
+    def penalty(self) -> tuple[Tensor, ...]:
+        return ()
 
     def before_step(self, iteration: int) -> None:
         """As `density.AdaptiveDensity.before_step`."""
@@ -93,15 +94,20 @@ class DefaultControl:
     def after_step(self, seen: dict[str, Any], iteration: int, rate: float) -> None:
         """seen: what `rasterization` returned about the view."""
         if iteration < self.settings.last_refinement:
-            self._call(ONLY_OBSERVE, seen)
+            self._observe(seen)
         if refines(self.settings, iteration):
             self.strategy.grow_grad2d = self._threshold()
-            # observed above, so now nobody is seen
-            self._call(iteration, seen | {"radii": torch.zeros_like(seen["radii"])})
+            tensors, adams = self.scene.tensors, self.scene.adams
+            nobody = seen | {"radii": torch.zeros_like(seen["radii"])}  # they are observed already
+            self.strategy.step_post_backward(tensors, adams, self.state, iteration, nobody, packed=False)
 
-    def _call(self, step: int, seen: dict[str, Any]) -> None:
-        tensors, adams = self.scene.tensors, self.scene.adams
-        self.strategy.step_post_backward(tensors, adams, self.state, step, seen, packed=False)
+    @torch.no_grad()
+    def _observe(self, seen: dict[str, Any]) -> None:
+        """As gsplat does, without the lists of those seen, for which the host would wait."""
+        slopes = seen["means2d"].grad[0]
+        pull = torch.hypot(slopes[:, 0] * (seen["width"] / 2), slopes[:, 1] * (seen["height"] / 2))
+        self.state["grad2d"] += pull  # 0 of those not seen
+        self.state["count"] += (seen["radii"][0] > 0).all(-1)
 
     def _threshold(self) -> float:
         """As the settings say, or so high that no more grow than the budget has room for."""
@@ -116,11 +122,9 @@ class DefaultControl:
 
     def tell(self, density: Any) -> None:
         """Bring what was observed to the host, for a checkpoint."""
-        count = len(self.scene)
-        density.radii = np.zeros(count, np.float32)
+        density.radii = np.zeros(len(self.scene), np.float32)
         for ours, theirs in OBSERVED.items():
-            seen = self.state[theirs]
-            setattr(density, ours, np.zeros(count, np.float32) if seen is None else _copied(seen))
+            setattr(density, ours, _copied(self.state[theirs]))
 
     def learn(self, density: Any) -> None:
         """The way back."""
@@ -138,11 +142,11 @@ class MonteCarloControl:
         self.strategy.check_sanity(scene.tensors, scene.adams)
         self.state: dict[str, Any] = self.strategy.initialize_state()
 
-    def penalty(self) -> Any:
-        """lambda_o mean(opacities) + lambda_Sigma mean(scales)."""
+    def penalty(self) -> tuple[Tensor, ...]:
+        """lambda_o mean(opacities) and lambda_Sigma mean(scales)."""
         s, tensors = self.settings, self.scene.tensors
         opacity = torch.sigmoid(tensors["opacities"]).mean()
-        return s.opacity_penalty * opacity + s.scale_penalty * torch.exp(tensors["scales"]).mean()
+        return s.opacity_penalty * opacity, s.scale_penalty * torch.exp(tensors["scales"]).mean()
 
     def before_step(self, iteration: int) -> None:
         """No opacity is reset."""

@@ -33,9 +33,10 @@ class DeviceParameters:
         self.adams: dict[str, Adam] = {}
         for name, array in parameters.items():
             parameter = Parameter(_tensor(array, device))
-            adam = Adam([parameter], lr=0.0, eps=EPSILON)
+            adam = Adam([parameter], lr=0.0, eps=EPSILON, fused=parameter.is_cuda)  # one kernel instead of ten
             moments = (_tensor(moment[name], device) for moment in (first, second))
-            adam.state[parameter] = {"step": torch.tensor(float(step))} | dict(zip(MOMENTS, moments, strict=True))
+            taken = torch.tensor(float(step), device=device)
+            adam.state[parameter] = {"step": taken} | dict(zip(MOMENTS, moments, strict=True))
             self.tensors[name], self.adams[name] = parameter, adam
 
     def __len__(self) -> int:
@@ -53,7 +54,7 @@ class DeviceParameters:
         for name, adam in self.adams.items():
             adam.param_groups[0]["lr"] = by_name[name]
             adam.step()
-            adam.zero_grad(set_to_none=True)
+            self.tensors[name].grad = None
 
     def reset_opacity(self, ceiling: float) -> None:
         """As `density.reset_opacity`."""

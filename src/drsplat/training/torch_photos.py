@@ -1,0 +1,42 @@
+"""The photos of a run on the device, sent once."""
+
+import torch
+from jaxtyping import Bool, Float32, UInt8
+from torch import Tensor
+
+from .training_photos import Photo, TrainingPhotos
+
+MEMORY_BYTES = 1 << 30
+Outside = Bool[Tensor, "h w 1"] | None
+
+
+class DevicePhotos:
+    """Photos by index: colours in [0, 1], and where there is none, or None: there is everywhere.
+
+    They stay on the device as bytes, the first that fit into MEMORY_BYTES; the others are sent each time.
+    """
+
+    def __init__(self, photos: TrainingPhotos, device: str) -> None:
+        self._photos, self._device, self._room = photos, device, MEMORY_BYTES
+        self._kept: dict[int, tuple[UInt8[Tensor, "h w 3"], Outside]] = {}
+
+    def __getitem__(self, index: int) -> tuple[Float32[Tensor, "h w 3"], Outside]:
+        pixels, outside = self._kept.get(index) or self._sent(index)
+        return pixels * (1 / 255), outside
+
+    def _sent(self, index: int) -> tuple[UInt8[Tensor, "h w 3"], Outside]:
+        sent = _on_device(self._photos[index], self._device)
+        size = sum(tensor.nbytes for tensor in sent if tensor is not None)
+        if size <= self._room:
+            self._kept[index] = sent
+            self._room -= size
+        return sent
+
+
+def _on_device(photo: Photo, device: str) -> tuple[UInt8[Tensor, "h w 3"], Outside]:
+    pixels = torch.tensor(photo.pixels, device=device)
+    if not len(photo.outside):
+        return pixels, None
+    outside = torch.zeros((*pixels.shape[:2], 1), dtype=torch.bool, device=device)
+    outside.view(-1)[torch.tensor(photo.outside, device=device).long()] = True
+    return pixels, outside
