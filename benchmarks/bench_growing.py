@@ -5,7 +5,7 @@
 
 A room of Gaussians with the statistics of a trained one (rooms.py), registered for real from cameras inside of it. The
 last view is then added to the field's folder, and removed again. `given` has a codebook that was trained elsewhere. The
-view is none of those that the code is learnt from, which it is with a chance of 32 in V + 1: then all rows are coded
+view is none of those that the code is learnt from, which it is with a chance of 64 in V + 1: then all rows are coded
 again, as `all rows` shows. Every file is compared with that of a field registered at once. Seconds of the wall and, in
 brackets, of the processor, all threads together.
 """

@@ -14,6 +14,7 @@ from drsplat import load_field
 from drsplat.codes import PQ, Mixture, Smaller
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.evidence.aggregation import Sampling
+from drsplat.evidence.changing import with_views, without_views
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, learning
 from drsplat.formats.claiming import claimed_output
@@ -226,3 +227,34 @@ def test_the_number_of_threads_does_not_matter():
     fields = [added(at_once(NAMES[:5], code), NAMES[5], threads=threads).field for code in CODES for threads in (1, 3)]
     assert all(one.equals(other) for one, other in zip(fields[::2], fields[1::2], strict=True))
     assert len(NAMES) == COUNT
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.sets(st.integers(0, 5), max_size=5), st.integers(1, 4))
+def test_columns_that_come_and_go_are_those_of_dense_matrices(seed, gone, count):
+    """Views of any order of names, columns and rows without entries among them."""
+    rng = np.random.default_rng(seed)
+
+    def evidence(names: list[str]) -> Evidence:
+        of_view = np.repeat(np.arange(len(names), dtype=np.int32), rng.integers(0, 4, len(names)))
+        ids = np.concatenate([np.arange(n, dtype=np.int32) for n in np.bincount(of_view, minlength=len(names))])
+        dense = rng.random((20, len(ids)), np.float32) * (rng.random((20, len(ids))) < 0.2)
+        rows = np.tile(np.eye(3, dtype=np.float32)[0], (len(ids), 1))
+        return Evidence(csr_array(dense.astype(np.float32)), MaskIds(tuple(names), of_view, ids), rows)
+
+    names = [f"{name}.jpg" for name in rng.permutation(20)[: 6 + count]]
+    old, new = evidence(sorted(names[:6])), evidence(sorted(names[6:]))
+    mask = np.isin(np.arange(6), list(gone))
+    fewer = without_views(old, mask)
+    np.testing.assert_array_equal(fewer.weights.toarray(), old.weights.toarray()[:, ~mask[old.masks.views]])
+    assert fewer.masks.view_names == tuple(name for name, goes in zip(sorted(names[:6]), mask, strict=True) if not goes)
+    both = with_views(fewer, new)
+    assert both.masks.view_names == tuple(sorted(fewer.masks.view_names + new.masks.view_names))
+    for part in (fewer, new):
+        for number, name in enumerate(part.masks.view_names):
+            here = both.masks.views == both.masks.view_names.index(name)
+            its = part.masks.views == number
+            np.testing.assert_array_equal(both.weights.toarray()[:, here], part.weights.toarray()[:, its])
+            np.testing.assert_array_equal(both.masks.ids[here], part.masks.ids[its])
+    assert both.weights.has_canonical_format
+    assert (both.weights.indptr.dtype, both.weights.indices.dtype) == (np.int32, np.int32)

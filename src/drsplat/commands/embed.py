@@ -11,6 +11,8 @@ from .options import add_capture_options, add_overwrite, count, tracker, up_to, 
 
 if TYPE_CHECKING:
     from ..encoders import ImageEncoder
+    from ..formats.langsplat import FeatureFolder
+    from ..masks.masks import Segmenter
     from ..models.point_masks import PointMaskSettings
 
 SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register"
@@ -19,6 +21,7 @@ EXAMPLES = """\
   drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --levels large
   drsplat embed capture --segmenter graph --encoder drsplat-mini
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
+  drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
 A stopped run resumes when the same command is given again, without --overwrite."""
 SEGMENTER = "facebook/sam-vit-huge"
@@ -44,10 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     models = parser.add_argument_group("models")
     models.add_argument(
-        "--segmenter", type=words, default=SEGMENTER, metavar="NAME",
+        "--segmenter", type=words, metavar="NAME",
         help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder; or graph, built in, no model to "
         f"download, under a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on a CPU take "
         "graph, or facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
+    )  # fmt: skip
+    models.add_argument(
+        "--masks", metavar="DIR",
+        help="features of the same photos, of which the masks are kept: only the encoder is another, for `drsplat "
+        "register --weights-of` (default: cut the photos anew)",
     )  # fmt: skip
     models.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
@@ -88,7 +96,6 @@ def add_device(parser: argparse._ActionsContainer) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..embedding.embed import embed
-    from ..models.sam import load_segmenter
     from ..progress import Stopwatch, peak_memory_bytes
 
     watch = Stopwatch()
@@ -96,7 +103,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     without = left_out([view.name for view in views], arguments.without)
     views = [view for view in views if view.name not in without]
     output = _output_folder(arguments)
-    segmenter = load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
+    segmenter = _segmenter(arguments)
     encoder = image_encoder(arguments)
     watch.lap("load")
     report = embed(
@@ -141,6 +148,23 @@ def show(answer: dict[str, Any]) -> None:
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
+
+
+def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
+    """That of --segmenter, or the masks of --masks. InputError: both."""
+    from .. import read_features
+    from ..errors import InputError
+    from ..models.sam import load_segmenter
+
+    if arguments.masks is None:
+        arguments.segmenter = arguments.segmenter or SEGMENTER
+        return load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
+    cutting = (arguments.segmenter, arguments.points, arguments.crop_layers, arguments.levels)
+    if any(value is not None for value in cutting):
+        raise InputError("--masks keeps what was cut: drop --segmenter, --points, --crop-layers and --levels")
+    if arguments.output is None:
+        raise InputError("--masks: name another folder for the new features with --output")
+    return read_features(arguments.masks)
 
 
 def _output_folder(arguments: argparse.Namespace) -> Path:

@@ -20,7 +20,7 @@ from ..formats.checksums import hash_file
 from ..formats.claiming import claimed_folder
 from ..formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
 from ..formats.feature_files import Form
-from ..formats.langsplat import stored_features, write_features
+from ..formats.langsplat import FeatureFolder, stored_features, write_features
 from ..formats.photo_files import listed
 from ..formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ..masks.crops import crops
@@ -29,6 +29,7 @@ from ..masks.selection import MaskMaps, mask_maps
 from ..query.nouns import NOUNS
 from ..scene.photos import load_image
 from ..scene.views import View
+from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
 
 ALGORITHM = "1"  # of everything here that decides what is written; a new one makes all files anew
 WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
@@ -54,7 +55,7 @@ class EmbeddingReport:
 def embed(
     views: Sequence[View],
     output_dir: str | Path,
-    segmenter: Segmenter,
+    segmenter: Segmenter | FeatureFolder,
     encoder: ImageEncoder,
     *,
     max_height: int | None = MAX_HEIGHT,
@@ -70,6 +71,8 @@ def embed(
     successor is complete. Memory holds one photo at a time.
     form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; what is finished in the other form
     is rewritten, not made anew.
+    segmenter: who cuts photos into masks; or features of the same photos, whose masks are kept with their ids, on their
+    raster: another encoder embeds them, for `register --weights-of`.
     max_height: photos that are taller are scaled to it, in pixels; None takes them as they are.
     overwrite: makes everything anew, also over features that others made.
 
@@ -82,8 +85,10 @@ def embed(
     if max_height is not None and max_height < 1:
         raise InputError(f"max_height: expected at least 1 pixel, got {max_height}")
     rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views).items()}
+    if isinstance(segmenter, FeatureFolder):
+        rasters, max_height = _with_masks(rasters, segmenter), None
     settings = {
-        "segmenter": dict(segmenter.identity),
+        "segmenter": kept_identity(segmenter) if isinstance(segmenter, FeatureFolder) else dict(segmenter.identity),
         "encoder": identity_json(encoder.identity),
         "max_height": max_height,
         "algorithm": ALGORITHM,
@@ -92,12 +97,14 @@ def embed(
         record = open_record(Path(output_dir), settings, overwrite)
         _tell_changes(record)
         photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
+        if isinstance(segmenter, FeatureFolder):
+            photos = {stem: f"{photo} {masks_hash(segmenter, stem)}" for stem, photo in photos.items()}
         pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
         redone = sum(record.has_files(stem) for stem in pending)
         for stem in sorted(photos.keys() - pending):
             _rewrite(record, stem, form)
         for stem in track(pending, "embedding photos"):
-            _store(record, stem, photos[stem], _embedded(rasters[stem], segmenter, encoder), form)
+            _store(record, stem, photos[stem], _embedded(rasters[stem], stem, segmenter, encoder), form)
         _record_words(record.folder, encoder)
         _tell_leftovers(record)
     masks, empty_masks = _totals(record, list(photos))
@@ -177,7 +184,25 @@ class _Embedded(NamedTuple):
     empty: int
 
 
-def _embedded(view: View, segmenter: Segmenter, encoder: ImageEncoder) -> _Embedded:
+def _with_masks(rasters: Mapping[str, View], folder: FeatureFolder) -> dict[str, View]:
+    """The photos that have masks in a folder.
+
+    Raises: InputError: none has.
+    """
+    found = {stem: view for stem, view in rasters.items() if stem in folder}
+    missing = [stem for stem in rasters if stem not in found]
+    if not found:
+        raise InputError(f"{folder.directory}: no photo has masks there: photos are named like '{missing[0]}'")
+    if missing:
+        text = f"{len(missing)} of {len(rasters)} photos have no masks in {folder.directory}: {listed(missing)}"
+        warn(text, DrSplatWarning, stacklevel=4)
+    return found
+
+
+def _embedded(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder) -> _Embedded:
+    if isinstance(segmenter, FeatureFolder):
+        mask_ids, seen = kept_maps(segmenter, view, stem)
+        return _Embedded(mask_ids, embedded_again(mask_ids, seen, encoder), level_counts(mask_ids), 0)
     image = load_image(view)
     levels = segmenter.segment(image)
     maps = mask_maps(levels)

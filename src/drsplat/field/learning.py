@@ -13,7 +13,7 @@ from ..evidence.aggregation import Aggregated
 from ..evidence.aggregation.entries import canonical, with_weights
 from ..evidence.evidence import Evidence
 
-LEARNT_FROM = 32  # views
+LEARNT_FROM = 64  # views
 
 
 class Learnt(NamedTuple):

@@ -199,4 +199,7 @@ def _changed(
 def _touched(evidence: Evidence, names: Collection[str]) -> Bool[np.ndarray, " n"]:
     """Rows that a mask of some views sees."""
     masks = evidence.masks
-    return rows_with(evidence.weights, np.isin(masks.view_names, list(names))[masks.views])
+    changed = np.isin(masks.view_names, list(names))
+    if not changed.any():
+        return np.zeros(len(evidence), np.bool_)
+    return rows_with(evidence.weights, changed[masks.views])

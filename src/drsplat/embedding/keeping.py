@@ -1,0 +1,71 @@
+"""Masks that a folder of features has already: another encoder embeds them, and their ids stay."""
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+from scipy.ndimage import find_objects
+
+from ..encoders import ImageEncoder
+from ..errors import MismatchError
+from ..formats.checksums import hash_file
+from ..formats.embedding_record import read_settings
+from ..formats.langsplat import FeatureFolder
+from ..masks.crops import crops
+from ..masks.masks import LEVELS, Masks
+from ..scene.photos import load_image
+from ..scene.views import View, same_aspect
+
+
+def kept_identity(folder: FeatureFolder) -> dict[str, object]:
+    """Who made the masks, as `embed` notes it."""
+    settings = read_settings(folder.directory)
+    return {"kept": None if settings is None else settings.get("segmenter")}
+
+
+def masks_hash(folder: FeatureFolder, stem: str) -> str:
+    """Of the file that holds a photo's masks."""
+    return hash_file(folder.files(stem)[-1])
+
+
+def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.ndarray, "*levels h w"], View]:
+    """A photo's maps as they are stored, and the view on their raster. Raises: MismatchError: another shape."""
+    mask_ids = folder.stored(stem)[0]
+    height, width = mask_ids.shape[-2:]
+    if not same_aspect((width, height), (view.width, view.height)):
+        raise MismatchError(
+            f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another aspect "
+            "ratio, so they are of another photo"
+        )
+    return mask_ids, view.resized(width, height)
+
+
+def embedded_again(
+    mask_ids: Int32[np.ndarray, "*levels h w"], view: View, encoder: ImageEncoder
+) -> Float32[np.ndarray, "n d"]:
+    """A row for each mask id; zero where a mask has no pixel, which nobody reads."""
+    rows, masks = _cut_out(mask_ids if mask_ids.ndim == 3 else mask_ids[None])
+    embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
+    if len(rows):
+        image: UInt8[np.ndarray, "h w 3"] = load_image(view)
+        embeddings[rows] = encoder.encode_images(crops(image, masks))
+    return embeddings
+
+
+def level_counts(mask_ids: Int32[np.ndarray, "*levels h w"]) -> dict[str, int]:
+    """Masks by level; a map without levels is that of `large`."""
+    if mask_ids.ndim == 2:
+        return {LEVELS[-1]: len(np.unique(mask_ids[mask_ids >= 0]))}
+    return {level: len(np.unique(ids[ids >= 0])) for level, ids in zip(LEVELS, mask_ids, strict=True)}
+
+
+def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
+    """The ids that have pixels, each cut out of the first level that has it."""
+    found: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
+    for ids in levels:
+        for number, place in enumerate(find_objects(ids + 1)):
+            if place is not None and number not in found:
+                y, x = place
+                found[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
+    rows = sorted(found)
+    boxes = np.array([found[row][0] for row in rows], np.int32).reshape(-1, 4)
+    parts = tuple(found[row][1] for row in rows)
+    return rows, Masks(levels.shape[1], levels.shape[2], boxes, parts, np.ones(len(rows), np.float32))
