@@ -22,7 +22,7 @@ from PIL import Image
 from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field
 from drsplat.cli import main
-from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
+from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.query.objects import support_of
 from known_objects import CENTERS, known_scene
 
@@ -419,6 +419,15 @@ def test_a_folder_of_something_else(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no catalogue is here"):
         Catalogue.open(tmp_path / "none").ask("mug")
     assert not (tmp_path / "none").exists()
+
+
+def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "lancedb", None)
+    with pytest.raises(MissingExtraError, match=r'pip install "drsplat\[catalogue\]"'):
+        Catalogue.open(tmp_path)
+    code = "import sys, drsplat.catalogue; print('lancedb' in sys.modules or 'pyarrow' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
 
 
 def test_a_table_of_somebody_else(tmp_path: Path) -> None:
