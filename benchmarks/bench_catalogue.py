@@ -7,6 +7,7 @@ OFFICIAL is the authors' folder with `pq_index.faiss`: embeddings of objects and
 (drawn_embeddings.py), an object as one of 5,000 kinds of things, a descriptor as one mask of it, which is noisier than
 the mean that it is. --descriptors 0: 1 to 4 of an object, as often as in two real scenes; else so many of each.
 --thumbnail: bytes of each, not compressible; 0 for none. Half of the queries are words, half are pictures of a kind.
+--keep: use what an earlier run left there.
 
 Exact answers compare all descriptors; recall is the share of their first 10 that the index finds too. Then --clients
 threads ask for --seconds, while one writer adds, replaces and removes scenes of 300 objects: an answer is wrong where
@@ -96,7 +97,11 @@ def timed(what: str) -> Iterator[None]:
 
 
 def filled(path: Path, simulated: Simulated, scenes: int) -> Catalogue:
-    for begin in range(0, scenes, AT_ONCE):
+    """With what an earlier run has left of it."""
+    known = table.opened(path)
+    there = 0 if known is None else known.count("object_id = -1 AND scene LIKE 'scene %'")
+    print(f"{there} scenes are there already")
+    for begin in range(there, scenes, AT_ONCE):
         names = [f"scene {number:05d}" for number in range(begin, min(begin + AT_ONCE, scenes))]
         known = table.opened(path)
         if known is None:

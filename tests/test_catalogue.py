@@ -22,7 +22,7 @@ from PIL import Image
 from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field
 from drsplat.cli import main
-from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
+from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.query.objects import support_of
 from known_objects import CENTERS, known_scene
 
@@ -208,6 +208,8 @@ def test_names_that_are_none(filled: Catalogue, name: str) -> None:
 
 
 def test_boxes_and_times_that_are_none() -> None:
+    with pytest.raises(InputError, match="expected a list of names"):
+        Where("kitchen")
     for wrong in ({"box": (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)}, {"box": (0.0, 0.0, 0.0, 1.0, 1.0, float("nan"))},
                   {"area": (0.0, 5.0, 1.0, 4.0)}, {"area": (0.0, 0.0, 181.0, 4.0)},
                   {"since": datetime(2026, 1, 1)}):  # fmt: skip
@@ -345,6 +347,28 @@ def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
     assert not wrong
 
 
+def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+    vectors = unit(rng, 8, 16)
+    for number in range(8):
+        table.replace_scene(
+            path, f"s{number}", rows_of(f"s{number}", vectors[number : number + 1], encoder, 1), encoder
+        )
+
+    def fragments() -> int:
+        known = table.opened(path)
+        assert known is not None
+        return int(known.table.stats()["fragment_stats"]["num_fragments"])
+
+    table.tidy(path)
+    assert fragments() == 8
+    monkeypatch.setattr(table, "FRAGMENTS", 4)
+    table.tidy(path)
+    assert fragments() < 4
+    for number in range(8):
+        assert found(Catalogue.open(path), Query(vector=vectors[number], threshold=0.99)) == [(f"s{number}", 0)]
+
+
 def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
     """Two processes add at once, and a thread of this one."""
     code = "import sys; from drsplat.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
@@ -419,6 +443,15 @@ def test_a_folder_of_something_else(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no catalogue is here"):
         Catalogue.open(tmp_path / "none").ask("mug")
     assert not (tmp_path / "none").exists()
+
+
+def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "lancedb", None)
+    with pytest.raises(MissingExtraError, match=r'pip install "drsplat\[catalogue\]"'):
+        Catalogue.open(tmp_path)
+    code = "import sys, drsplat.catalogue; print('lancedb' in sys.modules or 'pyarrow' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
 
 
 def test_a_table_of_somebody_else(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ class Catalogue:
     threads: int = 0
     load: Load = load_encoder
     _encoder: Encoder | None = field(default=None, repr=False)
-    _usual: tuple[int, Surroundings] | None = field(default=None, repr=False)
+    _usual: tuple[tuple[int, EncoderIdentity], Surroundings] | None = field(default=None, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @classmethod
@@ -234,8 +234,9 @@ class Catalogue:
     def _surroundings(self, known: Snapshot) -> Surroundings:
         """Of a version of the table, made once."""
         with self._lock:
-            if self._usual is None or self._usual[0] != known.version:
-                self._usual = known.version, Surroundings(known, lambda: self._embedder(known), _spread(known))
+            of = known.version, known.encoder
+            if self._usual is None or self._usual[0] != of:
+                self._usual = of, Surroundings(known, lambda: self._embedder(known), _spread(known))
             return self._usual[1]
 
     def _embedder(self, known: Snapshot) -> Encoder:
@@ -253,9 +254,8 @@ def _spread(known: Snapshot) -> Float32[np.ndarray, "s D"]:
 
 def _folder_of(files: SceneFiles) -> str:
     """Where a scene was added from: the folder that has its field, else the field."""
-    return str(
-        (files.field.parent if files.scenes and files.scenes[0].parent == files.field.parent else files.field).resolve()
-    )
+    is_beside = any(path.parent == files.field.parent for path in files.scenes)
+    return str((files.field.parent if is_beside else files.field).resolve())
 
 
 def _check_folder(known: Snapshot, name: str, folder: str) -> None:

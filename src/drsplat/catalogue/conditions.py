@@ -45,6 +45,8 @@ class Where:
     since: datetime | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.scenes, str):
+            raise InputError(f"scenes: expected a list of names, got the text {self.scenes!a:.80}")
         for name in self.scenes:
             checked_name(name)
         if self.box is not None and not _rises(self.box[:3], self.box[3:]):

@@ -5,6 +5,7 @@ and who reads looks at one version: nobody sees half of a change.
 """
 
 import json
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..encoders import EncoderIdentity, identity_json, identity_said
-from ..errors import DrSplatError, FormatError, InputError, MismatchError, MissingExtraError
+from ..errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from .conditions import of_scene
 
 NAME, KEY = "objects", b"drsplat catalogue"
@@ -175,13 +176,17 @@ def remove_scene(path: Path, table: Any, name: str) -> None:
 
 
 def tidy(path: Path) -> None:
-    """Put small files of rows together, take new rows into the index, and let old versions go."""
+    """Put small files of rows together, take new rows into the index, and let old versions go, where it is time.
+
+    What goes wrong is a warning: the change before it has been made.
+    """
     known = opened(path)
-    if known is None:
-        return
-    with writing(path):
-        if known.table.stats()["fragment_stats"]["num_fragments"] > FRAGMENTS:
-            known.table.optimize(cleanup_older_than=OUTDATED)
+    try:
+        with writing(path):
+            if known is not None and known.table.stats()["fragment_stats"]["num_fragments"] > FRAGMENTS:
+                known.table.optimize(cleanup_older_than=OUTDATED)
+    except InputError as error:
+        warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
 
 
 def index(known: Snapshot, partitions: int) -> None:

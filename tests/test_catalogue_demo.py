@@ -1,0 +1,34 @@
+"""What a catalogue of the demo's room answers, by descriptors alone, and what the room does by its Gaussians."""
+
+from pathlib import Path
+
+import pytest
+
+from drsplat import Scene, open_scene
+from drsplat.demo.story import Story
+from drsplat.errors import DrSplatWarning
+from drsplat.query.objects import object_of
+
+pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
+
+from drsplat.catalogue import Catalogue
+
+WORDS = ("apple", "candle", "plant", "sofa", "table", "toy car", "toy duck", "red vase", "orange sofa", "green toy car")
+NOTHING = ("banana", "basket", "book", "bread", "chair", "cushion", "pan", "teapot", "teddy bear")
+
+
+def test_the_best_object_is_mostly_that_of_the_room(
+    household_story: Story, household_folder: Path, tmp_path: Path
+) -> None:
+    room = open_scene(household_folder)
+    catalogue = Catalogue.open(tmp_path / "c")
+    with pytest.warns(DrSplatWarning, match="no thumbnails"):
+        catalogue.add(Scene(room.field, room.gaussians, name="room"))
+    best = {word: room.locate(word) for word in (*WORDS, *NOTHING)}
+    there = {word: object_of(room.field, matches[0]) for word, matches in best.items() if matches}
+    same = [catalogue.ask(word, top=1)[0].object_id == number for word, number in there.items() if catalogue.ask(word)]
+    assert len(there) >= 7
+    assert sum(same) >= 0.75 * len(there)
+    absent = [word for word in NOTHING if word not in there]
+    assert len(absent) >= 5
+    assert sum(not catalogue.ask(word) for word in absent) >= 0.75 * len(absent)
