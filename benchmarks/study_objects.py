@@ -52,14 +52,23 @@ ALIKE = Alike(iou=0.3, cosine=0.7, smallest=10)
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """ids: Gaussians with evidence, the rows of it. owners: per Gaussian of the scene. texts: of its true things."""
+    """ids: Gaussians with evidence, the rows of it. owners: per Gaussian of the scene. categories: of true things."""
 
     gaussians: Gaussians
     ids: np.ndarray
     evidence: Evidence
     owners: np.ndarray
-    things: list[int]
-    texts: list[str]
+    categories: dict[int, str]
+
+    @property
+    def things(self) -> list[int]:
+        return list(self.categories)
+
+    @property
+    def texts(self) -> list[str]:
+        """Of those that are large enough."""
+        large = (thing for thing in self.things if (self.owners == thing).sum() >= LEAST)
+        return sorted({self.categories[thing] for thing in large})
 
     def compared(self, regions: list[Region]) -> Compared:
         return compare(regions, self.owners, self.things)
@@ -80,9 +89,8 @@ def room_of(folder: Path, masks: str, kept: Path) -> Room:
     whose = tensors.pop("owners")
     evidence = evidence_from_tensors(tensors, metadata, str(path))
     ids = np.flatnonzero(np.diff(evidence.weights.indptr))
-    things = [thing["id"] for thing in truth["objects"]]
-    texts = sorted({thing["category"] for thing in truth["objects"] if (whose == thing["id"]).sum() >= LEAST})
-    return Room(gaussians, ids, evidence.rows(ids), whose, things, texts)
+    categories = {thing["id"]: thing["category"] for thing in truth["objects"]}
+    return Room(gaussians, ids, evidence.rows(ids), whose, categories)
 
 
 def with_wrong(room: Room, percent: int) -> Room:

@@ -1,5 +1,6 @@
 """Queries of a field with objects: whole things, labels, points, and fields without objects as before."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import drsplat as ds
 from drsplat import Answer, Query, Scene
 from drsplat.field.labels import LabelFile
 from drsplat.query.wholes import by_object
-from known_objects import CENTERS, EACH, with_objects
+from known_objects import CENTERS, EACH, TEST, with_objects
 
 
 @pytest.fixture(scope="module")
@@ -114,3 +115,24 @@ def test_what_is_excluded_is_excluded_in_whole_things(scene: Scene) -> None:
     assert len(asked.locate("a")) == 2
     (left,) = asked.locate("a, not b")
     assert left.object_id == 0
+
+
+class Axes:
+    """Texts are numbers of axes, between which they lie."""
+
+    identity = TEST
+
+    def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
+        sums = np.stack([sum(map(axis, map(int, text.split()))) for text in texts])
+        return np.asarray(sums / np.linalg.norm(sums, axis=1, keepdims=True), np.float32)
+
+
+def test_nothing_is_found_where_words_of_the_list_fit_every_gaussian_better(scene: Scene) -> None:
+    """All relevancies are below 0.5, which is not to say that the best of them stands out."""
+    listed = scene.field.with_contrast(np.stack([axis(k) for k in range(4)]), ("0", "1", "2", "3"))
+    asked = Scene(listed, scene.gaussians, encoder=Axes())
+    answer = asked.ask("0 7")
+    assert answer.rule == "list"
+    assert answer.values.max() < 0.5
+    assert not len(answer.gaussian_ids)
+    assert not asked.locate("0 7")

@@ -74,6 +74,20 @@ def test_levels_of_a_small_forest() -> None:
     np.testing.assert_allclose(chosen.sure, [0.6, 0.6, 0.9, 0.8, 0.1])
 
 
+def test_a_plate_is_not_the_table_that_it_is_on() -> None:
+    """Rows 0 to 4. 5 = {0} is the plate, 6 = {1, 2} and 7 = {3} the table, 8 = {5, 6}, and 9 all: the best thing."""
+    parents, sizes = [5, 6, 6, 7, -1, 8, 8, 9, 9, -1], [10] * 5 + [40, 800, 800, 840, 1640]
+    fits = [0.0] * 5 + [0.3, 0.5, 0.5, 0.5, 0.7]
+    chosen = choose(forest(parents, sizes, fits), 5, 30)
+    assert chosen.levels.tolist() == [THING, PART, PART, THING, GROUP]
+    assert chosen.parents.tolist() == [4, 3, 3, 4, -1]
+    assert chosen.node_of.tolist() == [0, 1, 1, 2, -1]
+    np.testing.assert_allclose(chosen.sure, [0.3, 0.5, 0.5, 0.7, 0.7])
+    assert choose(forest(parents, sizes, [*fits[:5], 0.1, *fits[6:]]), 5, 30).levels.tolist() == [PART, PART, THING]
+    large = [*sizes[:5], 200, *sizes[6:]]
+    assert THING not in choose(forest(parents, large, fits), 5, 30).levels[:-1]
+
+
 def test_things_that_look_unlike_are_not_one() -> None:
     parents, sizes = [2, 2, -1], [40, 40, 80]
     alike = choose(forest(parents, sizes, [0.5, 0.5, 0.9], [0, 0, 0.1]), 2, 30)
