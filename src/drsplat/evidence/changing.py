@@ -54,7 +54,7 @@ def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added:
     columns: the new number of each old column, ascending, or GONE. added: of as many rows, with the new numbers.
     """
     kept = columns[weights.indices]
-    gone = np.flatnonzero(kept == GONE)
+    gone = np.flatnonzero(kept == GONE) if (columns == GONE).any() else np.empty(0, np.int64)
     lengths = np.diff(weights.indptr).astype(np.int64)
     lengths -= np.bincount(_rows_of(weights, gone), minlength=len(lengths))
     data, kept = (np.delete(part, gone) if len(gone) else part for part in (weights.data, kept))

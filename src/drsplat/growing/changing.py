@@ -74,27 +74,33 @@ def add_views(
     before, how = _opened(field, gaussians)
     _check_features(field, features)
     found = with_features(views, features)
-    names, left_out = set(before.masks.view_names), set(field.left_out)
-    new = [view for view, _ in found if view.name not in names | left_out]
-    known = [(view, features[key]) for view, key in found if view.name in names] if renew else []
-    others = Comparison(before, gaussians).changed(known, track) if known else []
+    known = [(view, key) for view, key in found if view.name in before.masks.view_names]
+    others = Comparison(before, gaussians).changed(known, features, track) if renew and known else []
+    change = _wish(field, [view.name for view, _ in found], {view.name for view in others})
     watch.lap("read")
-    change = Change(
-        field,
-        added=tuple(view.name for view in new),
-        replaced=tuple(view.name for view in others),
-        known=tuple(view.name for view, _ in found if view.name in names - {other.name for other in others}),
-        left_out=tuple(view.name for view, _ in found if view.name in left_out),
-    )
     if change.is_none:
         return replace(change, seconds=watch.seconds)
+    new = [view for view, _ in found if view.name in {*change.added, *change.replaced}]
     assert before.sampling is not None
     tell_isa(before.provenance)
-    more = register(gaussians, [*new, *others], features, before.sampling, parts=parts, threads=threads, track=track)
+    more = register(gaussians, new, features, before.sampling, parts=parts, threads=threads, track=track)
     watch.lap("register")
     after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
     watch.lap("weights")
     return _changed(change, before, after, how, gaussians, watch, threads, track)
+
+
+def _wish(field: LanguageField, given: Sequence[str], others: set[str]) -> Change:
+    """What is to be done with the views that are given. others: that are in the field, and have become others."""
+    assert field.evidence is not None
+    names, left_out = set(field.evidence.masks.view_names), set(field.left_out)
+    return Change(
+        field,
+        added=tuple(name for name in given if name not in names | left_out),
+        replaced=tuple(name for name in given if name in others),
+        known=tuple(name for name in given if name in names - others),
+        left_out=tuple(name for name in given if name in left_out - names),
+    )
 
 
 def remove_views(

@@ -1,6 +1,6 @@
 """Whether a view's masks and embeddings are still those that a registration was made from."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,13 +23,14 @@ class Comparison:
     registration: Registration
     gaussians: Gaussians
 
-    def changed(self, views: Sequence[tuple[View, ViewFeatures]], track: Track = untracked) -> list[View]:
-        """Those whose camera, masks or embeddings are others."""
-        return [
-            view
-            for view, features in track(views, "comparing views")
-            if not (self.has_masks(view, features) and self._has_embeddings(view, features))
-        ]
+    def changed(
+        self, views: Sequence[tuple[View, str]], features: Mapping[str, ViewFeatures], track: Track = untracked
+    ) -> list[View]:
+        """Those whose camera, masks or embeddings are others, with the names of their features; one at a time."""
+        return [view for view, key in track(views, "comparing views") if not self._is_same(view, features[key])]
+
+    def _is_same(self, view: View, features: ViewFeatures) -> bool:
+        return self.has_masks(view, features) and self._has_embeddings(view, features)
 
     def has_masks(self, view: View, features: ViewFeatures) -> bool:
         """Whether camera and masks are those of the registration: W's columns would be."""
