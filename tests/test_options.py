@@ -160,6 +160,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--words",
             "mug",
         ],
+        "catalogue": ["ask", str(out / "none.catalogue"), "red mug"],
         "evaluate": ["voxel", str(out), "--name", "x", "--scene", scene, "--field", field, "--report", str(out / "r")],
     }[verb]
 

@@ -26,7 +26,7 @@ VERSION = 1
 MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
 LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
-PROBES = 64  # partitions of an index that are looked into; what comes from them is compared exactly by who asked
+PROBES, REFINED = 64, 10  # partitions of an index that are looked into; candidates compared exactly, for each wanted
 FRAGMENTS = 24  # files of rows from which they are put together
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
 INDEXING = timedelta(minutes=119)  # as long as LanceDB waits
@@ -119,7 +119,7 @@ class Snapshot:
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
             search = search.distance_type("cosine").where(where, prefilter=True).limit(count)
-            search = search.bypass_vector_index() if exact else search.nprobes(PROBES)
+            search = search.bypass_vector_index() if exact else search.nprobes(PROBES).refine_factor(REFINED)
             return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
 
     def spread(self, count: int) -> Any:
