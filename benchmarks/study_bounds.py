@@ -72,7 +72,8 @@ class Asked:
         if most == 1:
             best = (wanted / np.maximum(total + everything - wanted, 1)).argmax()
             return np.asarray(numbers == best + 1)
-        ious = np.cumsum(wanted[order]) / (np.cumsum(total[order]) + everything - np.cumsum(wanted[order]))
+        hits, all_of_them = np.cumsum(wanted[order]), np.cumsum(total[order])
+        ious = hits / np.maximum(all_of_them + everything - hits, 1)
         return np.isin(numbers, order[: ious.argmax() + 1] + 1)
 
     def selections(self) -> Mapping[str, Selection]:
