@@ -143,7 +143,6 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
         "objects": [field, *asked],
         "add": [field, capture, "--features", f"{capture}/language_features", "--scene", scene],
         "remove": [field, "--scene", scene, "--views", "photo_0"],
-        "catalogue": ["list", str(out / "none.catalogue")],
         "select": [field, "red mug", *asked],
         "tile": [scene, "-o", str(out / "s.tiles"), "--overwrite"],
         "locate": [field, "red mug", *asked],
