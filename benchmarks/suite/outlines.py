@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from drsplat import Query, Scene, View
 from drsplat.drawing.pictures import visible_share
+from drsplat.errors import InputError
 from drsplat.field.objects import LEVELS
 from drsplat.kernels import render_channels
 from drsplat.scene.photos import undistort_ids
@@ -109,15 +110,19 @@ class Clicks:
         for photo, mask in self.masks[thing].items():
             click = (photo, *middle(mask))
             answer = self.fit(thing, photo, "click", self.scene.ask(Query(click=click)).gaussian_ids)
-            best = max(self.levels(thing, click), key=lambda found: found.mean)
+            best = max(self.levels(thing, click), key=lambda found: found.mean, default=answer)
             whole, pieces = self.whole(thing, photo)
             yield Click(photo, answer, best, whole, pieces)
 
     def levels(self, thing: str, click: tuple[str, float, float]) -> Iterator[Found]:
-        """Each node at the click."""
+        """Each node at the click, none where what is there is loose."""
         objects = self.scene.field.objects
         assert objects is not None
-        for node in self.scene.object_at(click):
+        try:
+            nodes = self.scene.object_at(click)
+        except InputError:
+            return
+        for node in nodes:
             ids = self.scene.field.gaussian_ids[objects.rows(node)]
             yield self.fit(thing, click[0], LEVELS[objects.levels[node]], ids)
 
