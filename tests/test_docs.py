@@ -71,6 +71,9 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     commands = [command[1:] for command in commands if command[1] not in left_out]
     for file in capture.iterdir():
         (tmp_path / file.name).symlink_to(file)
+    (tmp_path / "scenes/mugs").mkdir(parents=True)
+    for name, of in (("scene.ply", "scene.ply"), ("mugs.field", "scene.field")):
+        (tmp_path / "scenes/mugs" / name).symlink_to(tmp_path / of)
     monkeypatch.chdir(tmp_path)
     for command in commands:
         assert main(command) == 0, f"{command}: {capsys.readouterr().err}"

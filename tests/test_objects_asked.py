@@ -10,6 +10,7 @@ import pytest
 import drsplat as ds
 from drsplat import Answer, Query, Scene
 from drsplat.field.labels import LabelFile
+from drsplat.query import tasks
 from drsplat.query.wholes import by_object
 from known_objects import CENTERS, EACH, TEST, with_objects
 
@@ -136,3 +137,15 @@ def test_nothing_is_found_where_words_of_the_list_fit_every_gaussian_better(scen
     assert answer.values.max() < 0.5
     assert not len(answer.gaussian_ids)
     assert not asked.locate("0 7")
+
+
+def test_loose_gaussians_at_an_object_are_its_border() -> None:
+    """Of two loose places one lies about object 3, the other by itself."""
+    rng = np.random.default_rng(0)
+    thing, border, away = rng.normal(size=(300, 3)), 1.2 * rng.normal(size=(40, 3)), rng.normal(size=(40, 3)) + 40
+    points = np.concatenate([thing, border, away])
+    places = np.repeat([3, -1, -2], [300, 40, 40])
+    loose, held = np.flatnonzero(places < 0), np.flatnonzero(places >= 0)
+    tasks._join(places, points, loose, held, None)
+    assert np.unique(places[:340]).tolist() == [3]
+    assert np.unique(places[340:]).tolist() == [-2]

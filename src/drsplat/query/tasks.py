@@ -18,6 +18,7 @@ from .defaults import MIN_GAUSSIANS
 
 NO_CLASS = -1
 NEIGHBOURS = 8
+BORDER = 0.5
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 
 
@@ -32,7 +33,8 @@ def locate(
     """The places that an answer's Gaussians make, best score first; nothing found is [].
 
     What is selected of an object of the field is one place. Loose Gaussians nearer than `link_distance` (scene units)
-    belong together; None takes three times the median distance to the 8th neighbour among them. Places with
+    belong together; None takes three times the median distance to the 8th neighbour among them. Where half of those
+    are as near to an object that is selected as well they are its border, and part of its place. Places with
     fewer than `min_gaussians` Gaussians that can be seen (opacity of 0.1 or more) are left out: specks, and haze in
     the air. up: a unit direction that boxes stand upright along; None: free, as the thing lies.
 
@@ -62,10 +64,30 @@ def _places(answer: Answer, gaussians: Gaussians, link_distance: float | None) -
     places = np.full(len(ids), -1, np.int64)
     if objects is not None:
         places[:] = objects.thing_of()[answer.values > answer.threshold]
-    (loose,) = np.nonzero(places < 0)
+    points = gaussians.means[ids].astype(np.float64)
+    (loose,), (held,) = np.nonzero(places < 0), np.nonzero(places >= 0)
     if len(loose) > 1:
-        places[loose] = -1 - _components(gaussians.means[ids[loose]].astype(np.float64), link_distance)
+        places[loose] = -1 - _components(points[loose], link_distance)
+    if len(loose) and len(held) > 1:
+        _join(places, points, loose, held, link_distance)
     return places
+
+
+def _join(
+    places: Int64[np.ndarray, " m"], points: Float64[np.ndarray, "m 3"], loose: Int64[np.ndarray, " l"],
+    held: Int64[np.ndarray, " h"], link_distance: float | None,
+) -> None:  # fmt: skip
+    """Loose places of which half lies at an object that was selected as well are its border: they get its number."""
+    tree = cKDTree(points[held])
+    distances, nearest = tree.query(points[loose])
+    among = min(NEIGHBOURS, len(held) - 1) + 1
+    near = distances <= (link_distance or _reach(tree.query(points[held], among)[0]))
+    _, component = np.unique(places[loose], return_inverse=True)
+    share = np.bincount(component, near) / np.bincount(component)
+    joins = near & (share[component] >= BORDER)
+    for number in np.unique(component[joins]):
+        of = np.bincount(places[held[nearest[joins & (component == number)]]])
+        places[loose[component == number]] = of.argmax()
 
 
 def segment(
@@ -114,11 +136,16 @@ def _components(points: Float64[np.ndarray, "n 3"], link_distance: float | None)
     """Label of each point: those joined by steps of at most the link distance share one."""
     k = min(NEIGHBOURS, len(points) - 1)
     distances, neighbours = cKDTree(points).query(points, k=k + 1)
-    reach = link_distance or LINK_FACTOR * float(np.median(distances[:, -1]))
+    reach = link_distance or _reach(distances)
     near = distances[:, 1:] <= reach
     source = np.broadcast_to(np.arange(len(points))[:, None], near.shape)[near]
     labels = _connected(len(points), source, neighbours[:, 1:][near])
     return np.asarray(_join_near_parts(points, labels, reach)[labels])
+
+
+def _reach(distances: Float64[np.ndarray, "n k"]) -> float:
+    """From the distances of points to their neighbours."""
+    return LINK_FACTOR * float(np.median(distances[:, -1]))
 
 
 def _connected(

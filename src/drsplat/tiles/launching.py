@@ -124,9 +124,7 @@ class Ray:
             try:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **start)
             except (ConnectionError, ValueError, RuntimeError) as error:
-                raise InputError(
-                    f"no Ray cluster answers at '{address}': {error}. Start one: ray start --head"
-                ) from None
+                raise InputError(f"no Ray cluster answers at '{address}': {error}. Start its head node first") from None
 
     def results(self, work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         ray = self._ray
