@@ -80,6 +80,7 @@ inline nb::tuple rows_and_scores(Found found) {
 
 // CSR: one more start than there are rows, of entries that exist.
 inline void require_starts(const Array<int64_t, 1> &starts, size_t entries) {
+  require(starts.shape(0) > 0, "one more row start than rows");
   const int64_t *start = starts.data();
   const size_t rows = starts.shape(0) - 1;
   require(start[0] >= 0 && start[rows] <= (int64_t)entries, "row starts within the entries");
