@@ -345,6 +345,39 @@ def test_an_object_store_holds_the_work(toy, tmp_path, launcher, monkeypatch):
     assert_array_equal(again.weights.data, at_once.weights.data)
 
 
+def test_an_address_that_held_another_scene(toy, tmp_path, monkeypatch):
+    """Of as many Gaussians in tiles of the same names."""
+    pytest.importorskip("fsspec", reason="needs fsspec")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    first = read_tiles(toy / "scene.tiles")
+    whole = first.gaussians()
+    ds.write_gaussians(tmp_path / "scene.ply", replace(whole, scales=whole.scales * np.float32(0.5)))
+    second = cut(blocks_of([tmp_path / "scene.ply"]), tmp_path / "second.tiles", 37)
+    views, features = inputs(toy)
+    for tiles in (first, second):
+        made = register_tiles(tiles, views, features, parts=f"local://{tmp_path}/bucket", threads=1)
+        expected = ds.register(tiles.gaussians(), views, features)
+        assert_array_equal(made.weights.toarray(), expected.weights.toarray())
+
+
+def test_what_was_made_and_not_sent_is_sent(toy, tmp_path, monkeypatch):
+    """Killed in between, on the machine that goes on; others need it too."""
+    pytest.importorskip("fsspec", reason="needs fsspec")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    tiles, bucket = read_tiles(toy / "scene.tiles"), tmp_path / "bucket"
+    views, features = inputs(toy)
+    how = {"parts": f"local://{bucket}", "threads": 1}
+    register_tiles(tiles, views, features, **how)
+    there = {file.relative_to(bucket) for file in bucket.rglob("*.safetensors")}
+    for name in there:
+        (bucket / name).unlink()
+    _, work = counted(tiles, views, features, **how)
+    assert (work.views, work.runs) == (0, 0)
+    assert {file.relative_to(bucket) for file in bucket.rglob("*.safetensors")} == there
+
+
 def test_an_address_that_nobody_knows(tmp_path):
     pytest.importorskip("fsspec", reason="needs fsspec")
     with pytest.raises(InputError, match="nowhere"):

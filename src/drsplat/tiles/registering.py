@@ -73,7 +73,7 @@ class ColumnTask:
         columns, is_new = replace(self.maker, folder=self.store.folder).made(view, features)
         write_tensors(embeddings_file(columns.path), {"embeddings": features.embeddings}, overwrite=True)
         self.store.send(embeddings_file(columns.path).name)
-        if is_new:
+        if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
             self.store.send(name)
         count, dim = features.embeddings.shape
         return Made(view.name, count, dim, len(columns.triples().weights), columns.key, is_new)

@@ -111,7 +111,7 @@ class Gallery:
         """The tiles in the folder where this one is."""
         if self.store is None:
             return self.tiles
-        return replace(self.tiles, path=self.store.bring(shapes_name(tile)).parent)
+        return replace(self.tiles, path=self.store.bring(_stored(self.tiles, tile)).parent)
 
     def _bytes(self) -> int:
         return sum(array.nbytes for part in self._held.values() for array in part[:3])
@@ -122,10 +122,15 @@ def with_tiles(store: Store, tiles: Tiles) -> Store | None:
     if isinstance(store, Shared):
         return None
     for tile in tiles.tiles:
-        here = store.bring(shapes_name(tile))
-        source = tiles.path / shapes_name(tile)
-        if not here.exists() or here.stat().st_size != source.stat().st_size:
+        name = _stored(tiles, tile)
+        if not store.has(name):
+            here = store.folder / name
             here.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, here)
-            store.send(shapes_name(tile))
+            shutil.copyfile(tiles.path / shapes_name(tile), here)
+            store.send(name)
     return store
+
+
+def _stored(tiles: Tiles, tile: Tile) -> str:
+    """The name of a tile in a store, which may have held other scenes, whose tiles are called the same."""
+    return f"{tiles.digest}/{shapes_name(tile)}"

@@ -21,6 +21,9 @@ class Store(Protocol):
     def bring(self, name: str) -> Path:
         """The place of a file, where it lies now if it is in the store."""
 
+    def has(self, name: str) -> bool:
+        """Whether all workers can have a file."""
+
     def send(self, name: str) -> None:
         """Let all workers have a file of `folder`."""
 
@@ -33,6 +36,9 @@ class Shared:
 
     def bring(self, name: str) -> Path:
         return self.folder / name
+
+    def has(self, name: str) -> bool:
+        return (self.folder / name).exists()
 
     def send(self, name: str) -> None:
         pass
@@ -76,6 +82,10 @@ class Remote:
                     out.write(block)
             mark.write_text(version)
         return here
+
+    def has(self, name: str) -> bool:
+        files, root = self._files
+        return bool(files.exists(f"{root}/{name}"))
 
     def send(self, name: str) -> None:
         files, root = self._files

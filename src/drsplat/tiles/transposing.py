@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +31,22 @@ class RowMaker:
 
     def __call__(self, run: Sequence[Tile]) -> bool:
         """Whether they were made, and not there already."""
-        path = self.store.bring(rows_name(run))
-        if is_finished(path, {"key": self.key}):
-            return False
+        name = rows_name(run)
+        path = self.store.bring(name)
+        is_new = not is_finished(path, {"key": self.key})
+        if is_new:
+            self._make(run, path)
+        if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
+            self.store.send(name)
+        return is_new
+
+    def _make(self, run: Sequence[Tile], path: Path) -> None:
         first, count = run[0].first, sum(tile.num_rows for tile in run)
         parts = [_held(_part(self.store.bring(view), first, count)) for view in self.views]
         w = stacked(parts, self.widths, count)
         path.parent.mkdir(parents=True, exist_ok=True)
         tensors = {"indptr": w.indptr.astype(np.int64), "indices": w.indices, "data": w.data}
         write_tensors(path, tensors, {"key": self.key}, overwrite=True)
-        self.store.send(rows_name(run))
-        return True
 
 
 def _part(view: Path, first: int, count: int) -> Triples:
@@ -54,11 +58,7 @@ def _part(view: Path, first: int, count: int) -> Triples:
 
 
 def _held(triples: Triples) -> Callable[[], Triples]:
-    return partial(_same, triples)
-
-
-def _same(triples: Triples) -> Triples:
-    return triples
+    return lambda: triples
 
 
 def runs_of(tiles: Sequence[Tile], num_weights: int) -> list[tuple[Tile, ...]]:
