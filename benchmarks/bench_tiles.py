@@ -16,13 +16,12 @@ task took what it took here, and a store delivered and took so many bytes a seco
 import argparse
 import heapq
 import resource
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,9 +58,14 @@ class Repeated(Mapping[str, ViewFeatures]):
         return len(self.keys_of)
 
 
+def step_of(room: ds.Gaussians) -> float:
+    """From a room to the next one."""
+    return float(np.quantile(room.means[:, 0], 0.999) - np.quantile(room.means[:, 0], 0.001))
+
+
 def street(room: ds.Gaussians, folder: Path, scene: Path, rooms: int) -> Tiles:
     (source,) = sources_of(scene)
-    step = np.array([np.quantile(room.means[:, 0], 0.999) - np.quantile(room.means[:, 0], 0.001), 0, 0])
+    step = np.array([step_of(room), 0, 0])
     return cut([Block(source, Similarity(1.0, np.eye(3), k * step)) for k in range(rooms)], folder / "street.tiles")
 
 
@@ -127,6 +131,47 @@ def most_memory() -> float:
     return max(used.ru_maxrss for used in kinds) / 2**20
 
 
+class Street(NamedTuple):
+    """What registering a street took. kinds: CPU seconds of each kind of task; moved: bytes read and written."""
+
+    numbers: tuple[object, ...]
+    kinds: list[list[float]]
+    code_s: float
+    moved: float
+
+
+def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View], rooms: int, place: Path) -> Street:
+    scene, folder = given.demo / "scene.compressed.ply", ds.read_features(given.demo / "language_features")
+    start = time.perf_counter()
+    tiles = street(room, place, scene, rooms)
+    cut_s = time.perf_counter() - start
+    walked, keys = walk(views, rooms, given.views, step_of(room), given.side)
+    features = Repeated(folder, keys)
+    start, before = time.perf_counter(), cpu()
+    launcher = Processes(given.workers) if given.workers > 1 else Timed()
+    parts, threads = place / "parts", 2 // given.workers
+    made = register_tiles(tiles, walked, features, parts=parts, launcher=launcher, threads=threads)
+    columns_s, used = time.perf_counter() - start, cpu() - before
+    start, code_cpu = time.perf_counter(), time.process_time()
+    made.to_field(Smaller()).save(place / "street.field")
+    field_s, code_cpu = time.perf_counter() - start, time.process_time() - code_cpu
+    disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
+    memory, same = most_memory(), ""
+    if given.check:
+        whole = ds.register(tiles.gaussians(), walked, features).to_field(Smaller())
+        same = str(whole.equals(ds.load_field(place / "street.field")))
+    numbers = (
+        rooms, f"{len(tiles):,}", f"{len(walked):,}", f"{cut_s:.0f}", f"{columns_s:.0f}",
+        f"{1000 * used / len(walked):.0f}", f"{field_s:.0f}", f"{made.weights.nnz:,}", f"{disk:.2f}", f"{memory:.2f}",
+        same,
+    )  # fmt: skip
+    sizes = np.array([tile.num_rows for tile in tiles.tiles]) * BYTES
+    read = sum(float(sizes[seen_tiles(tiles, view, tiles.near)].sum()) for view in walked[::20]) * 20
+    written = sum(file.stat().st_size for file in parts.rglob("*.safetensors"))
+    kinds = launcher.seconds if isinstance(launcher, Timed) else []
+    return Street(numbers, kinds, code_cpu / 2, read + 2 * written)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("demo", type=Path)
@@ -136,50 +181,17 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--check", action="store_true")
     given = parser.parse_args()
-    scene = given.demo / "scene.compressed.ply"
-    room, folder = ds.read_gaussians(scene), ds.read_features(given.demo / "language_features")
-    views = [view for view in ds.read_views(given.demo) if view.name in folder]
-    step = float(np.quantile(room.means[:, 0], 0.999) - np.quantile(room.means[:, 0], 0.001))
+    room, folder = ds.read_gaussians(given.demo / "scene.compressed.ply"), given.demo / "language_features"
+    views = [view for view in ds.read_views(given.demo) if view.name in ds.read_features(folder)]
     heads = "rooms", "Gaussians", "views", "cut s", "columns s", "CPU ms a view", "field s", "W", "GiB on disk", "GiB"
     print("|".join(("", *heads, "same bits", "")))
     print("|---" * (len(heads) + 1) + "|")
-    last: tuple[list[list[float]], float, float] | None = None
     for rooms in given.rooms:
-        place = Path(tempfile.mkdtemp(prefix="street-"))
-        start = time.perf_counter()
-        tiles = street(room, place, scene, rooms)
-        cut_s = time.perf_counter() - start
-        walked, keys = walk(views, rooms, given.views, step, given.side)
-        features = Repeated(folder, keys)
-        start, before = time.perf_counter(), cpu()
-        launcher = Processes(given.workers) if given.workers > 1 else Timed()
-        made = register_tiles(
-            tiles, walked, features, parts=place / "parts", launcher=launcher, threads=2 // given.workers
-        )
-        columns_s, used = time.perf_counter() - start, cpu() - before
-        start, code_cpu = time.perf_counter(), time.process_time()
-        field = made.to_field(Smaller())
-        field.save(place / "street.field")
-        field_s, code_cpu = time.perf_counter() - start, time.process_time() - code_cpu
-        disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
-        memory, same = most_memory(), ""
-        if given.check:
-            whole = ds.register(tiles.gaussians(), walked, features).to_field(Smaller())
-            same = str(whole.equals(ds.load_field(place / "street.field")))
-        numbers = (
-            rooms, f"{len(tiles):,}", f"{len(walked):,}", f"{cut_s:.0f}", f"{columns_s:.0f}",
-            f"{1000 * used / len(walked):.0f}", f"{field_s:.0f}", f"{made.weights.nnz:,}", f"{disk:.2f}",
-            f"{memory:.2f}",
-        )  # fmt: skip
-        print("|".join(("", *map(str, numbers), same, "")), flush=True)
-        if isinstance(launcher, Timed):
-            sizes = np.array([tile.num_rows for tile in tiles.tiles]) * BYTES
-            read = sum(float(sizes[seen_tiles(tiles, view, tiles.near)].sum()) for view in walked[::20]) * 20
-            written = sum(file.stat().st_size for file in (place / "parts").rglob("*.safetensors"))
-            last = launcher.seconds, code_cpu / 2, read + 2 * written
-        shutil.rmtree(place)
-    if last is not None:
-        weak_scaling(*last)
+        with tempfile.TemporaryDirectory(prefix="street-") as place:
+            made = measured(given, room, views, rooms, Path(place))
+        print("|".join(("", *map(str, made.numbers), "")), flush=True)
+    if made.kinds:
+        weak_scaling(made.kinds, made.code_s, made.moved)
 
 
 if __name__ == "__main__":

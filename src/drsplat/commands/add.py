@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .changes import add_field_options, answer_of, field_and_scene, show_change
-from .options import add_capture_options, finite, tracker, views_of
+from .options import add_capture_options, add_features, finite, tracker, views_of
 
 if TYPE_CHECKING:
     from ..field import LanguageField
@@ -32,11 +32,7 @@ again."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_field_options(parser)
-    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
-    parser.add_argument(
-        "--features", required=True, metavar="DIR",
-        help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
-    )  # fmt: skip
+    add_features(parser)
     parser.add_argument(
         "--replace", action="store_true",
         help="compare the views that are in the field already as well, and replace those whose masks, embeddings or "

@@ -110,6 +110,14 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_features(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
+    parser.add_argument(
+        "--features", required=True, metavar="DIR",
+        help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
+    )  # fmt: skip
+
+
 def views_of(arguments: argparse.Namespace, capture: str) -> list[View]:
     from .. import read_views
 

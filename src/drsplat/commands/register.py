@@ -12,6 +12,7 @@ from .leaving_out import add_without, left_out
 from .options import (
     LEVEL_HELP,
     add_capture_options,
+    add_features,
     add_near,
     add_overwrite,
     count,
@@ -64,11 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, or tiles of a huge scene"
     )
-    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
-    parser.add_argument(
-        "--features", required=True, metavar="DIR",
-        help="folder that drsplat embed wrote, or LangSplat's <photo>_s.npy and <photo>_f.npy",
-    )  # fmt: skip
+    add_features(parser)
     parser.add_argument(
         "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
     )

@@ -56,16 +56,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     MismatchError: files of different fields are mixed.
     """
     path = Path(path)
-    manifest = read_manifest(path)
-    if manifest.get("format") != FORMAT:
-        raise FormatError(f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}")
-    version = manifest.get("version")
-    if type(version) is not int or not 1 <= version <= VERSION:
-        raise FormatError(
-            f"{path}: version {ascii(version)[:20]} of drsplat {ascii(manifest.get('drsplat'))[:20]}; this one reads 1 "
-            f"to {VERSION}: upgrade, or register again"
-        )
-    check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
+    manifest = _checked_manifest(path)
     files = {name: _tied(path, name, manifest) for name in _names(manifest) if name not in LATER}
     scene, count = manifest.get("scene"), manifest.get("num_gaussians")
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
@@ -96,6 +87,21 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
                 raise FormatError(f"{path}: incomplete: there is no {name}. {CURE}")
             checks[name] = partial(_LATER_READ[name], path, manifest)
     return field.compared_by(checks)
+
+
+def _checked_manifest(path: Path) -> dict[str, object]:
+    """Of a version that can be read. Raises: as `load_field`."""
+    manifest = read_manifest(path)
+    if manifest.get("format") != FORMAT:
+        raise FormatError(f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}")
+    version = manifest.get("version")
+    if type(version) is not int or not 1 <= version <= VERSION:
+        raise FormatError(
+            f"{path}: version {ascii(version)[:20]} of drsplat {ascii(manifest.get('drsplat'))[:20]}; this one reads 1 "
+            f"to {VERSION}: upgrade, or register again"
+        )
+    check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
+    return manifest
 
 
 class _File(NamedTuple):

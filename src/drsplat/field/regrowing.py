@@ -67,7 +67,7 @@ def regrown_field(
     seen = np.flatnonzero(touched & (np.diff(evidence.weights.indptr) > 0))
     ids = np.concatenate([field.gaussian_ids[rows].astype(np.int64), seen])
     columns = _columns(field.evidence.masks, evidence.masks, changed)
-    coded = _coded_again(field, rows, columns, evidence.rows(seen), ids, threads, track)
+    coded = _coded_again(field, rows, columns, evidence.rows(seen), ids, threads=threads, track=track)
     has_code = np.concatenate([np.ones(len(rows), np.bool_), coded.directed])
     ids = np.sort(ids[has_code]).astype(np.uint32)
     learnt = Learnt(growth.learnt_from, atoms=growth.scene_atoms)
@@ -114,6 +114,7 @@ def _coded_again(
     columns: Int32[np.ndarray, " m"],
     some: Evidence,
     ids: Int64[np.ndarray, " r"],
+    *,
     threads: int,
     track: Track,
 ) -> Coded:

@@ -119,20 +119,22 @@ def refuse_to_replace_others(path: Path, mark: str = MANIFEST) -> None:
         raise InputError(f"{path} exists and has no {mark}: it is not ours to replace")
 
 
-def read_manifest(path: Path) -> dict[str, object]:
-    """The JSON object of a folder.
+def read_manifest(
+    path: Path, name: str = MANIFEST, what: str = "field", most: int = _MAX_MANIFEST
+) -> dict[str, object]:
+    """The JSON object of a folder. name: of its file, of at most so many bytes; what: is in the folder.
 
     Raises: InputError: there is no such folder, or its manifest is no file. FormatError: not a JSON object.
     """
     try:
-        with open_file(path / MANIFEST) as file:
-            manifest = parsed(file.read(_MAX_MANIFEST))
+        with open_file(path / name) as file:
+            manifest = parsed(file.read(most))
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: there is no such field (no {MANIFEST} in it)") from None
+        raise InputError(f"{path}: there is no such {what} (no {name} in it)") from None
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path / MANIFEST}: expected JSON: {error}") from None
+        raise FormatError(f"{path / name}: expected JSON: {error}") from None
     if not isinstance(manifest, dict):
-        raise FormatError(f"{path / MANIFEST}: expected an object")
+        raise FormatError(f"{path / name}: expected an object")
     return manifest
 
 

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..contents import open_file
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, filled
 from ..scene.placing import near_plane
 from .checksums import check_seal, sealed
-from .field_folder import replacing_folder
-from .json_files import as_count, as_number, as_vector, is_text, parsed, shown
+from .field_folder import read_manifest, replacing_folder
+from .json_files import as_count, as_number, as_vector, is_text, shown
 from .replacing import replacing
 from .tensors import check_tensors, read_tensors, write_tensors
 
@@ -117,7 +116,7 @@ def read_tiles(path: Path) -> Tiles:
     Raises: InputError: there are none. FormatError: a damaged manifest, or of a newer version.
     """
     where = str(path / TILES)
-    document = _manifest(path)
+    document = read_manifest(path, TILES, "tiled scene", MOST_BYTES)
     if document.get("format") != FORMAT or document.get("version") != VERSION:
         raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {shown(document.get('version'))}")
     check_seal(document, where, cure=CURE)
@@ -132,19 +131,6 @@ def read_tiles(path: Path) -> Tiles:
         as_number(document.get("near"), f"{where}: near"), str(document.get("shapes")), str(document.get("scene")),
         tuple(sources),
     )  # fmt: skip
-
-
-def _manifest(path: Path) -> dict[str, object]:
-    try:
-        with open_file(path / TILES) as file:
-            document = parsed(file.read(MOST_BYTES))
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: there are no tiles (no {TILES} in it)") from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path / TILES}: expected JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise FormatError(f"{path / TILES}: expected an object")
-    return document
 
 
 def _tile(entry: object, first: int, where: str) -> Tile:

@@ -87,7 +87,7 @@ def add_views(
     watch.lap("register")
     after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
     watch.lap("weights")
-    return _changed(change, before, after, how, gaussians, watch, threads, track)
+    return _changed(change, before, after, how, gaussians, watch=watch, threads=threads, track=track)
 
 
 def _wish(field: LanguageField, given: Sequence[str], others: set[str]) -> Change:
@@ -116,7 +116,7 @@ def remove_views(
     after = before.without(names)
     watch.lap("weights")
     change = Change(field, removed=tuple(sorted(names)), known=after.masks.view_names)
-    return _changed(change, before, after, how, gaussians, watch, threads, track)
+    return _changed(change, before, after, how, gaussians, watch=watch, threads=threads, track=track)
 
 
 def recorded_aggregator(field: LanguageField) -> Aggregator:
@@ -179,6 +179,7 @@ def _changed(
     after: Registration,
     how: Aggregator,
     gaussians: Gaussians,
+    *,
     watch: Stopwatch,
     threads: int,
     track: Track,

@@ -24,7 +24,7 @@ ROWS = 1 << 17  # of a tile: 6 MB of shapes
 def cut(blocks: Sequence[Block], output: Path, rows: int = ROWS, *, overwrite: bool = False) -> Tiles:
     """Write the Gaussians of all blocks, where they stand in the world, as tiles of at most so many `rows`.
 
-    Holds 70 bytes for each Gaussian, and the rows of one tile; a binary PLY may be of any size.
+    Holds places, sizes and order of all Gaussians, and the rows of one tile; a binary PLY may be of any size.
 
     Raises: InputError: no Gaussian is left, more blocks than 65,535 or `output` exists. FormatError: as reading them.
     """

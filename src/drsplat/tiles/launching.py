@@ -114,10 +114,8 @@ class Ray:
             import ray
         except ImportError:
             raise MissingExtraError('--ray needs Ray: pip install "drsplat[ray]"') from None
-        self._ray, self._options = (
-            ray,
-            {"num_cpus": threads, "max_retries": TRIES} | ({"memory": memory} if memory else {}),
-        )
+        self._ray = ray
+        self._options = {"num_cpus": threads, "max_retries": TRIES} | ({"memory": memory} if memory else {})
         if not ray.is_initialized():
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anybody
             start: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}

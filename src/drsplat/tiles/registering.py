@@ -5,7 +5,7 @@
     rows  -> features, codes, a field  as of any other scene
 
 W, its masks and their embeddings stay in files, which are mapped: memory holds the tiles of a view, the weights of a
-run of tiles, and some tens of bytes a Gaussian for its code.
+run of tiles, and the codes of all rows.
 """
 
 import hashlib
