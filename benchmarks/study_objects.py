@@ -7,6 +7,7 @@ structures and Gaussians that no photo shows are void. Scores are of each room, 
 --wrong: of so many percent of the masks, all weights go to another mask of the photo, drawn at random.
 --kept: where the weights and the truth of rooms are kept (minutes a room), and found the next time.
 --choose: print, instead, what thresholds are best for the rivals that come without; for training rooms only.
+--nodes: print, instead, how like each true thing its best node of our forest is: no choice of nodes does better.
 
 Rules: connected components of what the category of each true thing selects in the field without objects (who asks knows
 what is there, and a place's score is its confidence); MaskClustering's; LightSplat's; ours. The confidence of all three
@@ -226,6 +227,26 @@ def choose_rivals(folders: list[Path], masks: list[str], kept: Path) -> None:
         print(name, " ".join(f"{value:.1f}" for value in values))
 
 
+def best_nodes(room: Room) -> np.ndarray:
+    """Per true thing the IoU with the node of the forest most like it."""
+    forest = grow(room.evidence, room.gaussians.means[room.ids])
+    sizes = np.bincount(room.owners[room.owners >= 0], minlength=max(room.things) + 1)
+    things = [thing for thing in room.things if sizes[thing] >= LEAST]
+    shared = np.zeros((len(forest.parents), len(things)), np.int32)
+    shared[: len(room.ids)] = room.owners[room.ids][:, None] == things
+    for node, parent in enumerate(forest.parents.tolist()):  # children come first
+        if parent >= 0:
+            shared[parent] += shared[node]
+    ious = shared / (forest.sizes[:, None] + sizes[things] - shared)
+    return np.asarray(ious[forest.sizes >= SMALLEST].max(0))
+
+
+def print_nodes(folders: list[Path], masks: list[str], kept: Path) -> None:
+    for kind in masks:
+        best = np.concatenate([best_nodes(room_of(folder, kind, kept)) for folder in folders])
+        print(f"{kind}: {(best >= 0.5).sum()} of {len(best)} things have a node at IoU 0.5, mean {best.mean():.3f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="+")
@@ -233,8 +254,11 @@ def main() -> None:
     parser.add_argument("--wrong", nargs="+", type=int, default=[0, 20, 40])
     parser.add_argument("--kept", type=Path, default=Path("kept"))
     parser.add_argument("--choose", action="store_true")
+    parser.add_argument("--nodes", action="store_true")
     arguments = parser.parse_args()
-    if arguments.choose:
+    if arguments.nodes:
+        print_nodes(arguments.scenes, arguments.masks, arguments.kept)
+    elif arguments.choose:
         choose_rivals(arguments.scenes, arguments.masks, arguments.kept)
     else:
         print_table(arguments.scenes, arguments.masks, arguments.wrong, arguments.kept)
