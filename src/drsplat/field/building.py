@@ -9,6 +9,7 @@ from scipy.sparse import csr_array
 from ..codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
 from ..codes.codebook import BLOCK
 from ..codes.mixture import encode_with
+from ..contents import release
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..evidence.aggregation import MEAN, Aggregated
@@ -141,4 +142,5 @@ def encode_features(
         codes[block], nearest = codebook.encode(features, threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest
+        release(aggregated.evidence.weights.indices, aggregated.evidence.weights.data)
     return Codes(codes, coarse_ids), directed

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt32
 
 from ..codes import Track, untracked
 from ..evidence.aggregation import Sampling
@@ -38,13 +38,15 @@ from ..scene.views import View
 from .launching import HERE, Launcher
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, store_of
-from .transposing import RowMaker, joined_rows, runs_of
+from .transposing import RowMaker, filed, joined_rows, runs_of
 
 T = TypeVar("T")
 
 
 class Made(NamedTuple):
-    """What a view's task says of its files. is_new: whether it was computed now."""
+    """What a view's task says of its files. is_new: whether it was computed now. tiles: a bit for each, set where the
+    view has weights.
+    """
 
     view_name: str
     num_masks: int
@@ -52,18 +54,20 @@ class Made(NamedTuple):
     num_weights: int
     key: bytes
     is_new: bool
+    tiles: bytes
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnTask:
     """Registers a view: leaves its columns and its masks' embeddings in the store.
 
-    features: where a task that names a key finds them; a task may bring its own.
+    features: where a task that names a key finds them; a task may bring its own. ends: of the rows of each tile.
     """
 
     maker: ColumnMaker
     store: Store
     features: Mapping[str, ViewFeatures]
+    ends: UInt32[np.ndarray, " t"]
 
     def __call__(self, task: tuple[View, str | ViewFeatures]) -> Made:
         view, given = task
@@ -76,7 +80,9 @@ class ColumnTask:
         if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
             self.store.send(name)
         count, dim = features.embeddings.shape
-        return Made(view.name, count, dim, len(columns.triples().weights), columns.key, is_new)
+        ids = columns.triples().gaussian_ids
+        held = np.diff(np.searchsorted(ids, self.ends), prepend=0) > 0
+        return Made(view.name, count, dim, len(ids), columns.key, is_new, np.packbits(held).tobytes())
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +138,8 @@ def register_tiles(
     tell_missing(views, chosen)
     store = store_of(parts)
     gallery = Gallery(tiles, sampling.near, with_tiles(store, tiles))
-    task = ColumnTask(ColumnMaker(gallery, store.folder, sampling, threads), store, features)
+    ends = np.array([tile.first + tile.num_rows for tile in tiles.tiles], np.uint32)
+    task = ColumnTask(ColumnMaker(gallery, store.folder, sampling, threads), store, features, ends)
     tasks = chosen if isinstance(store, Shared) else _Bringing(chosen, features)
     if not isinstance(store, Shared):
         task = replace(task, features={})
@@ -140,9 +147,9 @@ def register_tiles(
     made = sorted(_followed(told, track, [view.name for view, _ in chosen], "registering views"))
     check_one_size({one.dim: one.view_name for one in made})
     names, widths = [part_name(one.view_name) for one in made], [one.num_masks for one in made]
-    runs = runs_of(tiles.tiles, sum(one.num_weights for one in made))
+    runs = runs_of(tiles.tiles, sum(one.num_weights for one in made), [one.tiles for one in made])
     rows = RowMaker(store, names, widths, _key(tiles, made))
-    new_rows = list(_followed(launcher.results(rows, runs), track, [run[0].name for run in runs], "gathering rows"))
+    new_rows = list(_followed(launcher.results(rows, runs), track, [run.name for run in runs], "gathering rows"))
     embeddings = _embeddings(store, names, sum(widths), made[0].dim)
     masks = masks_of([one.view_name for one in made], widths)
     evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
@@ -168,12 +175,5 @@ def _key(tiles: Tiles, made: Sequence[Made]) -> str:
 
 def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
     """Of all masks, in a file that is mapped."""
-    if not count:
-        return np.empty((0, dim), np.float32)
-    whole = np.lib.format.open_memmap(store.folder / "embeddings.npy", "w+", np.dtype(np.float32), (count, dim))
-    at = 0
-    for name in columns:
-        part = map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"]
-        whole[at : at + len(part)] = part
-        at += len(part)
-    return whole
+    parts = (map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"] for name in columns)
+    return filed(store.folder / "embeddings.npy", np.float32, (count, dim), parts)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, Integer
 from scipy.sparse import csr_array
 
+from ...contents import release
 from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode
 from ..kmeans import Track, untracked
@@ -133,6 +134,7 @@ def encode_rows(
         ids[block], weights[block], scales[block] = mixture_encode(
             features, plan.dictionary, candidates, atoms_per_row, threads=threads
         )
+        release(source.weights.indices, source.weights.data)
     return Encoded(ids, weights, scales)
 
 
