@@ -2,7 +2,8 @@
 
     view  -> its columns of W          onto the tiles that it may see
     tiles -> their rows of W           from the columns of all views
-    rows  -> features, codes, a field  as of any other scene
+    tiles -> their codes               of their rows of W, when a field is made of the registration
+    rows  -> a field                   as of any other scene
 
 W, its masks and their embeddings stay in files, which are mapped: memory holds the tiles of a view, the weights of a
 run of tiles, and the codes of all rows.
@@ -10,10 +11,10 @@ run of tiles, and the codes of all rows.
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt32
@@ -35,12 +36,11 @@ from ..registration import (
     with_features,
 )
 from ..scene.views import View
-from .launching import HERE, Launcher
+from .coding import EMBEDDINGS, TileCoder
+from .launching import HERE, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, store_of
 from .transposing import RowMaker, filed, joined_rows, runs_of
-
-T = TypeVar("T")
 
 
 class Made(NamedTuple):
@@ -144,12 +144,13 @@ def register_tiles(
     if not isinstance(store, Shared):
         task = replace(task, features={})
     told = launcher.results(task, tasks)
-    made = sorted(_followed(told, track, [view.name for view, _ in chosen], "registering views"))
+    made = sorted(followed(told, track, [view.name for view, _ in chosen], "registering views"))
     check_one_size({one.dim: one.view_name for one in made})
     names, widths = [part_name(one.view_name) for one in made], [one.num_masks for one in made]
     runs = runs_of(tiles.tiles, sum(one.num_weights for one in made), [one.tiles for one in made])
-    rows = RowMaker(store, names, widths, _key(tiles, made))
-    new_rows = list(_followed(launcher.results(rows, runs), track, [run.name for run in runs], "gathering rows"))
+    key = _key(tiles, made)
+    rows = RowMaker(store, names, widths, key)
+    new_rows = list(followed(launcher.results(rows, runs), track, [run.name for run in runs], "gathering rows"))
     embeddings = _embeddings(store, names, sum(widths), made[0].dim)
     masks = masks_of([one.view_name for one in made], widths)
     evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
@@ -158,14 +159,8 @@ def register_tiles(
     provenance = provenance_of([view for view, _ in chosen], [one.key for one in made], features)
     return Registration(
         evidence, tiles.fingerprint, encoder_of(features, made[0].dim), replace(sampling, near=gallery.near),
-        provenance.up, provenance=provenance,
+        provenance.up, provenance=provenance, coder=TileCoder(evidence, store, runs, launcher, key, threads),
     )  # fmt: skip
-
-
-def _followed(results: Iterable[T], track: Track, items: Sequence[str], description: str) -> Iterator[T]:
-    """Results as they come, each with a step of the progress."""
-    for result, _ in zip(results, track(items, description), strict=True):
-        yield result
 
 
 def _key(tiles: Tiles, made: Sequence[Made]) -> str:
@@ -176,4 +171,4 @@ def _key(tiles: Tiles, made: Sequence[Made]) -> str:
 def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
     """Of all masks, in a file that is mapped."""
     parts = (map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"] for name in columns)
-    return filed(store.folder / "embeddings.npy", np.float32, (count, dim), parts)
+    return filed(store.folder / EMBEDDINGS, np.float32, (count, dim), parts)
