@@ -6,27 +6,34 @@
 
 The demo's room (100,000 Gaussians) is repeated along a road, each copy with its photos from slightly other places; a
 block of 30 rooms has 3 million Gaussians. views: of each room. side: pixels of a photo's longer side. CPU time is of
-all processes; memory the most that one held, resident, with the files that it had mapped. --check compares the field
-with that of one registration of the whole, to the bit (in the memory that this takes).
+all processes; memory is what they held together, looked at every 20 ms: the most of their own, and the most with the
+pages of files that they had mapped. --most GB is a limit of the system on the former (RLIMIT_DATA), beyond which
+memory is refused. --check compares the field with that of one registration of the whole, to the bit (in the memory that
+this takes).
 
 The second table is computed, not measured: what 1 to 64 nodes of 16 cores would take for as many such streets, if each
-task took what it took here, and a store delivered and took so many bytes a second in all; one node codes all rows.
+task took what it took here, and a store delivered and took so many bytes a second in all. One node learns the code from
+64 views, however many there are, and puts the field together.
 """
 
 import argparse
 import heapq
+import os
 import resource
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
 import drsplat as ds
 from drsplat.codes import Smaller
+from drsplat.field.learning import learn
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import Tiles
 from drsplat.masks.features import ViewFeatures
@@ -85,6 +92,19 @@ def walk(
     return walked, keys
 
 
+class Clocked:
+    """A function, with the CPU seconds that it takes."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function, self.seconds = function, 0.0
+
+    def __call__(self, *given: Any) -> Any:
+        start = time.process_time()
+        result = self.function(*given)
+        self.seconds += time.process_time() - start
+        return result
+
+
 class Timed:
     """In this process, with the CPU seconds of each task."""
 
@@ -108,16 +128,17 @@ def makespan(seconds: Sequence[float], workers: int) -> float:
     return max(free)
 
 
-def weak_scaling(kinds: list[list[float]], code_s: float, moved: float) -> None:
-    """As many streets as nodes, one scene. moved: bytes of one street that tasks read and write."""
-    heads = "nodes", "columns s", "rows s", "codes on one node s", "store at 1 GB/s: s", "at 10 GB/s: s", "in all s"
+def weak_scaling(made: "Street") -> None:
+    """As many streets as nodes, one scene."""
+    heads = "nodes", "columns s", "rows s", "codes s", "one node s", "store at 1 GB/s: s", "at 10 GB/s: s", "in all s"
     print("\n" + "|".join(("", *heads, "")))
     print("|---" * len(heads) + "|")
     for nodes in (1, 2, 4, 8, 16, 32, 64):
-        columns, rows = (makespan(kind * nodes, CORES * nodes) for kind in kinds)
-        slow, quick = moved * nodes / 1e9, moved * nodes / 1e10
-        whole = max(columns + rows, quick) + code_s * nodes
-        seconds = (f"{value:.1f}" for value in (columns, rows, code_s * nodes, slow, quick, whole))
+        columns, rows, *codes = (makespan(kind * nodes, CORES * nodes) for kind in made.kinds)
+        slow, quick = made.moved * nodes / 1e9, made.moved * nodes / 1e10
+        one = made.learn_s + made.rest_s * nodes
+        whole = max(columns + rows + sum(codes), quick) + one
+        seconds = (f"{value:.1f}" for value in (columns, rows, sum(codes), one, slow, quick, whole))
         print("|".join(("", str(nodes), *seconds, "")))
 
 
@@ -126,23 +147,60 @@ def cpu() -> float:
     return sum(used.ru_utime + used.ru_stime for used in kinds)
 
 
-def most_memory() -> float:
-    kinds = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
-    return max(used.ru_maxrss for used in kinds) / 2**20
+class Memory(threading.Thread):
+    """Looks every 20 ms at what this process and its workers hold together: the most of their own (anonymous) and the
+    most in all, with the pages of files that they have mapped; bytes.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.own = self.whole = 0
+        self.start()
+
+    def run(self) -> None:
+        while True:
+            held = [_held(pid) for pid in (os.getpid(), *_children())]
+            self.own = max(self.own, sum(own for own, _ in held))
+            self.whole = max(self.whole, sum(whole for _, whole in held))
+            time.sleep(0.02)
+
+
+def _children() -> list[int]:
+    lists = [_text(one) for one in Path("/proc/self/task").glob("*/children")]
+    return [int(pid) for pids in lists for pid in pids.split()]
+
+
+def _text(path: Path) -> str:
+    """Nothing of a process or a thread that is gone."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
+def _held(pid: int) -> tuple[int, int]:
+    """Anonymous and resident bytes."""
+    lines = _text(Path(f"/proc/{pid}/status")).splitlines()
+    parts = (line.partition(":") for line in lines if line.endswith("kB"))
+    told = {name: int(rest.split()[0]) << 10 for name, _, rest in parts}
+    return told.get("RssAnon", 0), told.get("VmRSS", 0)
 
 
 class Street(NamedTuple):
-    """What registering a street took. kinds: CPU seconds of each kind of task; moved: bytes read and written."""
+    """What registering a street took. kinds: CPU seconds of each kind of task. learn_s: of learning the code, which
+    no more views make longer; rest_s: of what else one process does. moved: bytes that tasks read and write.
+    """
 
     numbers: tuple[object, ...]
     kinds: list[list[float]]
-    code_s: float
+    learn_s: float
+    rest_s: float
     moved: float
 
 
 def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View], rooms: int, place: Path) -> Street:
     scene, folder = given.demo / "scene.compressed.ply", ds.read_features(given.demo / "language_features")
-    start = time.perf_counter()
+    memory, start = Memory(), time.perf_counter()
     tiles = street(room, place, scene, rooms)
     cut_s = time.perf_counter() - start
     walked, keys = walk(views, rooms, given.views, step_of(room), given.side)
@@ -152,24 +210,26 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
     parts, threads = place / "parts", 2 // given.workers
     made = register_tiles(tiles, walked, features, parts=parts, launcher=launcher, threads=threads)
     columns_s, used = time.perf_counter() - start, cpu() - before
-    start, code_cpu = time.perf_counter(), time.process_time()
-    made.to_field(Smaller()).save(place / "street.field")
+    start, code_cpu, learning = time.perf_counter(), time.process_time(), Clocked(learn)
+    with patch("drsplat.field.building.learn", learning):
+        made.to_field(Smaller()).save(place / "street.field")
     field_s, code_cpu = time.perf_counter() - start, time.process_time() - code_cpu
     disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
-    memory, same = most_memory(), ""
+    held = f"{memory.own / 2**30:.2f}", f"{memory.whole / 2**30:.2f}"
+    same = ""
     if given.check:
         whole = ds.register(tiles.gaussians(), walked, features).to_field(Smaller())
         same = str(whole.equals(ds.load_field(place / "street.field")))
     numbers = (
         rooms, f"{len(tiles):,}", f"{len(walked):,}", f"{cut_s:.0f}", f"{columns_s:.0f}",
-        f"{1000 * used / len(walked):.0f}", f"{field_s:.0f}", f"{made.weights.nnz:,}", f"{disk:.2f}", f"{memory:.2f}",
-        same,
+        f"{1000 * used / len(walked):.0f}", f"{field_s:.0f}", f"{made.weights.nnz:,}", f"{disk:.2f}", *held, same,
     )  # fmt: skip
     sizes = np.array([tile.num_rows for tile in tiles.tiles]) * BYTES
     read = sum(float(sizes[seen_tiles(tiles, view, tiles.near)].sum()) for view in walked[::20]) * 20
     written = sum(file.stat().st_size for file in parts.rglob("*.safetensors"))
     kinds = launcher.seconds if isinstance(launcher, Timed) else []
-    return Street(numbers, kinds, code_cpu / 2, read + 2 * written)
+    rest = code_cpu - learning.seconds - sum(map(sum, kinds[2:]))
+    return Street(numbers, kinds, learning.seconds, rest, read + 2 * written)
 
 
 def main() -> None:
@@ -179,19 +239,33 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=50)
     parser.add_argument("--side", type=int, default=160)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--most", type=float)
     parser.add_argument("--check", action="store_true")
     given = parser.parse_args()
+    if given.most:
+        resource.setrlimit(resource.RLIMIT_DATA, (int(given.most * 1e9),) * 2)
     room, folder = ds.read_gaussians(given.demo / "scene.compressed.ply"), given.demo / "language_features"
     views = [view for view in ds.read_views(given.demo) if view.name in ds.read_features(folder)]
-    heads = "rooms", "Gaussians", "views", "cut s", "columns s", "CPU ms a view", "field s", "W", "GiB on disk", "GiB"
-    print("|".join(("", *heads, "same bits", "")))
-    print("|---" * (len(heads) + 1) + "|")
+    heads = (
+        "rooms",
+        "Gaussians",
+        "views",
+        "cut s",
+        "columns s",
+        "CPU ms a view",
+        "field s",
+        "W",
+        "GiB on disk",
+        "GiB own",
+    )
+    print("|".join(("", *heads, "with maps", "same bits", "")))
+    print("|---" * (len(heads) + 2) + "|")
     for rooms in given.rooms:
         with tempfile.TemporaryDirectory(prefix="street-") as place:
             made = measured(given, room, views, rooms, Path(place))
         print("|".join(("", *map(str, made.numbers), "")), flush=True)
     if made.kinds:
-        weak_scaling(made.kinds, made.code_s, made.moved)
+        weak_scaling(made)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from drsplat.errors import InputError
 from drsplat.evidence.aggregation import AGGREGATORS, Aggregator, aggregator
 from drsplat.evidence.aggregation.by_view import effective_views, view_sums
-from drsplat.evidence.aggregation.entries import BLOCK, canonical
+from drsplat.evidence.aggregation.entries import BLOCK, canonical, of_columns, used_columns, with_weights
 from drsplat.evidence.aggregation.outliers import OutlierRejection
 from drsplat.evidence.aggregation.reliability import reliability, resultant_lengths
 from drsplat.evidence.aggregation.trust import MaskTrust, surpluses
@@ -176,8 +176,25 @@ def test_trust_keeps_the_proportions_within_a_photo() -> None:
 def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) -> None:
     evidence = evidence_of(np.random.default_rng(5), rows=200)
     whole = MaskTrust()(evidence, 1).weights.data
-    monkeypatch.setattr("drsplat.evidence.aggregation.trust.ENTRIES", 37)
+    for module in ("entries", "trust"):
+        monkeypatch.setattr(f"drsplat.evidence.aggregation.{module}.ENTRIES", 37)
     assert_allclose(MaskTrust()(evidence, 1).weights.data, whole, rtol=1e-6)
+
+
+@few
+@given(seeds)
+def test_the_entries_of_some_columns(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    evidence = evidence_of(rng)
+    weights, kept = evidence.weights, rng.random(evidence.weights.shape[1]) < 0.5
+    weights.data[rng.random(weights.nnz) < 0.1] = 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drsplat.evidence.aggregation.entries.ENTRIES", int(rng.integers(1, 200)))
+        found, used = of_columns(evidence, kept).weights, used_columns(weights)
+    whole = with_weights(evidence, np.where(kept[weights.indices], weights.data, np.float32(0))).weights
+    for name in ("indptr", "indices", "data"):
+        assert_array_equal(getattr(found, name), getattr(whole, name), strict=True)
+    assert_array_equal(used, np.bincount(weights.indices, minlength=len(kept)) > 0)
 
 
 def test_reliability_by_hand() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drsplat import contents, load_field, read_gaussians, read_views
-from drsplat.contents import file_bytes
+from drsplat.contents import file_bytes, pieces, release
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats.json_files import read_json
 from drsplat.formats.npy import map_npy
@@ -31,6 +31,29 @@ def test_small_files_are_read_and_large_ones_mapped(tmp_path: Path, monkeypatch:
     np.testing.assert_array_equal(mapped, read)
     for one in (read, mapped):
         assert not one.flags.writeable
+
+
+def test_maps_pass_a_piece_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, numbers = tmp_path / "a", np.arange(3 << 20, dtype=np.int32)
+    numbers.tofile(path)
+    mapped = np.asarray(np.memmap(path, np.int32, "r"))[:-1]
+    monkeypatch.setattr(contents, "_PIECE", 1 << 20)
+    before, most = _mapped_bytes(), 0
+    for at, piece in enumerate(pieces(mapped)):
+        assert bytes(piece) == numbers[:-1].tobytes()[at << 20 : at + 1 << 20]
+        most = max(most, _mapped_bytes() - before)
+    assert most < 4 << 20  # of 12; where the system cannot tell, 0
+    assert mapped.sum(dtype=np.int64) == numbers[:-1].sum(dtype=np.int64)
+    release(mapped, numbers)
+    assert _mapped_bytes() - before < 1 << 20
+    np.testing.assert_array_equal(mapped, numbers[:-1])
+
+
+def _mapped_bytes() -> int:
+    """Pages of files that this process has in memory."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return sum(int(line.split()[1]) << 10 for line in lines if line.startswith("RssFile"))
 
 
 def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

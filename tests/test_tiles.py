@@ -28,6 +28,7 @@ from drsplat.tiles.launching import Here, Processes
 from drsplat.tiles.registering import Work, register_tiles
 from drsplat.tiles.seeing import Gallery, seen_tiles
 from drsplat.tiles.store import Remote
+from fields import unit_rows
 from scenes import look_at_view
 from toy_capture import write_toy_capture
 
@@ -295,6 +296,53 @@ def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, mo
     again, work = counted(tiles, views, features, parts=tmp_path / "parts", threads=1)
     assert (work.views, work.runs) == (0, 0)
     assert_array_equal(again.weights.data, made.weights.data)
+
+
+def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
+    monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)
+    tiles, parts = read_tiles(toy / "scene.tiles"), tmp_path / "parts"
+    field = register_tiles(tiles, *inputs(toy), parts=parts, threads=1).to_field(ds.Mixture())
+    made = sorted((parts / "codes").iterdir())
+    before = [file.stat().st_mtime_ns for file in made]
+    assert len(made) > 1
+    made[0].write_bytes(b"damaged")
+    again = register_tiles(tiles, *inputs(toy), parts=parts, threads=1)
+    assert again.to_field(ds.Mixture()).equals(field)
+    assert [file.stat().st_mtime_ns == old for file, old in zip(made, before, strict=True)] == [
+        False, *[True] * (len(made) - 1)
+    ]  # fmt: skip
+    again.to_field(ds.Mixture(3))  # another code has files of its own
+    assert len(list((parts / "codes").iterdir())) == 2 * len(made)
+
+
+def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(toy, tmp_path, monkeypatch):
+    monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)
+    monkeypatch.setattr("drsplat.codes.mixture.encoding.MOST_SCENE_ATOMS", 1)
+    tiles, (views, stored), rng = read_tiles(toy / "scene.tiles"), inputs(toy), np.random.default_rng(0)
+    features = {
+        name: replace(stored[name], embeddings=unit_rows(rng, *stored[name].embeddings.shape)) for name in stored
+    }
+    made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    most = len(made.to_field(ds.Mixture()).code.atoms) - 2
+    for module in ("codes.mixture.encoding", "tiles.coding"):
+        monkeypatch.setattr(f"drsplat.{module}.ADDRESSABLE", most)
+    at_once = ds.register(tiles.gaussians(), views, features).to_field(ds.Mixture())
+    assert 1 < len(at_once.code.atoms) <= most
+    assert made.to_field(ds.Mixture()).equals(at_once)
+
+
+@pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
+def test_other_embeddings_are_not_mixed_up_with_those_on_disk(toy, tmp_path, code):
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = inputs(toy)
+    made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    at_once = ds.register(tiles.gaussians(), views, features)
+    made.to_field(code)
+    other = np.roll(made.embeddings, 1, axis=0)
+    swapped = [one.with_embeddings(other, one.encoder).to_field(code) for one in (made, at_once)]
+    assert swapped[0].equals(swapped[1])
+    fewer = [one.without(views[:1][0].name.split()).to_field(code) for one in (made, at_once)]
+    assert fewer[0].equals(fewer[1])
 
 
 def test_a_changed_mask_is_seen(toy, tmp_path):

@@ -4,8 +4,10 @@ A pipe would block its reader for ever. A mapped file that is cut short where it
 what is too large to be copied is mapped.
 """
 
+import mmap
 import os
 import stat
+from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from .errors import FormatError, InputError
 
 SMALL = 64 << 20  # bytes; read in some hundredths of a second
 _LINE = 64  # bytes that a processor reads at once
+_PIECE = 64 << 20  # bytes of a map that are in memory while all of them pass
 
 
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
@@ -47,6 +50,24 @@ def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
             return _read(file, size, path) if size <= SMALL else np.memmap(file, np.uint8, "r")
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: there is no such file") from None
+
+
+def release(*arrays: np.ndarray) -> None:
+    """Give back the memory of those arrays that are maps of files: what is used again is read again."""
+    for array in arrays:
+        while isinstance(array.base, np.ndarray):
+            array = array.base
+        shared = isinstance(array, np.memmap) and array.mode != "c"
+        if shared and isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            array.base.madvise(mmap.MADV_DONTNEED)
+
+
+def pieces(array: np.ndarray) -> Iterator[memoryview]:
+    """The bytes of an array in C order, one after another; a map of a file is never in memory as a whole."""
+    raw = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    for begin in range(0, raw.size, _PIECE):
+        yield raw[begin : begin + _PIECE].data
+        release(array)
 
 
 def _read(file: BufferedReader, size: int, path: Path) -> UInt8[np.ndarray, " n"]:

@@ -25,7 +25,7 @@ from .evidence.changing import with_views, without_views
 from .evidence.columns import ColumnMaker, Whole, stack_columns
 from .evidence.evidence import Evidence, MaskIds
 from .evidence.provenance import Provenance
-from .field import LanguageField, build_field, whole_evidence
+from .field import AT_ONCE, LanguageField, RowCoder, build_field, whole_evidence
 from .kernels import default_isa
 from .masks.features import ViewFeatures
 from .masks.masks import LEVELS
@@ -46,7 +46,7 @@ class Registration:
     scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
     looked at; None: unknown. up: the direction that is up in the photos (`boxes.upward`); None: they do not tell.
     left_out: names of photos that were kept from it on purpose. provenance: how the columns came about; None: unknown,
-    as of fields of older versions.
+    as of fields of older versions. coder: who codes the rows of a field.
     """
 
     evidence: Evidence
@@ -56,6 +56,7 @@ class Registration:
     up: Float64[np.ndarray, " 3"] | None = None
     left_out: tuple[str, ...] = ()
     provenance: Provenance | None = None
+    coder: RowCoder = AT_ONCE
 
     def __repr__(self) -> str:
         count, masks = self.weights.shape
@@ -121,7 +122,7 @@ class Registration:
         aggregated = replace(aggregated, record=how.record(self.sampling))
         field = build_field(
             self.evidence, self.scene, self.encoder, code,
-            aggregated=aggregated, provenance=self.provenance, threads=threads, track=track,
+            aggregated=aggregated, provenance=self.provenance, coder=self.coder, threads=threads, track=track,
         )  # fmt: skip
         return replace(field, up=self.up, left_out=self.left_out)
 

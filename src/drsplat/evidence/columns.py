@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt32
+from jaxtyping import Float32, Int32, Int64, UInt32
 from scipy.sparse import csr_array
 
 from ..errors import FormatError, MismatchError
@@ -184,14 +184,15 @@ def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_r
     """As `stack_columns`, of triples that are read when they are called, and the number of columns of each view."""
     starts = np.zeros(num_rows + 1, np.int64)
     for triples in views:
-        starts[1:] += np.bincount(triples().gaussian_ids, minlength=num_rows)
+        ids = triples().gaussian_ids
+        first, runs = _runs(ids)
+        starts[1:][ids[first]] += runs
     np.cumsum(starts, out=starts)
     indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
     cursor, offset = starts[:-1].copy(), 0
     for triples, width in zip(views, widths, strict=True):
         ids, masks, values = triples()
-        first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
-        runs = np.diff(first, append=len(ids))
+        first, runs = _runs(ids)
         position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
         indices[position], weights[position] = masks + offset, values
         cursor[ids[first]] += runs
@@ -199,3 +200,9 @@ def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_r
     # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
     starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
     return csr_array((weights, indices, starts), shape=(num_rows, offset))
+
+
+def _runs(ids: UInt32[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
+    """Where each of ascending ids begins, and how often it is there."""
+    first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
+    return first, np.diff(first, append=len(ids))

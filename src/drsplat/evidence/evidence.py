@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Integer
 from scipy.sparse import csr_array
 
+from ..contents import release
 from ..errors import FormatError, InputError
 from ..formats.tensors import check_tensors
 from ..kernels import weighted_rows
@@ -75,6 +76,7 @@ class Evidence:
         norms = np.sqrt(np.einsum("md,md->m", embeddings, embeddings))
         if not (np.abs(norms - 1) < UNIT_TOLERANCE).all():
             raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
+        release(weights.indices, embeddings)
 
     def __len__(self) -> int:
         return int(self.weights.shape[0])

@@ -3,12 +3,12 @@
 Imports `encoders`, `scene`, `formats`, `kernels`, `codes` and `evidence`.
 """
 
-from .building import build_field
+from .building import AT_ONCE, RowCoder, build_field
 from .language_field import LanguageField, Negatives, WordList, relevancy_from_scores
 from .loading import load_field
 from .regrowing import regrown_field, whole_evidence
 
 __all__ = [
-    "LanguageField", "Negatives", "WordList", "build_field", "load_field", "regrown_field", "relevancy_from_scores",
-    "whole_evidence",
+    "AT_ONCE", "LanguageField", "Negatives", "RowCoder", "WordList", "build_field", "load_field", "regrown_field",
+    "relevancy_from_scores", "whole_evidence",
 ]  # fmt: skip

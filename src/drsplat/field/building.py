@@ -1,14 +1,15 @@
 """Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Int32, Integer, UInt32
+from jaxtyping import Bool, Float32, Int32, Int64, Integer, UInt32
 from scipy.sparse import csr_array
 
 from ..codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
 from ..codes.codebook import BLOCK
-from ..codes.mixture import encode_with
+from ..codes.mixture import Mixed, SceneAtoms, encode_with
+from ..contents import release
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..evidence.aggregation import MEAN, Aggregated
@@ -18,6 +19,52 @@ from ..evidence.provenance import Provenance
 from .growth import Growth
 from .language_field import LanguageField
 from .learning import Learnt, learn, source_of
+
+
+@runtime_checkable
+class Features(Protocol):
+    """Unit features of rows, made when they are asked for, of the entries of `weights`."""
+
+    @property
+    def weights(self) -> csr_array: ...
+    def __len__(self) -> int: ...
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]: ...
+
+
+@runtime_checkable
+class RowCoder(Protocol):
+    """Who codes the rows `seen` of some features: nothing but who works, and when, depends on it."""
+
+    def mixed(
+        self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
+        threads: int, track: Track,
+    ) -> Mixed:  # fmt: skip
+        """As `encode_with`."""
+
+    def quantised(
+        self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
+    ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
+        """As `encode_features`."""
+
+
+class AtOnce:
+    """A `RowCoder`: this process."""
+
+    def mixed(
+        self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
+        threads: int, track: Track,
+    ) -> Mixed:  # fmt: skip
+        """See RowCoder."""
+        return encode_with(source_of(features.rows(seen)), atoms_per_row, scene, threads=threads, track=track)
+
+    def quantised(
+        self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
+    ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
+        """See RowCoder."""
+        return encode_features(features.rows(seen), codebook, threads, track)
+
+
+AT_ONCE = AtOnce()
 
 
 class Coded(NamedTuple):
@@ -36,6 +83,7 @@ def build_field(
     *,
     aggregated: Aggregated | None = None,
     provenance: Provenance | None = None,
+    coder: RowCoder = AT_ONCE,
     threads: int = 0,
     track: Track = untracked,
 ) -> LanguageField:
@@ -44,7 +92,8 @@ def build_field(
     evidence: one row per Gaussian of the scene; the field keeps all of it, whatever the features are made
     of. scene: fingerprint of those Gaussians. code: what features are kept as. aggregated: the features of
     the rows, as an aggregator makes them of the evidence, None for their mean. provenance: of the evidence's columns;
-    a field that is to grow needs it. track: shows progress. The same to the bit for any number of threads.
+    a field that is to grow needs it. coder: who codes. track: shows progress. The same to the bit for any number of
+    threads.
 
     Raises: InputError: no Gaussian has evidence, or not one feature per row. MismatchError: the
     embeddings, the encoder and the codebook are not of one dimension.
@@ -62,7 +111,7 @@ def build_field(
     if isinstance(chosen, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
     learnt = learn(features, chosen, encoder, threads, track)
-    coded = _coded(features.rows(seen), chosen, learnt, threads, track)
+    coded = _coded(coder, features, seen, chosen, learnt, threads, track)
     ids = seen[coded.directed].astype(np.uint32)
     growth = None if provenance is None else grown_of(provenance, code, evidence, ids, learnt, coded.scene_places)
     return LanguageField(
@@ -103,42 +152,37 @@ def _rows(evidence: Evidence, index: Integer[np.ndarray, " q"]) -> csr_array:
     return csr_array(arrays, shape=rows.shape)
 
 
-def _coded(features: Aggregated, code: PQ | Mixture | Codebook, learnt: Learnt, threads: int, track: Track) -> Coded:
-    """The code of the rows that have a direction, and which of all do."""
+def _coded(
+    coder: RowCoder, features: Aggregated, seen: Int64[np.ndarray, " s"], code: PQ | Mixture | Codebook,
+    learnt: Learnt, threads: int, track: Track,
+) -> Coded:  # fmt: skip
+    """The code of the rows that have a direction, and which of those seen do: embeddings can cancel out."""
     if isinstance(code, Mixture):
-        return _mixed(features, code.atoms, learnt, threads, track)
+        mixed = coder.mixed(features, seen, code.atoms, learnt.atoms, threads, track)
+        directed = mixed.code.blocks.scales > 0
+        kept = mixed.code if directed.all() else mixed.code.rows(np.flatnonzero(directed))
+        return Coded(kept, directed, mixed.scene_places)
     assert learnt.codebook is not None
-    return _quantised(features, learnt.codebook, threads, track)
-
-
-def _mixed(features: Aggregated, atoms_per_row: int, learnt: Learnt, threads: int, track: Track) -> Coded:
-    mixed = encode_with(source_of(features), atoms_per_row, learnt.atoms, threads=threads, track=track)
-    directed = mixed.code.blocks.scales > 0
-    code = mixed.code if directed.all() else mixed.code.rows(np.flatnonzero(directed))
-    return Coded(code, directed, mixed.scene_places)
-
-
-def _quantised(features: Aggregated, codebook: Codebook, threads: int, track: Track) -> Coded:
-    """Embeddings can cancel out."""
-    codes, directed = encode_features(features, codebook, threads, track)
+    codes, directed = coder.quantised(features, seen, learnt.codebook, threads, track)
     if not directed.all():
         codes = codes.rows(np.flatnonzero(directed))
-    return Coded(pq_code(codebook, codes), directed)
+    return Coded(pq_code(learnt.codebook, codes), directed)
 
 
 def encode_features(
-    aggregated: Aggregated, codebook: Codebook, threads: int, track: Track
+    rows: Features, codebook: Codebook, threads: int, track: Track
 ) -> tuple[Codes, Bool[np.ndarray, " r"]]:
     """Codes of all rows, and which of them have a direction."""
-    rows = len(aggregated)
-    codes = np.empty((rows, codebook.num_subvectors), np.uint8)
-    coarse_ids = None if codebook.coarse is None else np.empty(rows, np.uint16)
-    directed = np.empty(rows, np.bool_)
-    for begin in track(range(0, rows, BLOCK), "coding Gaussians"):
-        block = slice(begin, min(begin + BLOCK, rows))
-        features = aggregated.features(block.start, block.stop, threads=threads)
+    count = len(rows)
+    codes = np.empty((count, codebook.num_subvectors), np.uint8)
+    coarse_ids = None if codebook.coarse is None else np.empty(count, np.uint16)
+    directed = np.empty(count, np.bool_)
+    for begin in track(range(0, count, BLOCK), "coding Gaussians"):
+        block = slice(begin, min(begin + BLOCK, count))
+        features = rows.features(block.start, block.stop, threads=threads)
         directed[block] = features.any(axis=1)
         codes[block], nearest = codebook.encode(features, threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest
+        release(rows.weights.indices, rows.weights.data)
     return Codes(codes, coarse_ids), directed

@@ -10,7 +10,7 @@ from ..codes.codebook import TRAINING_POINTS
 from ..codes.mixture import SceneAtoms, learn_scene_atoms
 from ..encoders import EncoderIdentity
 from ..evidence.aggregation import Aggregated
-from ..evidence.aggregation.entries import canonical, with_weights
+from ..evidence.aggregation.entries import canonical, of_columns, used_columns
 from ..evidence.evidence import Evidence
 
 LEARNT_FROM = 64  # views
@@ -44,9 +44,8 @@ def learning_views(evidence: Evidence) -> tuple[str, ...]:
     One view more changes them with a probability of LEARNT_FROM / V, whenever it comes.
     """
     masks = evidence.masks
-    has_weight = np.zeros(len(masks), np.bool_)
-    has_weight[evidence.weights.indices] = True
-    names = [masks.view_names[view] for view in np.unique(masks.views[has_weight]).tolist()]
+    seeing = np.unique(masks.views[used_columns(evidence.weights)])
+    names = [masks.view_names[view] for view in seeing.tolist()]
     return tuple(sorted(sorted(names, key=_drawn)[:LEARNT_FROM]))
 
 
@@ -66,9 +65,7 @@ def _of_views(features: Aggregated, views: tuple[str, ...]) -> Aggregated:
     kept = np.isin(evidence.masks.view_names, views)[evidence.masks.views]
     if kept.all():
         return features
-    weights = evidence.weights
-    some = with_weights(evidence, np.where(kept[weights.indices], weights.data, np.float32(0)))
-    return Aggregated(some, features.donors, features.record)
+    return Aggregated(of_columns(evidence, kept), features.donors, features.record)
 
 
 def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:

@@ -6,12 +6,12 @@ In safetensors files they stand in the header's metadata, in JSON documents besi
 import hashlib
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from ..contents import open_file
+from ..contents import open_file, pieces
 from ..errors import FormatError
 
 TENSORS, HEADER, DOCUMENT = "crc32", "crc32_header", "crc32"
@@ -23,14 +23,9 @@ def hash_file(path: Path) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
-def raw_bytes(array: np.ndarray) -> memoryview:
-    """The bytes of an array in C order, without a copy where they lie so already."""
-    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
-
-
 def with_checksums(header: Mapping[str, object], tensors: Mapping[str, np.ndarray]) -> dict[str, object]:
     """A safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
-    sums = {name: _hex(raw_bytes(array)) for name, array in tensors.items()}
+    sums = {name: _hex(pieces(array)) for name, array in tensors.items()}
     metadata = {**_metadata(header), TENSORS: json.dumps(sums)}
     metadata.pop(HEADER, None)
     whole = _of_json({**header, "__metadata__": metadata})
@@ -58,7 +53,7 @@ def check_checksums(
     if not isinstance(written, dict) or set(written) != set(tensors) or HEADER not in metadata:
         raise FormatError(f"{where}: damaged: expected the checksum of every tensor in its header")
     for name, array in tensors.items():
-        if _hex(raw_bytes(array)) != written[name]:
+        if _hex(pieces(array)) != written[name]:
             raise FormatError(f"{where}: damaged: tensor {name!a} is not what was written")
 
 
@@ -96,8 +91,11 @@ def _written(metadata: Mapping[str, str]) -> object:
 
 def _of_json(document: object) -> str:
     """Of what a document says, whatever its spaces and the order of its keys."""
-    return _hex(json.dumps(document, sort_keys=True, separators=(",", ":")).encode())
+    return _hex([json.dumps(document, sort_keys=True, separators=(",", ":")).encode()])
 
 
-def _hex(data: bytes | memoryview) -> str:
-    return f"{zlib.crc32(data):08x}"
+def _hex(parts: Iterable[bytes | memoryview]) -> str:
+    value = 0
+    for part in parts:
+        value = zlib.crc32(part, value)
+    return f"{value:08x}"

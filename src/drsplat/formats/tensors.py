@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ..contents import file_bytes
+from ..contents import file_bytes, pieces
 from ..errors import FormatError, InputError
-from .checksums import check_checksums, check_header, raw_bytes, with_checksums
+from .checksums import check_checksums, check_header, with_checksums
 from .json_files import unique_names
 from .replacing import replacing
 
@@ -56,7 +56,7 @@ def write_tensors(
     with replacing(path, overwrite) as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
-            file.write(raw_bytes(arrays[name]))
+            file.writelines(pieces(arrays[name]))
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -6,13 +6,14 @@ be killed at any moment, and another may go on.
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+from ..codes import Track
 from ..errors import DrSplatError, InputError, MissingExtraError
 
 T = TypeVar("T")
@@ -147,6 +148,12 @@ class Ray:
             raise cause from error
         except ray.exceptions.RayError as error:
             raise DrSplatError(f"a task was lost {TRIES} times: {error}. The same command goes on from here") from error
+
+
+def followed(results: Iterable[R], track: Track, items: Sequence[str], description: str) -> Iterator[R]:
+    """Results as they come, each with a step of the progress."""
+    for result, _ in zip(results, track(items, description), strict=True):
+        yield result
 
 
 def _of_shared(work: Callable[[T], R], item: T) -> R:

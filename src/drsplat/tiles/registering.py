@@ -2,7 +2,8 @@
 
     view  -> its columns of W          onto the tiles that it may see
     tiles -> their rows of W           from the columns of all views
-    rows  -> features, codes, a field  as of any other scene
+    tiles -> their codes               of their rows of W, when a field is made of the registration
+    rows  -> a field                   as of any other scene
 
 W, its masks and their embeddings stay in files, which are mapped: memory holds the tiles of a view, the weights of a
 run of tiles, and the codes of all rows.
@@ -10,13 +11,13 @@ run of tiles, and the codes of all rows.
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt32
 
 from ..codes import Track, untracked
 from ..evidence.aggregation import Sampling
@@ -35,16 +36,17 @@ from ..registration import (
     with_features,
 )
 from ..scene.views import View
-from .launching import HERE, Launcher
+from .coding import EMBEDDINGS, TileCoder
+from .launching import HERE, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, store_of
-from .transposing import RowMaker, joined_rows, runs_of
-
-T = TypeVar("T")
+from .transposing import RowMaker, filed, joined_rows, runs_of
 
 
 class Made(NamedTuple):
-    """What a view's task says of its files. is_new: whether it was computed now."""
+    """What a view's task says of its files. is_new: whether it was computed now. tiles: a bit for each, set where the
+    view has weights.
+    """
 
     view_name: str
     num_masks: int
@@ -52,18 +54,20 @@ class Made(NamedTuple):
     num_weights: int
     key: bytes
     is_new: bool
+    tiles: bytes
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnTask:
     """Registers a view: leaves its columns and its masks' embeddings in the store.
 
-    features: where a task that names a key finds them; a task may bring its own.
+    features: where a task that names a key finds them; a task may bring its own. ends: of the rows of each tile.
     """
 
     maker: ColumnMaker
     store: Store
     features: Mapping[str, ViewFeatures]
+    ends: UInt32[np.ndarray, " t"]
 
     def __call__(self, task: tuple[View, str | ViewFeatures]) -> Made:
         view, given = task
@@ -76,7 +80,9 @@ class ColumnTask:
         if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
             self.store.send(name)
         count, dim = features.embeddings.shape
-        return Made(view.name, count, dim, len(columns.triples().weights), columns.key, is_new)
+        ids = columns.triples().gaussian_ids
+        held = np.diff(np.searchsorted(ids, self.ends), prepend=0) > 0
+        return Made(view.name, count, dim, len(ids), columns.key, is_new, np.packbits(held).tobytes())
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,17 +138,19 @@ def register_tiles(
     tell_missing(views, chosen)
     store = store_of(parts)
     gallery = Gallery(tiles, sampling.near, with_tiles(store, tiles))
-    task = ColumnTask(ColumnMaker(gallery, store.folder, sampling, threads), store, features)
+    ends = np.array([tile.first + tile.num_rows for tile in tiles.tiles], np.uint32)
+    task = ColumnTask(ColumnMaker(gallery, store.folder, sampling, threads), store, features, ends)
     tasks = chosen if isinstance(store, Shared) else _Bringing(chosen, features)
     if not isinstance(store, Shared):
         task = replace(task, features={})
     told = launcher.results(task, tasks)
-    made = sorted(_followed(told, track, [view.name for view, _ in chosen], "registering views"))
+    made = sorted(followed(told, track, [view.name for view, _ in chosen], "registering views"))
     check_one_size({one.dim: one.view_name for one in made})
     names, widths = [part_name(one.view_name) for one in made], [one.num_masks for one in made]
-    runs = runs_of(tiles.tiles, sum(one.num_weights for one in made))
-    rows = RowMaker(store, names, widths, _key(tiles, made))
-    new_rows = list(_followed(launcher.results(rows, runs), track, [run[0].name for run in runs], "gathering rows"))
+    runs = runs_of(tiles.tiles, sum(one.num_weights for one in made), [one.tiles for one in made])
+    key = _key(tiles, made)
+    rows = RowMaker(store, names, widths, key)
+    new_rows = list(followed(launcher.results(rows, runs), track, [run.name for run in runs], "gathering rows"))
     embeddings = _embeddings(store, names, sum(widths), made[0].dim)
     masks = masks_of([one.view_name for one in made], widths)
     evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
@@ -151,14 +159,8 @@ def register_tiles(
     provenance = provenance_of([view for view, _ in chosen], [one.key for one in made], features)
     return Registration(
         evidence, tiles.fingerprint, encoder_of(features, made[0].dim), replace(sampling, near=gallery.near),
-        provenance.up, provenance=provenance,
+        provenance.up, provenance=provenance, coder=TileCoder(evidence, store, runs, launcher, key, threads),
     )  # fmt: skip
-
-
-def _followed(results: Iterable[T], track: Track, items: Sequence[str], description: str) -> Iterator[T]:
-    """Results as they come, each with a step of the progress."""
-    for result, _ in zip(results, track(items, description), strict=True):
-        yield result
 
 
 def _key(tiles: Tiles, made: Sequence[Made]) -> str:
@@ -168,12 +170,5 @@ def _key(tiles: Tiles, made: Sequence[Made]) -> str:
 
 def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
     """Of all masks, in a file that is mapped."""
-    if not count:
-        return np.empty((0, dim), np.float32)
-    whole = np.lib.format.open_memmap(store.folder / "embeddings.npy", "w+", np.dtype(np.float32), (count, dim))
-    at = 0
-    for name in columns:
-        part = map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"]
-        whole[at : at + len(part)] = part
-        at += len(part)
-    return whole
+    parts = (map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"] for name in columns)
+    return filed(store.folder / EMBEDDINGS, np.float32, (count, dim), parts)

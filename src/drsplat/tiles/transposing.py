@@ -1,13 +1,18 @@
 """Columns of W, a file for each view, to its rows, a file for each run of tiles: a transpose larger than memory."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int64
 from scipy.sparse import csr_array
 
+from ..contents import pieces
 from ..evidence.columns import is_finished, stacked
+from ..formats.replacing import replacing
 from ..formats.tensors import map_tensors, write_tensors
 from ..formats.tiles import Tile
 from ..kernels import Triples
@@ -15,6 +20,26 @@ from .store import Store
 
 RUN_BYTES = 256 << 20  # of W that one task makes
 WEIGHT_BYTES = 20  # while it does
+NOTHING = Triples(np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.float32))
+
+
+class Run(NamedTuple):
+    """Tiles, one after another, and the numbers of the views that have weights in them."""
+
+    tiles: tuple[Tile, ...]
+    views: Int64[np.ndarray, " v"]
+
+    @property
+    def name(self) -> str:
+        return self.tiles[0].name
+
+    @property
+    def first(self) -> int:
+        return self.tiles[0].first
+
+    @property
+    def num_rows(self) -> int:
+        return sum(tile.num_rows for tile in self.tiles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +54,7 @@ class RowMaker:
     widths: Sequence[int]
     key: str
 
-    def __call__(self, run: Sequence[Tile]) -> bool:
+    def __call__(self, run: Run) -> bool:
         """Whether they were made, and not there already."""
         name = rows_name(run)
         path = self.store.bring(name)
@@ -40,10 +65,11 @@ class RowMaker:
             self.store.send(name)
         return is_new
 
-    def _make(self, run: Sequence[Tile], path: Path) -> None:
-        first, count = run[0].first, sum(tile.num_rows for tile in run)
-        parts = [_held(_part(self.store.bring(view), first, count)) for view in self.views]
-        w = stacked(parts, self.widths, count)
+    def _make(self, run: Run, path: Path) -> None:
+        parts = [_held(NOTHING)] * len(self.views)
+        for view in run.views.tolist():
+            parts[view] = _held(_part(self.store.bring(self.views[view]), run.first, run.num_rows))
+        w = stacked(parts, self.widths, run.num_rows)
         path.parent.mkdir(parents=True, exist_ok=True)
         tensors = {"indptr": w.indptr.astype(np.int64), "indices": w.indices, "data": w.data}
         write_tensors(path, tensors, {"key": self.key}, overwrite=True)
@@ -61,42 +87,49 @@ def _held(triples: Triples) -> Callable[[], Triples]:
     return lambda: triples
 
 
-def runs_of(tiles: Sequence[Tile], num_weights: int) -> list[tuple[Tile, ...]]:
-    """Tiles in runs whose weights fit in RUN_BYTES, if they are spread evenly."""
+def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> list[Run]:
+    """Tiles in runs whose weights fit in RUN_BYTES, if they are spread evenly. held: a bit for each tile, by view."""
+    bits = np.frombuffer(b"".join(held), np.uint8).reshape(len(held), -1)
+    has = np.unpackbits(bits, axis=1, count=len(tiles)).astype(np.bool_)
     rows = tiles[-1].first + tiles[-1].num_rows
     most = max(1, int(RUN_BYTES / WEIGHT_BYTES * rows / max(num_weights, 1)))
-    runs: list[list[Tile]] = []
-    for tile in tiles:
-        if not runs or tile.first + tile.num_rows - runs[-1][0].first > most:
+    runs: list[list[int]] = []
+    for number, tile in enumerate(tiles):
+        if not runs or tile.first + tile.num_rows - tiles[runs[-1][0]].first > most:
             runs.append([])
-        runs[-1].append(tile)
-    return [tuple(run) for run in runs]
+        runs[-1].append(number)
+    return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(axis=1))) for run in runs]
 
 
-def rows_name(run: Sequence[Tile]) -> str:
-    return f"rows/{run[0].name}.rows.safetensors"
+def rows_name(run: Run) -> str:
+    return f"rows/{run.name}.rows.safetensors"
 
 
-def joined_rows(runs: Sequence[Sequence[Tile]], store: Store, num_masks: int) -> csr_array:
+def joined_rows(runs: Sequence[Run], store: Store, num_masks: int) -> csr_array:
     """W, all rows one after another, in files that are mapped: memory holds those in use."""
-    files = [map_tensors(store.bring(rows_name(run)))[0] for run in runs]
-    folder = store.folder / "rows"
-    count = runs[-1][-1].first + runs[-1][-1].num_rows
-    entries = sum(len(file["data"]) for file in files)
-    indptr = _new(folder, "indptr", count + 1, np.int32 if entries < 1 << 31 else np.int64)
-    indices, data = _new(folder, "indices", entries, np.int32), _new(folder, "data", entries, np.float32)
-    row = at = 0
-    indptr[0] = 0
-    for file in files:
-        rows, end = len(file["indptr"]) - 1, at + len(file["data"])
-        indptr[row + 1 : row + rows + 1] = file["indptr"][1:] + at
-        indices[at:end], data[at:end] = file["indices"], file["data"]
-        row, at = row + rows, end
-    return csr_array((data, indices, indptr), shape=(count, num_masks))
+    names = [rows_name(run) for run in runs]
+    indptr, folder = [np.zeros(1, np.int64)], store.folder / "rows"
+
+    def part(name: str, array: str) -> np.ndarray:
+        return map_tensors(store.bring(name))[0][array]
+
+    for name in names:
+        indptr.append(part(name, "indptr")[1:] + indptr[-1][-1])
+    starts = np.concatenate(indptr)
+    shape = (int(starts[-1]),)
+    indices = filed(folder / "indices.npy", np.int32, shape, (part(name, "indices") for name in names))
+    data = filed(folder / "data.npy", np.float32, shape, (part(name, "data") for name in names))
+    starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
+    return csr_array((data, indices, starts), shape=(len(starts) - 1, num_masks))
 
 
-def _new(folder: Path, name: str, length: int, kind: type) -> np.ndarray:
-    """An array in a file; an empty one cannot be mapped."""
-    if not length:
-        return np.empty(0, kind)
-    return np.lib.format.open_memmap(folder / f"{name}.npy", "w+", np.dtype(kind), (length,))
+def filed(path: Path, kind: type, shape: tuple[int, ...], parts: Iterable[np.ndarray]) -> np.ndarray:
+    """An array of so many numbers, written a part at a time, as a map of its file; an empty one cannot be mapped."""
+    if not math.prod(shape):
+        return np.empty(shape, kind)
+    with replacing(path, overwrite=True) as file:  # whoever has mapped an older one keeps it
+        header = {"descr": np.lib.format.dtype_to_descr(np.dtype(kind)), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        for part in parts:
+            file.writelines(pieces(part))
+    return np.lib.format.open_memmap(path, "r")

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, Integer
 from scipy.sparse import csr_array
 
+from ...contents import release
 from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode
 from ..kmeans import Track, untracked
@@ -21,7 +22,7 @@ ROWS_PER_SCENE_ATOM = 16
 
 @runtime_checkable
 class MixtureSource(Protocol):
-    """What features are mixtures of: `Evidence` is one, and so is an aggregator's."""
+    """What features are mixtures of: `Evidence` is one."""
 
     @property
     def weights(self) -> csr_array: ...
@@ -29,6 +30,12 @@ class MixtureSource(Protocol):
     def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
     def __len__(self) -> int: ...
     def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n D"]: ...
+
+
+@runtime_checkable
+class SourceOfSome(MixtureSource, Protocol):
+    """One whose rows can be taken out."""
+
     def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
 
 
@@ -49,7 +56,7 @@ class Plan(NamedTuple):
 
 
 def encode_mixture(
-    source: MixtureSource,
+    source: SourceOfSome,
     atoms_per_row: int = DEFAULT_ATOMS,
     *,
     scene_atoms: int | SceneAtoms | None = None,
@@ -86,12 +93,17 @@ def encode_with(
         used = atoms_by_use(encoded)
         if len(used) <= ADDRESSABLE:
             return assembled(encoded, plan, columns, used)
-        own = used[used < plan.first_scene][: ADDRESSABLE - (len(scene) if scene else 0)]
-        columns = np.sort(columns[own])
+        columns = columns[left_in(used, plan.first_scene, scene)]
+
+
+def left_in(used: Int64[np.ndarray, " u"], masks: int, scene: SceneAtoms | None) -> Int32[np.ndarray, " c"]:
+    """Of the first `masks` atoms those used most, as many as can be addressed beside all of the scene's; ascending."""
+    own = used[used < masks][: ADDRESSABLE - (len(scene) if scene else 0)]
+    return np.sort(own).astype(np.int32)
 
 
 def learn_scene_atoms(
-    source: MixtureSource, wanted: int | None = None, *, seed: int = 0, threads: int = 0
+    source: SourceOfSome, wanted: int | None = None, *, seed: int = 0, threads: int = 0
 ) -> SceneAtoms | None:
     """Typical features of some rows; wanted: as `scene_atoms` of `encode_mixture`. None: none wanted, or no features.
 
@@ -133,6 +145,7 @@ def encode_rows(
         ids[block], weights[block], scales[block] = mixture_encode(
             features, plan.dictionary, candidates, atoms_per_row, threads=threads
         )
+        release(source.weights.indices, source.weights.data)
     return Encoded(ids, weights, scales)
 
 

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, Integer
+from scipy.sparse import csr_array
 
 from ...errors import InputError, MismatchError
 from ...scene.gaussians import Gaussians
@@ -37,6 +38,11 @@ class Aggregated:
 
     def __len__(self) -> int:
         return len(self.evidence) if self.donors is None else len(self.donors)
+
+    @property
+    def weights(self) -> csr_array:
+        """Of the votes that count."""
+        return self.evidence.weights
 
     @cached_property
     def present(self) -> Bool[np.ndarray, " r"]:

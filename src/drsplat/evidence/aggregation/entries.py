@@ -9,15 +9,18 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, Integer
 from scipy.sparse import csr_array
 
+from ...contents import release
 from ..evidence import Evidence, MaskIds
 
 BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay near the processor
 CELLS = 1 << 19  # of a block's tables: rows of many votes come in smaller blocks
+ENTRIES = 1 << 20  # of W at once, where all of them pass: bounds what is held beside it
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +104,39 @@ def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidenc
         indptr = before[old.indptr].astype(old.indptr.dtype)
         matrix = csr_array((data[kept], old.indices[kept], indptr), shape=old.shape)
     return replace(evidence, weights=matrix)
+
+
+def row_chunks(weights: csr_array) -> Iterator[slice]:
+    """All rows, in slices of some ENTRIES entries; a W that is a map of files is never in memory as a whole."""
+    ends = np.arange(ENTRIES, weights.indptr[-1] + ENTRIES, ENTRIES)
+    stops = np.unique([0, *np.searchsorted(weights.indptr, ends), len(weights.indptr) - 1])
+    for begin, end in pairwise(stops[stops < len(weights.indptr)].tolist()):
+        yield slice(begin, end)
+        release(weights.indices, weights.data)
+
+
+def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
+    """Without the entries of the other columns, and those of weight 0."""
+    old, lengths = evidence.weights, np.zeros(len(evidence) + 1, np.int64)
+    indices, data = [np.empty(0, old.indices.dtype)], [np.empty(0, np.float32)]
+    for rows in row_chunks(old):
+        starts = old.indptr[rows.start : rows.stop + 1].astype(np.int64)
+        columns, values = old.indices[starts[0] : starts[-1]], old.data[starts[0] : starts[-1]]
+        held = kept[columns] & (values > 0)
+        indices.append(columns[held])
+        data.append(values[held])
+        lengths[rows.start + 1 : rows.stop + 1] = np.diff(np.append(0, np.cumsum(held))[starts - starts[0]])
+    indptr = np.cumsum(lengths).astype(old.indptr.dtype)
+    matrix = csr_array((np.concatenate(data), np.concatenate(indices), indptr), shape=old.shape)
+    return replace(evidence, weights=matrix)
+
+
+def used_columns(weights: csr_array) -> Bool[np.ndarray, " m"]:
+    """Those that have any entry."""
+    used = np.zeros(weights.shape[1], np.bool_)
+    for rows in row_chunks(weights):
+        used[weights.indices[weights.indptr[rows.start] : weights.indptr[rows.stop]]] = True
+    return used
 
 
 def canonical(evidence: Evidence) -> Evidence:

@@ -1,18 +1,13 @@
 """Masks that disagree with what the other photos say of the same Gaussians count less."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float32, Float64, Integer
-from scipy.sparse import csr_array
 
 from ..evidence import Evidence
-from .entries import RowBlock, entry_values, with_weights
+from .entries import ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
-
-ENTRIES = 1 << 20  # of W at once: bounds what is held beside it
 
 
 @dataclass(frozen=True)
@@ -35,7 +30,7 @@ class MaskTrust:
         trust = np.exp(self.sharpness * surpluses(evidence, threads))
         weights, views = evidence.weights, evidence.masks.views
         changed = np.empty(len(weights.data), np.float32)
-        for rows in _chunks(weights):
+        for rows in row_chunks(weights):
             entries = slice(weights.indptr[rows.start], weights.indptr[rows.stop])
             columns = weights.indices[entries]
             runs = _runs(views[columns], weights.indptr[rows.start : rows.stop + 1] - entries.start)
@@ -63,14 +58,6 @@ def surpluses(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " m"]
         total += np.bincount(columns, w * entries[part], count)
         held += np.bincount(columns, w, count)
     return np.asarray(np.divide(total, held, out=np.zeros(count), where=held > 0))
-
-
-def _chunks(weights: csr_array) -> Iterator[slice]:
-    """All rows, in slices of some ENTRIES entries."""
-    ends = np.arange(ENTRIES, weights.indptr[-1] + ENTRIES, ENTRIES)
-    stops = np.unique([0, *np.searchsorted(weights.indptr, ends), len(weights.indptr) - 1])
-    stops = stops[stops < len(weights.indptr)]
-    yield from (slice(int(a), int(b)) for a, b in pairwise(stops))
 
 
 def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) -> Integer[np.ndarray, " p"]:
