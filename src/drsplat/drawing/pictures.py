@@ -28,7 +28,10 @@ PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (120, 124, 134)
 
 def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
     """Floats in [0, 1] to bytes; what is outside is clipped."""
-    pixels: Pixels = (np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    scaled = np.clip(rgb, 0, 1)
+    scaled *= 255
+    scaled += 0.5
+    pixels: Pixels = scaled.astype(np.uint8)
     return pixels
 
 

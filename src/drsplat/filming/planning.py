@@ -62,9 +62,9 @@ def planned(
 
     Raises: InputError: no pictures or too many, too large ones, or a width that cannot be shared.
     """
-    rate = fps or path.fps or FPS
-    lasts = seconds or path.seconds or (KEY_SECONDS * max(len(path.keys) - 1, 1))
-    whole = size or _wished(path, views, sides)
+    rate = _first(fps, path.fps, FPS)
+    lasts = _first(seconds, path.seconds, KEY_SECONDS * (len(path.keys) - 1))
+    whole = _wished(path, views, sides) if size is None else size
     check_size(whole)
     if whole[0] % sides:
         raise InputError(f"size: {sides} sides need a width that they can share, got {whole[0]}x{whole[1]}")
@@ -78,6 +78,11 @@ def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, i
         view = views[0].limited(LONGEST)
         width, height = view.width, view.height
     return sides * max(2, width - width % 2), max(2, height - height % 2)
+
+
+def _first(*given: float | None) -> float:
+    """The first that is not None."""
+    return next(one for one in given if one is not None)
 
 
 def _from_file(name: str) -> CameraPath:
