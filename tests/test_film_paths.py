@@ -152,6 +152,18 @@ def test_an_orbit_is_a_level_circle_about_what_the_photos_look_at() -> None:
         assert abs(view.cam_from_world[0, 2]) < 1e-3  # level
 
 
+def test_an_orbit_turns_back_where_no_photo_was_taken() -> None:
+    """Photos from 0 to 180 degrees: the orbit goes as far as most of them, and back; with a full ring it goes round."""
+    seen = [view for view in ring(24) if view.center[1] > 1.99]
+    around = ways.around_scene(random_gaussians(200), seen, UP)
+    for views, most in ((seen, 160.0), (ring(24), 400.0)):
+        arms = centers(ways.orbit(around, UP, views).views(144, SIZE)) - around.target
+        angles = np.degrees(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
+        assert np.ptp(angles) < most
+        assert np.ptp(angles) > most - 50
+        np.testing.assert_allclose(np.linalg.norm(arms[:, :2], axis=1), np.linalg.norm(arms[0, :2]), rtol=0.01)
+
+
 def test_an_orbit_without_photos_is_outside_of_the_scene() -> None:
     scene = random_gaussians(500, extent=2.0)
     around = ways.around_scene(scene, (), UP)

@@ -13,7 +13,7 @@ from PIL import Image
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Query, render
 from drsplat.drawing.labels import Mark, lines_of, marked
-from drsplat.drawing.pictures import as_pixels, heated
+from drsplat.drawing.pictures import as_pixels
 from drsplat.errors import InputError
 from drsplat.filming.frames import Film, Moving
 from drsplat.filming.highlights import Highlight
@@ -189,8 +189,6 @@ def test_heat_is_warm_where_it_fits() -> None:
     rows, columns = np.nonzero(red > blue + 60)
     assert len(rows) > 20
     assert columns.mean() > 55  # the lamp is on the right
-    with pytest.raises(InputError, match="render the heat"):
-        heated(picture, np.zeros((3, 3), np.float32))
 
 
 def test_what_cannot_be_filmed(answer: Highlight) -> None:
@@ -288,10 +286,8 @@ def test_attributes_from_the_command_line(room: Path, tmp_path: Path, capsys: Ca
     report = answer_of(capsys, *argv, "-o", tmp_path / "row.png")
     with Image.open(report["files"][0]) as row:
         assert row.size[0] > 3 * 400
-    assert "has no match" in error_of(
-        capsys,
-        *called(room, "--query", room / "room.field", "elephant", "--attributes", "red", "-o", tmp_path / "x.png"),
-    )
+    argv = called(room, "--query", room / "room.field", "elephant", "--attributes", "red", "-o", tmp_path / "x.png")
+    assert "'elephant' has no match" in error_of(capsys, *argv)
 
 
 @pytest.mark.parametrize(
@@ -299,7 +295,7 @@ def test_attributes_from_the_command_line(room: Path, tmp_path: Path, capsys: Ca
     [
         (["--path", "orbit"], "expected --output FILE"),
         (["--path", "orbit", "-o", "film.avi"], "films are written as .mp4, .webm, .webp or .gif"),
-        (["--path", "orbit", "-o", "film.webp", "--fps", "0"], "fps"),
+        (["--path", "orbit", "-o", "film.webp", "--fps", "0"], "--fps: expected above 0"),
         (["--path", "orbit", "-o", "film.webp", "--fps", "1e9"], "--fps: expected above 0, up to 240"),
         (["--path", "orbit", "-o", "film.webp", "--seconds", "1e9"], "--seconds"),
         (["--path", "orbit", "-o", "film.webp", "--size", "99999x99999"], "--size: expected 2x2"),

@@ -49,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--all", action="store_true", help="render from all photos")
     which.add_argument(
         "--path", metavar="orbit|swing|photos|FILE",
-        help="film along a path: once around, 60 degrees to and fro, through the photos, or through key frames (ours, "
-        "as the viewer saves them, or nerfstudio's camera_path.json)",
+        help="film along a path: around as far as there are photos, 60 degrees to and fro, through the photos, or "
+        "through key frames (ours, as the viewer saves them, or nerfstudio's camera_path.json)",
     )  # fmt: skip
     parser.add_argument(
         "--output-dir", "--output", "-o", metavar="DIR|FILE",

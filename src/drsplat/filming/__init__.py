@@ -2,5 +2,5 @@
 
 No more than a few pictures are held at a time, however long the film.
 
-Imports `scene`, `formats`, `drawing` and `query`.
+Imports `scene`, `formats`, `kernels`, `drawing` and `query`.
 """

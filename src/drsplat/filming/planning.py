@@ -48,7 +48,7 @@ def path_named(
     upward = up_of(views) if up is None else up
     upward = np.array(UP_WITHOUT_VIEWS) if upward is None else upward
     around = around_scene(gaussians, views, upward) if match is None else around_match(match, gaussians, views, upward)
-    return orbit(around, upward) if name == ORBIT else swinging(around, upward)
+    return orbit(around, upward, views) if name == ORBIT else swinging(around, upward)
 
 
 def planned(

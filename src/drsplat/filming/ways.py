@@ -18,6 +18,8 @@ PHOTO_SECONDS, ORBIT_SECONDS, SWING_SECONDS = (4.0, 30.0), 10.0, 5.0
 ROUND, SWUNG = 36, 24  # key frames
 ABOVE = 0.5  # height of an orbit without photos, over its radius
 REACH, WITHIN = 1.6, 0.9  # radius of an orbit without photos, of that which so many Gaussians lie in
+UNSEEN = 2 * np.pi / 3  # of a circle without a photo: an orbit turns back there
+MOST_PHOTOS = (0.1, 0.9)  # of those by their angles: the outermost stand where there is little room
 FACING = 0.5  # of the photos: what fewer have before them is not what they were taken of
 
 
@@ -42,16 +44,38 @@ def through_photos(views: Sequence[View], seconds: float | None = None) -> Camer
     return CameraPath([KeyFrame.of(views[i]) for i in chosen], seconds=lasts)
 
 
-def orbit(around: Around, up: Vector) -> CameraPath:
-    """Once round, level, at one height. Raises: InputError: the camera would stand above or below its target."""
+def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
+    """Round the target, level, at one height: once, or to and fro where the photos leave out a third of the circle.
+
+    There nobody has seen what the scene looks like; as often as not it is the inside of a wall.
+
+    Raises: InputError: the camera would stand above or below its target.
+    """
     arm = around.eye - around.target
     level = arm - (arm @ up) * up
     if not np.linalg.norm(level) > 1e-9 * max(1.0, float(np.linalg.norm(arm))):
         raise InputError("an orbit cannot begin right above or below what it goes around: name another place")
     aside = np.cross(up, level)
     turns = np.arange(ROUND) * 2 * np.pi / ROUND
+    arc = _arc([view.center - around.target for view in views], level, aside)
+    if arc is not None:
+        turns = arc[0] + (arc[1] - arc[0]) * (0.5 + 0.5 * np.sin(turns))
     eyes = around.target + (arm @ up) * up + np.outer(np.cos(turns), level) + np.outer(np.sin(turns), aside)
     return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=ORBIT_SECONDS)
+
+
+def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, float] | None:
+    """From which angle to which most photos are, None where they are all around, or nowhere."""
+    if not arms:
+        return None
+    angles = np.sort([np.arctan2(arm @ aside, arm @ level) for arm in arms])
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    widest = int(gaps.argmax())
+    if gaps[widest] < UNSEEN:
+        return None
+    turns = np.mod(angles - angles[(widest + 1) % len(angles)], 2 * np.pi)
+    low, high = float(angles[(widest + 1) % len(angles)]) + np.quantile(turns, MOST_PHOTOS)
+    return float(low), float(high)
 
 
 def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPath:
