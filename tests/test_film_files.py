@@ -175,8 +175,9 @@ def test_a_name_that_looks_like_an_option_or_an_address(tmp_path: Path, monkeypa
 
 
 ENDLESS = """
-import sys, numpy as np
+import signal, sys, numpy as np
 from drsplat.filming.writing import write_film
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have started the tests without one
 def pictures():
     number = 0
     while True:
@@ -198,8 +199,11 @@ def test_killed_or_interrupted_it_leaves_no_film(suffix: str, how: signal.Signal
     assert running.stdout is not None
     assert running.stdout.readline() == b"going\n"
     running.send_signal(how)
-    running.wait(60)
-    running.stdout.close()
+    try:
+        running.wait(60)
+    finally:
+        running.kill()
+        running.stdout.close()
     time.sleep(0.2)  # ffmpeg may go on for a moment
     left = files_in(tmp_path)
     assert path.name not in left
