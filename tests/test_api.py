@@ -79,6 +79,7 @@ ORDER = (
     "models",
     "drawing",
     "query",
+    "filming",
     "catalogue",
     "embedding",
     "serving",

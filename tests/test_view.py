@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
+from drsplat.drawing.heat import heat_of
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
+from drsplat.filming import looking
 from drsplat.query import Scene
-from drsplat.viewing import cameras, painting, picking, results, saving, shown, texts, uploads
+from drsplat.viewing import painting, picking, results, saving, shown, texts, uploads
 from drsplat.viewing.bare import is_bare, open_bare
 from drsplat.viewing.finds import finds_of
 from drsplat.viewing.naming import photo_of
@@ -157,7 +159,7 @@ def test_a_ray_weighs_as_the_renderer_does_far_away() -> None:
 
 def test_a_camera_looks_at_its_target_with_up_upwards() -> None:
     eye, target = np.array([3.0, -2.0, 1.5]), np.array([0.2, 0.1, 0.3])
-    view = cameras.looking_at(eye, target, UP, (320, 240), 50.0)
+    view = looking.looking_at(eye, target, UP, (320, 240), 50.0)
     pixel = view.K @ (view.cam_from_world[:3, :3] @ target + view.cam_from_world[:3, 3])
     np.testing.assert_allclose(pixel[:2] / pixel[2], (160, 120))
     np.testing.assert_allclose(view.center, eye)
@@ -165,40 +167,40 @@ def test_a_camera_looks_at_its_target_with_up_upwards() -> None:
 
 
 def test_a_camera_can_look_straight_down_but_not_at_itself() -> None:
-    view = cameras.looking_at(np.array([0, 0, 5.0]), np.zeros(3), UP, (32, 32))
+    view = looking.looking_at(np.array([0, 0, 5.0]), np.zeros(3), UP, (32, 32))
     np.testing.assert_allclose(view.cam_from_world[2, :3], (0, 0, -1), atol=1e-9)
     with pytest.raises(InputError, match="where it stands"):
-        cameras.looking_at(np.ones(3), np.ones(3), UP, (32, 32))
+        looking.looking_at(np.ones(3), np.ones(3), UP, (32, 32))
 
 
 def test_up_is_what_the_photos_call_up() -> None:
     views = [look_at_view((np.cos(a), np.sin(a), 0.5)) for a in np.linspace(0, 6, 9)]
     field = boxes_scene().field
-    np.testing.assert_allclose(cameras.up_direction(Scene(field, views=views)), UP, atol=1e-12)
-    np.testing.assert_array_equal(cameras.up_direction(Scene(field)), (0, -1, 0))
+    np.testing.assert_allclose(looking.up_direction(Scene(field, views=views)), UP, atol=1e-12)
+    np.testing.assert_array_equal(looking.up_direction(Scene(field)), (0, -1, 0))
     leaning = np.array([0.1, 0.0, np.sqrt(0.99)])  # as the field has it, so its boxes stand: not along the nearest axis
-    np.testing.assert_array_equal(cameras.up_direction(Scene(replace(field, up=leaning), views=views)), leaning)
-    np.testing.assert_array_equal(cameras.named_up("-y"), (0, -1, 0))
+    np.testing.assert_array_equal(looking.up_direction(Scene(replace(field, up=leaning), views=views)), leaning)
+    np.testing.assert_array_equal(looking.named_up("-y"), (0, -1, 0))
     with pytest.raises(InputError, match="expected one of"):
-        cameras.named_up("z")
+        looking.named_up("z")
 
 
 def test_a_flight_is_a_loop_at_one_height_and_distance() -> None:
     eye, target = np.array([2.0, 0, 1]), np.array([0.0, 0, 0.5])
-    places = np.array(cameras.flight(eye, target, UP, 24))
+    places = np.array(looking.swing(eye, target, UP, 24))
     np.testing.assert_allclose(places[0], eye)
     np.testing.assert_allclose(np.linalg.norm(places - target, axis=1), np.linalg.norm(eye - target))
     np.testing.assert_allclose(places[:, 2], 1)
     assert np.abs(np.diff(np.vstack([places, places[:1]]), axis=0)).max() < 0.4
     with pytest.raises(InputError, match="two frames"):
-        cameras.flight(eye, target, UP, 1)
+        looking.swing(eye, target, UP, 1)
 
 
 def test_the_place_before_a_thing_sees_all_of_it(session: Session) -> None:
     session.ask("tall lamp")
     thing, scene = session.results[0].matches[0], session.scene
-    eye = cameras.before(thing, scene.gaussians, scene.views, UP)
-    view = cameras.looking_at(eye, thing.center, UP, (200, 200))
+    eye = looking.before(thing, scene.gaussians, scene.views, UP)
+    view = looking.looking_at(eye, thing.center, UP, (200, 200))
     points = scene.gaussians.means[thing.gaussian_ids] @ view.cam_from_world[:3, :3].T
     pixels = (points + view.cam_from_world[:3, 3]) @ view.K.T
     at = pixels[:, :2] / pixels[:, 2:]
@@ -211,7 +213,7 @@ def test_the_place_before_a_thing_sees_all_of_it(session: Session) -> None:
 
 def test_heat_is_a_half_at_the_threshold_and_rises_with_the_value() -> None:
     values = np.linspace(-0.2, 0.6, 101).astype(np.float32)
-    heat = painting.heat_of(values, 0.4)
+    heat = heat_of(values, 0.4)
     assert (np.diff(heat) >= 0).all()
     assert heat[0] == 0
     assert heat[-1] == 1
@@ -219,8 +221,8 @@ def test_heat_is_a_half_at_the_threshold_and_rises_with_the_value() -> None:
 
 
 def test_where_nothing_is_found_nothing_is_hot() -> None:
-    assert painting.heat_of(np.linspace(0, 0.3, 50).astype(np.float32), 0.5).max() < 0.5
-    assert np.isfinite(painting.heat_of(np.zeros(4, np.float32), 0.0)).all()
+    assert heat_of(np.linspace(0, 0.3, 50).astype(np.float32), 0.5).max() < 0.5
+    assert np.isfinite(heat_of(np.zeros(4, np.float32), 0.0)).all()
 
 
 def test_what_was_found_is_brighter_than_the_rest() -> None:

@@ -13,8 +13,8 @@ from browsing import a_browser, a_page, colorfulness, eventually, near, needs_ch
 from drsplat import read_gaussians
 from drsplat.demo.story import Story
 from drsplat.field.labels import LabelFile
+from drsplat.filming.looking import up_direction
 from drsplat.query import open_scene
-from drsplat.viewing.cameras import up_direction
 from drsplat.viewing.session import Session
 
 pytestmark = [needs_chromium, pytest.mark.slow]

@@ -9,8 +9,9 @@ import pytest
 
 from browsing import a_browser, a_page, colorfulness, eventually, near, needs_chromium, pixels_of
 from drsplat.demo.story import Story
+from drsplat.filming.looking import up_direction
 from drsplat.query import open_scene
-from drsplat.viewing.cameras import first_look, up_direction
+from drsplat.viewing.cameras import first_look
 from drsplat.viewing.exporting import page_of
 from drsplat.viewing.page import write_page
 from drsplat.viewing.session import Session

@@ -1,4 +1,4 @@
-"""drsplat render: pictures of a scene from the places of its photos."""
+"""drsplat render: pictures of a scene from the places of its photos, and films along a path."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .film import SCENE, add_film_options, film
 from .options import (
     add_capture_options,
     add_near,
@@ -20,29 +21,41 @@ from .options import (
 from .query_options import open_scene
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ..filming.highlights import Highlight
     from ..kernels import SplatArrays
+    from ..query import Scene as OpenedScene
     from ..scene.gaussians import Gaussians
     from ..scene.views import View
 
-SUMMARY = "render a scene from the places of its photos, optionally with the matches of a query highlighted"
+SUMMARY = "render a scene as pictures or as a film, optionally with the matches of a query highlighted"
 EXAMPLES = """\
   drsplat render scene.ply --views capture --view photo_003 --output-dir renders
   drsplat render scene.ply --views capture --all --max-side 800 --depth
-  drsplat render scene.ply --views capture --all --query room.field "red mug\""""
+  drsplat render scene.ply --views capture --all --query room.field "red mug"
+  drsplat render scene.ply --views capture --path orbit --query room.field "red mug" --boxes --output mug.mp4
+  drsplat render scene.ply --path camera_path.json --fps 24 --size 1920x1080 --output flight.webm
+  drsplat render scene.ply --views capture --query room.field vase --attributes red blue wooden --output vase.png"""
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
+PICTURES = "renders"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
-    parser.add_argument("--views", required=True, metavar="CAPTURE", help="poses to render from")
-    which = parser.add_mutually_exclusive_group(required=True)
+    parser.add_argument(
+        "--views", metavar="CAPTURE", help="poses to render from; a film along FILE, or of an orbit, needs none"
+    )
+    which = parser.add_mutually_exclusive_group()
     which.add_argument("--view", type=words, metavar="NAME", help="name of one photo, with or without suffix")
     which.add_argument("--all", action="store_true", help="render from all photos")
+    which.add_argument(
+        "--path", metavar="orbit|swing|photos|FILE",
+        help="film along a path: around as far as there are photos, 60 degrees to and fro, through the photos, or "
+        "through key frames (ours, as the viewer saves them, or nerfstudio's camera_path.json)",
+    )  # fmt: skip
     parser.add_argument(
-        "--output-dir", "--output", "-o", default="renders", metavar="DIR",
-        help="folder for the PNGs (default: renders)",
+        "--output-dir", "--output", "-o", metavar="DIR|FILE",
+        help="folder for the PNGs (default: renders); of --path the film, .mp4, .webm, .webp or .gif; of --attributes "
+        "the picture",
     )  # fmt: skip
     add_overwrite(parser)
     parser.add_argument(
@@ -64,32 +77,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="threshold of --query (default: as of `drsplat locate`)"
     )
+    parser.add_argument("--boxes", action="store_true", help="draw the matches of --query with boxes and names")
+    parser.add_argument(
+        "--heat-map", action="store_true",
+        help="show how well everything fits --query in colours, yellow-green at the threshold, instead of its matches",
+    )  # fmt: skip
+    parser.add_argument(
+        "--attributes", type=words, nargs="+", metavar="WORDS",
+        help="one row of pictures of the best match of --query: as it is, and a heat map for each of these words",
+    )  # fmt: skip
+    add_film_options(parser)
     add_query_encoders(parser)
     add_capture_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_gaussians
-    from ..kernels import splat_arrays
     from ..progress import Stopwatch
-    from ..query import view_named
 
     watch = Stopwatch()
-    scene, views = read_gaussians(arguments.scene), views_of(arguments, arguments.views)
-    views = views if arguments.all else [view_named(views, arguments.view)]
-    selected = _selected(arguments, scene)
+    _check(arguments)
+    scene = read_gaussians(arguments.scene)
+    views = [] if arguments.views is None else views_of(arguments, arguments.views)
+    opened, answer = _answer(arguments)
     watch.lap("read")
-    splats = splat_arrays(scene, arguments.near)
-    written = [
-        path
-        for view in tracker(arguments)(views, "rendering")
-        for path in _render(arguments, scene, view, splats, selected)
-    ]
+    if arguments.path is not None:
+        answered = film(arguments, scene, views, answer, opened)
+    elif arguments.attributes is not None:
+        assert opened is not None
+        answered = _attributes(arguments, opened, answer)
+    else:
+        answered = _stills(arguments, scene, views, answer)
     watch.lap("render")
-    return {
-        "files": [str(path) for path in written],
-        "num_views": len(views),
-        "num_selected": None if selected is None else int(selected.sum()),
+    return answered | {
+        "num_selected": None if answer is None or answer.is_heat else answer.num_selected,
+        "num_matches": None if answer is None else len(answer.matches),
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
     }
@@ -98,37 +120,98 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
 
-    files = answer["files"]
-    print(
-        f"{counted(len(files), 'file')} in {answer['seconds']:.1f} s: {files[0]}"
-        + (f" ... {files[-1]}" if len(files) > 1 else "")
-    )
-    if answer["num_selected"] == 0:
+    if "num_frames" in answer:
+        width, height = answer["size"]
+        print(
+            f"{answer['file']}: {counted(answer['num_frames'], 'picture')} of {width}x{height}, "
+            f"{answer['film_seconds']:.1f} s at {answer['fps']:g} a second, {answer['bytes'] / 1e6:.1f} MB; "
+            f"{answer['frames_per_second']:.1f} pictures a second were made"
+        )
+    else:
+        files = answer["files"]
+        print(
+            f"{counted(len(files), 'file')} in {answer['seconds']:.1f} s: {files[0]}"
+            + (f" ... {files[-1]}" if len(files) > 1 else "")
+        )
+    if answer["num_matches"] == 0:
         print("No match to highlight.")
 
 
-def _selected(arguments: argparse.Namespace, scene: Gaussians) -> np.ndarray | None:
-    """(N, 1): 1 for the Gaussians that --query finds; None without it."""
-    import numpy as np
+def _check(arguments: argparse.Namespace) -> None:
+    """Raises: InputError: options that do not go together."""
+    from ..errors import InputError
 
+    films, row = arguments.path is not None, arguments.attributes is not None
+    if not (films or row or arguments.view or arguments.all):
+        raise InputError("expected --view NAME, --all, --path or --attributes: what to render from")
+    if (films or row) and arguments.output_dir is None:
+        raise InputError("expected --output FILE: " + ("film.mp4, say" if films else "row.png, say"))
+    if row and (films or arguments.all):
+        raise InputError("attributes: one row of pictures from one view: drop --path and --all")
+    of_films = [
+        name for name in ("up", "fps", "seconds", "size", "side_by_side") if getattr(arguments, name) is not None
+    ]
+    of_films += ["around"] if arguments.around != SCENE else []
+    if of_films and not films:
+        raise InputError(f"--{of_films[0].replace('_', '-')} is of a film: give --path orbit, swing, photos or FILE")
+    if films and (arguments.depth or arguments.alpha):
+        raise InputError("depth and alpha are of pictures, not of films: drop --depth and --alpha")
+    if arguments.views is None and not (films and arguments.path != "photos"):
+        raise InputError("expected --views CAPTURE: the poses to render from")
+    if arguments.query is None and (row or arguments.boxes or arguments.heat_map):
+        raise InputError("attributes, boxes and heat maps are of an answer: give --query FIELD TEXT")
+
+
+def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highlight | None]:
+    """What --query finds, and the scene that says so."""
+    from ..filming.highlights import Highlight
     from ..query import Query
 
     if arguments.query is None:
-        return None
+        return None, None
     path, text = arguments.query
-    chosen = np.zeros((len(scene), 1), np.float32)
-    for match in open_scene(arguments, path).locate(Query(text, threshold=arguments.threshold)):
-        chosen[match.gaussian_ids] = 1
-    return chosen
+    opened = open_scene(arguments, path)
+    query = Query(text, threshold=arguments.threshold)
+    return opened, Highlight.of(opened, query, heat=arguments.heat_map, boxes=arguments.boxes)
+
+
+def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
+    from ..drawing.pictures import write_picture
+    from ..errors import InputError
+    from ..query.sheets import attribute_row
+
+    output = new_output(arguments.output_dir, arguments.overwrite)
+    if answer is None or not answer.matches:
+        raise InputError(f"'{arguments.query[1]}' has no match in this scene: there is nothing to show attributes of")
+    view = None if arguments.view is None else opened.view(arguments.view)
+    write_picture(output, attribute_row(opened, answer.matches[0], arguments.attributes, view), arguments.overwrite)
+    return {"files": [str(output)], "num_views": 1}
+
+
+def _stills(
+    arguments: argparse.Namespace, scene: Gaussians, views: list[View], answer: Highlight | None
+) -> dict[str, Any]:
+    from ..kernels import splat_arrays
+    from ..query import view_named
+
+    arguments.output_dir = arguments.output_dir or PICTURES
+    views = views if arguments.all else [view_named(views, arguments.view)]
+    splats = splat_arrays(scene, arguments.near)
+    written = [
+        path
+        for view in tracker(arguments)(views, "rendering")
+        for path in _render(arguments, scene, view, splats, answer)
+    ]
+    return {"files": [str(path) for path in written], "num_views": len(views)}
 
 
 def _render(
-    arguments: argparse.Namespace, scene: Gaussians, view: View, splats: SplatArrays, selected: np.ndarray | None
+    arguments: argparse.Namespace, scene: Gaussians, view: View, splats: SplatArrays, answer: Highlight | None
 ) -> list[Path]:
     import numpy as np
 
     from .. import render
-    from ..drawing.pictures import as_pixels, highlighted, write_picture
+    from ..drawing.pictures import as_pixels, write_picture
     from ..formats.npy import write_npy
 
     stem = Path(arguments.output_dir) / Path(view.name).with_suffix("")
@@ -137,11 +220,11 @@ def _render(
     paths |= {"depth": stem.with_name(f"{stem.name}.depth.npy")} if arguments.depth else {}
     for path in paths.values():
         new_output(str(path), arguments.overwrite)
-    background = BACKGROUNDS[arguments.background]
-    drawn = render(scene, view, values=selected, background=background, threads=arguments.threads, splats=splats)
+    background, values = BACKGROUNDS[arguments.background], None if answer is None else answer.values
+    drawn = render(scene, view, values=values, background=background, threads=arguments.threads, splats=splats)
     pixels = as_pixels(drawn.rgb)
     stem.parent.mkdir(parents=True, exist_ok=True)
-    picture = pixels if selected is None else highlighted(pixels, drawn.channels[..., 0])
+    picture = pixels if answer is None else answer.over(drawn, pixels, view, 1.0)
     write_picture(paths["rgb"], picture, arguments.overwrite)
     if arguments.alpha:
         write_picture(paths["alpha"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), arguments.overwrite)

@@ -183,6 +183,6 @@ def _scene(arguments: argparse.Namespace) -> Scene:
 
 
 def _up(arguments: argparse.Namespace, scene: Scene) -> Any:
-    from ..viewing.cameras import named_up, up_direction
+    from ..filming.looking import named_up, up_direction
 
     return up_direction(scene) if arguments.up is None else named_up(arguments.up)

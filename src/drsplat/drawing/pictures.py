@@ -15,18 +15,23 @@ from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.photos import load_image
 from ..scene.views import View
+from .heat import heat_colors
 from .palette import LUMA
 from .rendering import render
 
 Pixels = UInt8[np.ndarray, "h w 3"]
 OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
 OUTLINE = (255, 64, 160)
+SHADED = 0.45  # of its colour, what heat has where the photo is black
 PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (120, 124, 134)
 
 
 def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
     """Floats in [0, 1] to bytes; what is outside is clipped."""
-    pixels: Pixels = (np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    scaled = np.clip(rgb, 0, 1)
+    scaled *= 255
+    scaled += 0.5
+    pixels: Pixels = scaled.astype(np.uint8)
     return pixels
 
 
@@ -71,13 +76,32 @@ def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: in
     return picture
 
 
+def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
+    """Heat in [0, 1] as colours over the photo, which keeps its light and shade.
+
+    Raises: InputError: photo and heat differ in size.
+    """
+    if photo.shape[:2] != heat.shape:
+        raise InputError(f"the photo is {photo.shape[:2]}, the heat {heat.shape}: render the heat at the photo's size")
+    warm = heat_colors(np.linspace(0, 1, 256, dtype=np.float32)) * np.float32(255)
+    shade = SHADED + (1 - SHADED) / 255 * (photo @ LUMA.astype(np.float32))[..., None]
+    picture: Pixels = (warm[(np.clip(heat, 0, 1) * 255).astype(np.uint8)] * shade).astype(np.uint8)
+    return picture
+
+
 def _border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
     """Just outside of the region; specks of a few pixels get none."""
-    pieces, num = ndimage.label(inside)
+    rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    border = np.zeros_like(inside)
+    if not len(rows):
+        return border
+    beyond = thickness + 1
+    part = tuple(slice(max(at[0] - beyond, 0), at[-1] + 1 + beyond) for at in (rows, columns))
+    pieces, num = ndimage.label(inside[part])  # nothing further away changes
     sizes = np.bincount(pieces.ravel(), minlength=num + 1)
     sizes[0] = 0
     region = ndimage.binary_fill_holes((sizes > 4 * thickness**2)[pieces])
-    border: np.ndarray = ndimage.binary_dilation(region, iterations=thickness) & ~region
+    border[part] = ndimage.binary_dilation(region, iterations=thickness) & ~region
     return border
 
 

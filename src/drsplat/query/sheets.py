@@ -1,12 +1,26 @@
-"""Pictures of objects: each cut out of the photo that shows it best."""
+"""Pictures of objects: each cut out of the photo that shows it best, or as its attributes see it."""
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..drawing.cutouts import TILE, captioned, cut_out
-from ..drawing.pictures import OtherPixels, best_views, contact_sheet, photo_or_rendering, visible_share
+from ..drawing.heat import heat_of
+from ..drawing.pictures import (
+    OtherPixels,
+    as_pixels,
+    best_views,
+    contact_sheet,
+    heated,
+    photo_or_rendering,
+    titled,
+    visible_share,
+    zoomed,
+)
+from ..drawing.rendering import render
 from ..errors import InputError
 from ..scene.views import View
-from .answer import Match
+from .answer import Answer, Match
 from .objects import objects_of, photos_of
 from .scene import Scene
 
@@ -14,6 +28,7 @@ AT_ONCE = 16  # objects whose photos are compared together
 LOOKED_AT = 3  # photos of each, those that show most of it
 COLUMNS = 6
 MOST = 60  # objects on a sheet
+MOST_ATTRIBUTES, ATTRIBUTE_SIDE = 12, 640  # pictures in a row; pixels of their longer side
 
 
 def object_picture(scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE) -> OtherPixels:
@@ -56,6 +71,36 @@ def object_sheet(scene: Scene, matches: Sequence[Match], titles: Sequence[str]) 
         for match, view, title in zip(shown, object_views(scene, shown), titles, strict=False)
     ]
     return contact_sheet(tiles, min(COLUMNS, len(tiles)), tile_width=tiles[0].shape[1])
+
+
+def attribute_row(scene: Scene, match: Match, attributes: Sequence[str], view: View | None = None) -> OtherPixels:
+    """One thing as it is, and beside it how well each word fits, as heat: yellow-green at the word's threshold.
+
+    Each heat map says how much of the thing, in opacity, is above that. view: None for the one that shows most of it;
+    the pictures are of the part of it about the thing.
+
+    Raises: InputError: no words or too many, none that the encoder knows, no views.
+    """
+    if not 1 <= len(attributes) <= MOST_ATTRIBUTES:
+        raise InputError(f"attributes: expected 1 to {MOST_ATTRIBUTES} words, got {len(attributes)}")
+    view = (view or scene.best_view(match.gaussian_ids)).limited(ATTRIBUTE_SIDE)
+    seen = visible_share(scene.gaussians, view, match.gaussian_ids, splats=scene.splats, threads=scene.threads)
+    answers = [scene.ask(word) for word in attributes]
+    heat = [scene.field.dense(heat_of(one.values, one.threshold), fill=0.0) for one in answers]
+    near = zoomed(view, seen)
+    drawn = render(scene.gaussians, near, values=np.stack(heat, 1), splats=scene.splats, threads=scene.threads)
+    picture, solid = as_pixels(drawn.rgb), np.maximum(drawn.alpha, 1e-3)
+    tiles = [titled(picture, match.label or "as it is")]
+    for number, (word, answer) in enumerate(zip(attributes, answers, strict=True)):
+        note = f"{_share_above(scene, match, answer):.0%} of it"
+        tiles.append(titled(heated(picture, drawn.channels[..., number] / solid), word, note))
+    return contact_sheet(tiles, len(tiles))
+
+
+def _share_above(scene: Scene, match: Match, answer: Answer) -> float:
+    mass = scene.gaussians.opacities[match.gaussian_ids].astype(np.float64)
+    above = np.isin(match.gaussian_ids, answer.gaussian_ids)
+    return float(mass[above].sum() / max(mass.sum(), 1e-12))
 
 
 def _photos(scene: Scene, match: Match) -> list[str]:

@@ -1,33 +1,12 @@
-"""Where to look from: which way is up, the place before a match, a flight around it."""
+"""Where a viewer begins."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64
 
-from ..errors import InputError
-from ..query import Match, Scene
-from ..scene.gaussians import Gaussians
+from ..filming.looking import Vector
 from ..scene.views import View
 from .shown import RADIUS, Frame
-
-Vector = Float64[np.ndarray, " 3"]
-ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
-LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
-FOV_DEGREES = 55.0
-UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
-
-
-def up_direction(scene: Scene) -> Vector:
-    """What the scene calls up, as its boxes stand; where nothing tells, that of COLMAP's first camera."""
-    return np.array(UP_WITHOUT_VIEWS) if scene.up is None else scene.up
-
-
-def named_up(text: str) -> Vector:
-    """The direction of "+z", "-y" and so on. Raises: InputError: none of these."""
-    if len(text) != 2 or text[0] not in "+-" or text[1] not in "xyz":
-        raise InputError(f"up: {text}: expected one of +x -x +y -y +z -z")
-    return np.asarray(np.eye(3)["xyz".index(text[1])] * (1 if text[0] == "+" else -1))
 
 
 def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector, Vector]:
@@ -40,70 +19,3 @@ def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector,
     ahead = view.cam_from_world[2, :3]
     reach = max(float(ahead @ (frame.center - view.center)), 1 / frame.scale)
     return view.center, view.center + reach * ahead
-
-
-def looking_at(
-    eye: Vector, target: Vector, up: Vector, size: tuple[int, int], fov_degrees: float = FOV_DEGREES
-) -> View:
-    """A camera at `eye` with `target` in the middle of its picture; size: width and height.
-
-    fov_degrees: from the top to the bottom of the picture.
-
-    Raises: InputError: eye and target are one.
-    """
-    ahead = target - eye
-    length = np.linalg.norm(ahead)
-    if not length > 0:
-        raise InputError("a camera cannot look at the place where it stands")
-    ahead = ahead / length
-    right = np.cross(ahead, up)
-    if np.linalg.norm(right) < 1e-6:  # straight up or down: any right will do
-        right = np.cross(ahead, np.roll(up, 1) + 1e-3)
-    right = right / np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    width, height = size
-    focal = height / (2 * np.tan(np.radians(fov_degrees) / 2))
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return View("camera", K, pose, width, height)
-
-
-def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:
-    """A place to see a match from: the side that most photos see it from, a little above."""
-    size = size_of(match, gaussians)
-    if views:
-        eyes = np.stack([view.center for view in views])
-        nearest = eyes[np.argsort(np.linalg.norm(eyes - match.center, axis=1))[: len(eyes) // 3 + 1]]
-        side = (nearest - match.center).mean(0)
-    else:
-        side = np.array([0.8, 0.5, 0.3])
-    side = side - (side @ up) * up
-    if np.linalg.norm(side) < 1e-9:
-        side = np.cross(up, np.roll(up, 1))
-    side = side / np.linalg.norm(side)
-    return np.asarray(match.center + ASIDE * size * (side + ABOVE * up))
-
-
-def size_of(match: Match, gaussians: Gaussians) -> float:
-    """The longest side of its box, but not less than a small part of the scene."""
-    spread = gaussians.means.astype(np.float64)
-    radius = float(np.median(np.linalg.norm(spread - np.median(spread, axis=0), axis=1)))
-    return max(float(match.extent.max()), LEAST_SIZE * radius, 1e-6)
-
-
-def flight(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0) -> list[Vector]:
-    """Places of a swing around `target` that begins and ends at `eye`: a loop, slow at its turns.
-
-    Raises: InputError: fewer than two frames.
-    """
-    if frames < 2:
-        raise InputError(f"a flight needs two frames or more, got {frames}")
-    angles = np.radians(turn_degrees / 2) * np.sin(2 * np.pi * np.arange(frames) / frames)
-    return [target + _turned(eye - target, up, float(angle)) for angle in angles]
-
-
-def _turned(vector: Vector, axis: Vector, angle: float) -> Vector:
-    """Rodrigues' formula; axis: of unit length."""
-    along = (axis @ vector) * axis
-    return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))

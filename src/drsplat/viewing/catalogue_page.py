@@ -11,11 +11,11 @@ import numpy as np
 
 from ..catalogue import Catalogue, Entry
 from ..errors import DrSplatError, FormatError, InputError
+from ..filming.looking import up_direction
 from ..query import Match
 from ..terminal import counted
 from . import painting
 from .actions import Actions
-from .cameras import up_direction
 from .panel import Panel
 from .prompts import prompt
 from .session import Session

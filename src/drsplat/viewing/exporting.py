@@ -6,11 +6,12 @@ from os import PathLike
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
+from ..drawing.heat import heat_of
 from ..errors import DrSplatError, InputError
+from ..filming.looking import before, up_direction
 from ..query import Scene
-from . import painting
 from .bare import NO_FIELD
-from .cameras import before, first_look, up_direction
+from .cameras import first_look
 from .naming import words_of
 from .page import MOST, MOST_WORDS, Page, PageAnswer, write_page
 from .results import Result, result_of
@@ -72,7 +73,7 @@ def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageA
     scene, ids = session.scene, session.shown.ids
     result = result_of(scene, text, scene.ask(text))
     matches = result.matches[:MOST_MATCHES]
-    warm = painting.heat_of(result.answer.values, result.threshold)
+    warm = heat_of(result.answer.values, result.threshold)
     return PageAnswer(
         text,
         scene.field.dense(warm, fill=0.0)[ids],

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8, UInt16
 
+from ..drawing.heat import HEAT
 from ..errors import InputError
+from ..filming.looking import FOV_DEGREES
 from ..formats.replacing import replacing
 from ..query import Match
 from . import painting
-from .cameras import FOV_DEGREES
 from .shown import Frame, Shown
 from .texts import escaped, printable
 
@@ -119,7 +120,7 @@ def _header(page: Page) -> dict[str, Any]:
         "up": page.up.tolist(),
         "fov": FOV_DEGREES,
         "background": BACKGROUND,
-        "heat": painting.HEAT.tolist(),
+        "heat": HEAT.tolist(),
         "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
         "words": list(page.words)[:MOST_WORDS],
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],

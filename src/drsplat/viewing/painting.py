@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
 from ..drawing import palette
+from ..drawing.heat import heat_colors
 from ..field import LanguageField
 
 Colors = Float32[np.ndarray, "n 3"]
@@ -22,18 +23,6 @@ DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another 
 TINT = 0.8  # share of the query's colour in what was found, where several are told apart
 GLOW = 0.3  # power of more light than it had: dark things gain most, and no channel overflows
 WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
-HEAT = np.array(
-    [
-        (0.05, 0.06, 0.20),
-        (0.17, 0.24, 0.62),
-        (0.16, 0.62, 0.72),
-        (0.62, 0.80, 0.30),
-        (0.98, 0.72, 0.16),
-        (0.86, 0.14, 0.10),
-    ],
-    np.float32,
-)
-"""Dark blue to red, of rising warmth; evenly spaced."""
 FEATURE_SAMPLE = 20_000
 
 
@@ -51,26 +40,6 @@ def brighter(rgb: Colors) -> Colors:
     """Of the same hue and saturation, with more light."""
     top = rgb.max(axis=1, keepdims=True, initial=0)
     return np.asarray(rgb * np.clip(top, 1e-3, 1) ** -GLOW, np.float32)
-
-
-def heat_of(values: Values, threshold: float) -> Values:
-    """0 at the median and below, 0.5 at the threshold, 1 at the highest value.
-
-    Where nothing is above the threshold, nothing is warmer than 0.5.
-    """
-    middle, top = float(np.median(values)), float(values.max(initial=0))
-    middle, top = min(middle, threshold - 1e-6), max(top, threshold + 1e-6)
-    below = (values - middle) / (2 * (threshold - middle))
-    above = 0.5 + (values - threshold) / (2 * (top - threshold))
-    return np.clip(np.where(values <= threshold, below, above), 0, 1).astype(np.float32)
-
-
-def heat_colors(heat: Values) -> Colors:
-    """Heat in [0, 1] to `HEAT`, with straight lines between its colours."""
-    at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
-    low = np.minimum(at.astype(np.int64), len(HEAT) - 2)
-    share = (at - low)[:, None].astype(np.float32)
-    return np.asarray(HEAT[low] * (1 - share) + HEAT[low + 1] * share)
 
 
 def highlighted(rgb: Colors, heat: Values, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]) -> Colors:

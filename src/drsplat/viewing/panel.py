@@ -11,11 +11,11 @@ import numpy as np
 
 from ..drawing.palette import class_colors
 from ..errors import DrSplatError
+from ..filming.looking import before
 from ..query import Match
 from . import painting, saving, texts
 from .actions import Actions
 from .bare import NO_FIELD
-from .cameras import before
 from .choosing import ChosenControls
 from .finds import FindList, finds_of
 from .naming import This, photo_of

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
+from ..drawing.heat import heat_of
 from ..query import Answer, Match, Scene
 from ..terminal import counted
-from . import painting
 
 SEVERAL = ";"
 
@@ -70,12 +70,12 @@ def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Int64[np.ndarray, " m"]:
 
 
 def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
-    """Per Gaussian how well it answers, as in `painting.heat_of`; of several queries the best."""
+    """Per Gaussian how well it answers, as in `drawing.heat.heat_of`; of several queries the best."""
     warmest = np.zeros(count, np.float32)
     for result in results:
         field, own = result.answer.field, result.answer.values
         if len(own):
-            warm = field.dense(painting.heat_of(own, result.threshold), fill=0.0)
+            warm = field.dense(heat_of(own, result.threshold), fill=0.0)
             warmest = np.maximum(warmest, warm)
     return warmest
 

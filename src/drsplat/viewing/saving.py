@@ -13,12 +13,12 @@ from PIL import Image
 
 from ..drawing.pictures import as_pixels
 from ..errors import InputError
+from ..filming.looking import looking_at, swing
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
 from ..kernels import render_channels
 from ..scene.views import View
 from . import results
-from .cameras import flight, looking_at
 from .session import Session
 
 BACKGROUND = np.array([0.078, 0.086, 0.106], np.float32)
@@ -58,7 +58,7 @@ def flight_gif(
     frames: int = GIF_FRAMES,
 ) -> bytes:
     """A swing around a target in the world as an endless GIF."""
-    places = flight(eye, target, up, frames)
+    places = swing(eye, target, up, frames)
     pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE)) for at in places]
     return gif_of(pictures)
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
+from ..drawing.heat import heat_colors
 from ..drawing.palette import class_colors
 from ..errors import InputError
 from ..query import Query, Scene, Segmentation
@@ -292,7 +293,7 @@ class Session:
         if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
             heat = results.heat(self.results, count)
             if mode is Mode.HEAT:
-                return painting.heat_colors(heat)
+                return heat_colors(heat)
             accents = [painting.accent(number) for number in range(len(self.results))]
             owners = results.owners(self.results, count)
             return painting.highlighted(self._base, heat, owners, accents)

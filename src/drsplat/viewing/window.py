@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..errors import MissingExtraError
+from ..filming.looking import FOV_DEGREES, looking_at
 from ..query import Match
 from ..scene.views import View
 from ..serving.access import EVERYWHERE, is_loopback
 from . import painting
-from .cameras import FOV_DEGREES, first_look, looking_at
+from .cameras import first_look
 from .finds import MOST_FIRST, MOST_LISTED, finds_of
 from .listening import listening_socket
 from .session import Session

@@ -1,0 +1,39 @@
+"""How warm an answer is: values as heat, and heat as colours."""
+
+import numpy as np
+from jaxtyping import Float32
+
+Values = Float32[np.ndarray, " n"]
+
+HEAT = np.array(
+    [
+        (0.05, 0.06, 0.20),
+        (0.17, 0.24, 0.62),
+        (0.16, 0.62, 0.72),
+        (0.62, 0.80, 0.30),
+        (0.98, 0.72, 0.16),
+        (0.86, 0.14, 0.10),
+    ],
+    np.float32,
+)
+"""Dark blue to red, of rising warmth; evenly spaced."""
+
+
+def heat_of(values: Values, threshold: float) -> Values:
+    """0 at the median and below, 0.5 at the threshold, 1 at the highest value.
+
+    Where nothing is above the threshold, nothing is warmer than 0.5.
+    """
+    middle, top = float(np.median(values)), float(values.max(initial=0))
+    middle, top = min(middle, threshold - 1e-6), max(top, threshold + 1e-6)
+    below = (values - middle) / (2 * (threshold - middle))
+    above = 0.5 + (values - threshold) / (2 * (top - threshold))
+    return np.clip(np.where(values <= threshold, below, above), 0, 1).astype(np.float32)
+
+
+def heat_colors(heat: Values) -> Float32[np.ndarray, "n 3"]:
+    """Heat in [0, 1] to `HEAT`, with straight lines between its colours."""
+    at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
+    low = np.minimum(at.astype(np.int64), len(HEAT) - 2)
+    share = (at - low)[:, None].astype(np.float32)
+    return np.asarray(HEAT[low] * (1 - share) + HEAT[low + 1] * share)

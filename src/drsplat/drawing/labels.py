@@ -1,0 +1,132 @@
+"""Boxes and names over a picture of a view: where things of the world are in it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float64
+from PIL import Image, ImageDraw, ImageFont
+
+from ..scene.views import View
+from .pictures import OUTLINE, Pixels
+
+CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
+EDGES = [(i, k) for i, k in combinations(range(8), 2) if (i ^ k).bit_count() == 1]
+SHADE = (20, 22, 27)  # behind letters and beside lines, so that they are read on anything
+NEAR = 1e-3  # of the distance to a mark's middle: nothing nearer to the camera is drawn
+LETTERS, LEAST_LETTERS = 28, 11  # pictures are so many lines of text high; pixels
+Spot = tuple[float, float]
+Color = tuple[int, int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A name at a place of the world: a point, or a box as that of a match.
+
+    extent: full lengths along the rows of `axes`; None for a point. text: may be empty, several lines make one.
+    """
+
+    text: str
+    center: Float64[np.ndarray, " 3"]
+    extent: Float64[np.ndarray, " 3"] | None = None
+    axes: Float64[np.ndarray, "3 3"] | None = None
+    color: Color = OUTLINE
+
+    @property
+    def corners(self) -> Float64[np.ndarray, "8 3"]:
+        """Of the box; all at the point where there is none."""
+        extent = np.zeros(3) if self.extent is None else self.extent
+        axes = np.eye(3) if self.axes is None else self.axes
+        return np.asarray(self.center + (CORNERS * extent) @ axes)
+
+
+def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.0) -> Pixels:
+    """The picture of a view with boxes and names over it, the furthest first; nothing hides them.
+
+    A box is cut off where it leaves the space before the camera, and has its name above what is seen of it; a mark that
+    is nowhere in the picture has none. share: from 0, nothing, to 1.
+    """
+    if share <= 0 or not marks:
+        return picture
+    drawn = Image.fromarray(picture)
+    pen = ImageDraw.Draw(drawn)
+    letters = ImageFont.load_default(max(LEAST_LETTERS, view.height / LETTERS))
+    far = sorted(marks, key=lambda mark: -float(np.linalg.norm(mark.center - view.center)))
+    lines = [lines_of(mark, view) for mark in far]
+    for mark, spots in zip(far, lines, strict=True):
+        _draw_lines(pen, mark, spots, max(1, round(view.height / 240)))
+    for mark, spots in zip(far, lines, strict=True):
+        if mark.text and spots:
+            _draw_name(pen, mark, spots, letters, (view.width, view.height))
+    result: Pixels = np.asarray(drawn)
+    return result if share >= 1 else np.asarray(Image.blend(Image.fromarray(picture), drawn, share))
+
+
+def lines_of(mark: Mark, view: View) -> list[tuple[Spot, Spot]]:
+    """What of a mark's edges is in the picture, from pixel to pixel; a point's is one line of no length."""
+    corners = mark.corners @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
+    near = NEAR * max(float(np.linalg.norm(mark.center - view.center)), 1e-9)
+    ends = [(corners[0], corners[0])] if mark.extent is None else [(corners[i], corners[k]) for i, k in EDGES]
+    found = []
+    for one, other in ends:
+        if max(one[2], other[2]) <= near:
+            continue
+        one, other = _before(one, other, near), _before(other, one, near)
+        line = _within(_pixel(one, view), _pixel(other, view), view)
+        found += [line] if line is not None else []
+    return found
+
+
+def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
+    """The point, or where its line to another comes through the near plane."""
+    if point[2] >= near:
+        return point
+    return np.asarray(point + (near - point[2]) / (other[2] - point[2]) * (other - point))
+
+
+def _pixel(point: np.ndarray, view: View) -> np.ndarray:
+    return np.asarray((view.K @ point)[:2] / point[2])
+
+
+def _within(one: np.ndarray, other: np.ndarray, view: View) -> tuple[Spot, Spot] | None:
+    """A line's part in the picture, by the slabs of its sides; None where it has none."""
+    first, last, step = 0.0, 1.0, other - one
+    for axis, side in enumerate((view.width, view.height)):
+        if step[axis] == 0:
+            if not 0 <= one[axis] <= side:
+                return None
+            continue
+        low, high = sorted((-one[axis] / step[axis], (side - one[axis]) / step[axis]))
+        first, last = max(first, low), min(last, high)
+    if not first <= last:
+        return None
+    begin, end = one + first * step, one + last * step
+    return (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
+
+
+def _draw_lines(pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot, Spot]], width: int) -> None:
+    if mark.extent is None:
+        for (x, y), _ in spots:
+            for radius, color in ((3 * width + 1, SHADE), (2 * width + 1, mark.color)):
+                pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color)
+        return
+    for thick, color in ((width + 2, SHADE), (width, mark.color)):
+        for line in spots:
+            pen.line(line, fill=color, width=thick)
+
+
+def _draw_name(
+    pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot, Spot]],
+    letters: ImageFont.FreeTypeFont | ImageFont.ImageFont, size: tuple[int, int],
+) -> None:  # fmt: skip
+    """On a plate above what is seen of the mark, within the picture."""
+    places = np.array(spots).reshape(-1, 2)
+    text = " ".join(mark.text.split())
+    left, top, right, bottom = pen.textbbox((0, 0), text, letters)
+    border = (bottom - top) / 3
+    wide, high = right - left + 2 * border, bottom - top + 2 * border
+    x = float(np.clip((places[:, 0].min() + places[:, 0].max() - wide) / 2, 0, max(size[0] - wide, 0)))
+    y = float(np.clip(places[:, 1].min() - high - border, 0, max(size[1] - high, 0)))
+    pen.rectangle((x, y, x + wide, y + high), fill=SHADE)
+    pen.text((x + border - left, y + border - top), text, mark.color, letters)
