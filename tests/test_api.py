@@ -79,6 +79,7 @@ ORDER = (
     "models",
     "drawing",
     "query",
+    "editing",
     "catalogue",
     "embedding",
     "serving",
