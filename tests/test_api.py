@@ -80,6 +80,7 @@ ORDER = (
     "drawing",
     "query",
     "filming",
+    "editing",
     "catalogue",
     "embedding",
     "serving",

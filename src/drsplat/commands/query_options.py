@@ -37,6 +37,13 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "text", nargs="?", type=words, help="query in words; 'mug, not red' excludes what 'red mug' fits as well"
     )
+    add_query_kinds(parser)
+    add_query_encoders(parser)
+    add_measure_options(parser)
+
+
+def add_query_kinds(parser: argparse._ActionsContainer) -> None:
+    """What can be looked for but for a text."""
     parser.add_argument(
         "--exclude", type=words, action="append", default=[], metavar="WORDS",
         help="words to exclude, as ', not WORDS' in the text does; may be repeated",
@@ -55,8 +62,6 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
         "--point", type=words, metavar="X,Y,Z",
         help="point of the world to search for more of, in scene units; needs --scene, no encoder",
     )  # fmt: skip
-    add_query_encoders(parser)
-    add_measure_options(parser)
 
 
 def add_measure_options(parser: argparse.ArgumentParser) -> None:

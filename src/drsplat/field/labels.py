@@ -14,10 +14,10 @@ from jaxtyping import Float64, Int64, Integer
 
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
-from ..formats.json_files import as_count, as_vector, is_text, read_json
+from ..formats.json_files import as_vector, is_text, read_json
 from ..formats.replacing import replacing
+from ..formats.runs import are_rows, ids_of, runs_of, spans_of, spans_of_runs
 from .language_field import LanguageField
-from .loading import MAX_GAUSSIANS
 from .objects import THING
 
 FORMAT, VERSION = "drsplat labels", 1
@@ -45,16 +45,12 @@ class Label:
         cls, name: str, scene: str, gaussian_ids: Integer[np.ndarray, " m"], center: Float64[np.ndarray, " 3"]
     ) -> "Label":
         """Of ascending rows of the scene."""
-        ids = gaussian_ids.astype(np.int64)
-        begins = np.flatnonzero(np.diff(ids, prepend=-2) != 1)
-        lasts = np.append(begins[1:], len(ids)) - 1
-        return cls(name.strip(), scene, np.stack([ids[begins], ids[lasts] + 1], axis=1).reshape(-1, 2), center)
+        return cls(name.strip(), scene, spans_of(gaussian_ids), center)
 
     def __post_init__(self) -> None:
         if not is_text(self.name) or not self.name.strip() or len(self.name) > LONGEST:
             raise InputError(f"a name: expected a text of 1 to {LONGEST} characters, got {self.name!a:.80}")
-        ends = self.spans.ravel()
-        if not len(ends) or ends[0] < 0 or not (ends[1:] > ends[:-1]).all():
+        if not are_rows(self.spans):
             raise InputError(f"label '{self.name}': expected ascending rows of a scene, one or more")
 
     def __len__(self) -> int:
@@ -69,7 +65,7 @@ class Label:
         """Rows of the field's scene, ascending; none where it is of another one."""
         if not self.is_of(field):
             return np.empty(0, np.int64)
-        return np.concatenate([np.arange(begin, end) for begin, end in self.spans.tolist()])
+        return ids_of(self.spans)
 
     def means(self, text: str) -> bool:
         """Whether a text says this name, in whatever case."""
@@ -170,12 +166,7 @@ def _same(one: Label, other: Label) -> bool:
 
 def _document(labels: Sequence[Label]) -> dict[str, object]:
     entries = [
-        {
-            "name": label.name,
-            "scene": label.scene,
-            "center": label.center.tolist(),
-            "runs": np.diff(label.spans.ravel(), prepend=0).tolist(),
-        }
+        {"name": label.name, "scene": label.scene, "center": label.center.tolist(), "runs": runs_of(label.spans)}
         for label in labels
     ]
     return {"format": FORMAT, "version": VERSION, "labels": entries}
@@ -189,14 +180,6 @@ def _label(entry: object, where: str) -> Label:
         raise FormatError(f"{where}: expected a name, the fingerprint of a scene and runs. {_CURE}")
     center = as_vector(entry.get("center"), 3, f"{where}: center")
     try:
-        return Label(name, scene, _spans(runs, where), center)
+        return Label(name, scene, spans_of_runs(runs, f"{where}: runs"), center)
     except InputError as error:
         raise FormatError(f"{where}: {error}. {_CURE}") from error
-
-
-def _spans(runs: list[object], where: str) -> Int64[np.ndarray, "s 2"]:
-    """Of lengths in turns: rows that are left out, rows that are in it, and so on."""
-    lengths = [as_count(run, f"{where}: runs") for run in runs]
-    if len(lengths) % 2 or any(not 0 <= length <= MAX_GAUSSIANS for length in lengths):
-        raise FormatError(f"{where}: expected pairs of lengths: rows left out, rows in it. {_CURE}")
-    return np.cumsum(np.array(lengths, np.int64)).reshape(-1, 2)

@@ -16,6 +16,7 @@ from ..evidence.evidence import Evidence, evidence_from_tensors
 from ..formats.checksums import check_checksums, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector, is_text, shown
+from ..formats.runs import MAX_GAUSSIANS
 from ..formats.tensors import check_tensors, map_tensors
 from ..kernels import group_codes
 from .growth import growth_from_tensors
@@ -36,7 +37,6 @@ from .objects import ARRAYS, Objects
 from .stored import StoredField
 
 SUMMED = 3  # the first version with checksums
-MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
 
 LATER = (OBJECTS, GROWTH)  # read when they are first asked for: a search needs neither
 

@@ -118,6 +118,13 @@ def scene_file(path: Path) -> Path:
     return found[max(found)]
 
 
+def companion(scene: str | PathLike[str], kind: str) -> Path:
+    """What lies beside a scene: NAME.kind.json of the file NAME.ply, or of the folder NAME."""
+    path = Path(scene)
+    path = path.resolve() if path.is_dir() else path
+    return path.with_name(f"{path.name if path.is_dir() else path.stem}.{kind}.json")
+
+
 def write_gaussians(
     path: str | PathLike[str],
     gaussians: Gaussians,

@@ -1,0 +1,325 @@
+"""drsplat edit: change objects of a scene, without touching its file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .edit_options import add_change_options, add_list_options, add_target_options, only_one
+from .options import add_capture_options, add_overwrite, add_query_encoders, words
+from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_said
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from ..editing import EditFile, EditList
+    from ..editing.edits import Change
+    from ..editing.targets import Target
+    from ..query import Scene
+    from ..scene.annotations import Annotation
+    from ..scene.gaussians import Gaussians
+    from ..scene.views import View
+
+SUMMARY = "edit objects of a scene: remove, recolour, move, copy, replace, undo; its file stays as it is"
+EXAMPLES = """\
+  drsplat edit scene.ply --field room.field --query "red mug" --recolour "#2060ff"
+  drsplat edit scene.ply --field room.field --object 7 --move 0.2 0 0 --save edited.ply
+  drsplat edit drsplat-demo --query "red vase" --remove --fill --picture before_after.png
+  drsplat edit drsplat-demo --object 4 --palette "#203040,#d0c0a0"
+  drsplat edit scene.ply --field room.field --label "my mug" --replace other_room --with-object 3
+  drsplat edit scene.ply --undo
+  drsplat edit drsplat-demo --query "red vase" --annotate "from Delft"
+
+Edits are kept in NAME.edits.json beside the scene NAME.ply, in the order given; words are turned into rows once.
+--save writes the scene as edited, with a column object_id where the field has objects: every verb, and SuperSplat, open
+that. Annotations are kept in NAME.annotations.json."""
+TARGETS = ("text", "vector", "image", "click", "point", "object", "label", "box", "rows", "copies", "everything")
+QUERIES = ("text", "vector", "image", "click", "point")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", help="scene to edit, or a folder with a field, its scene and photos")
+    parser.add_argument("--field", help="field of the scene, for queries, objects and labels")
+    add_target_options(parser)
+    add_query_kinds(parser.add_argument_group("other queries"))
+    add_change_options(parser)
+    add_list_options(parser)
+    output = parser.add_argument_group("output")
+    output.add_argument("--save", metavar="OUT.ply", help="write the edited scene, with a column object_id")
+    output.add_argument("--picture", metavar="OUT.png", help="write the scene before and after, side by side")
+    output.add_argument("--views", metavar="CAPTURE", help="poses, for --picture and to know what is up")
+    output.add_argument(
+        "--view", type=words, metavar="NAME", help="view for --picture (default: the one that shows most of it)"
+    )
+    add_overwrite(output)
+    add_query_encoders(parser)
+    add_measure_options(parser)
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..editing import EditFile
+    from ..formats.annotations import AnnotationFile
+    from ..formats.replacing import together
+
+    check_outputs(arguments)
+    work = _Work(arguments)
+    edits, notes = EditFile.beside(work.path), AnnotationFile.beside(work.path)
+    annotations = work.annotate(notes)
+    listed = work.change(edits)
+    after = edits.edited(work.gaussians, listed)
+    view = None
+    with together():
+        if arguments.save:
+            _save(arguments, after)
+        if arguments.picture:
+            view = work.draw(listed, after)
+    return {
+        "scene": str(work.path),
+        "edits_file": str(edits.path),
+        "num_edits": listed.done,
+        "num_undone": len(listed.edits) - listed.done,
+        "edits": _told(listed),
+        "annotations": [_annotation_json(one) for one in annotations],
+        "num_gaussians_before": len(work.gaussians),
+        "num_gaussians": len(after),
+        "saved": arguments.save,
+        "picture": arguments.picture,
+        "view": None if view is None else view.name,
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+    from .tables import show_table
+
+    title = f"{counted(answer['num_edits'], 'edit')} of {answer['scene']}, {answer['num_undone']} undone"
+    rows = [(str(one["number"]), one["do"], one["of"], "" if one["done"] else "undone") for one in answer["edits"]]
+    show_table(title, ("edit", "what", "of", ""), rows)
+    for number, one in enumerate(answer["annotations"], start=1):
+        print(f"annotation {number}: {one['text']}, at {' '.join(f'{x:.2f}' for x in one['center'])}")
+    print(f"{answer['num_gaussians_before']:,} Gaussians before, {answer['num_gaussians']:,} after")
+    for output in (answer["saved"], answer["picture"]):
+        if output:
+            print(f"written to {output}")
+
+
+def _told(listed: EditList) -> list[dict[str, Any]]:
+    from ..editing.stored import NAMES
+
+    return [
+        {"number": number, "do": NAMES[type(edit.change)], "of": str(edit.target), "done": number <= listed.done}
+        for number, edit in enumerate(listed.edits, start=1)
+    ]
+
+
+def _annotation_json(one: Annotation) -> dict[str, Any]:
+    box = {} if one.outline is None else {"extent": one.outline.extent, "axes": one.outline.axes}
+    return {"text": one.text, "center": one.center} | box
+
+
+def _save(arguments: argparse.Namespace, after: Gaussians) -> None:
+    from .. import write_gaussians
+
+    write_gaussians(arguments.save, after, overwrite=arguments.overwrite)
+
+
+class _Work:
+    """One call of the verb: the scene that is meant, opened as far as it is needed."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        from .. import read_gaussians
+        from ..query.opening import find_scene, registered_scene
+
+        self.arguments = arguments
+        path = Path(arguments.scene)
+        if arguments.field is None and path.is_dir() and any(path.glob("*.field")):
+            files = find_scene(path)
+            self.path, gaussians = registered_scene(files)
+            arguments.field, arguments.scene = str(path), None
+        else:
+            self.path, gaussians = path, read_gaussians(path)
+        self._scene: Scene | None = None if arguments.field is None else open_scene(arguments)
+        self.gaussians = self._with_objects(gaussians)
+
+    def _with_objects(self, gaussians: Gaussians) -> Gaussians:
+        """With the number of each one's object, where the field knows objects."""
+        from dataclasses import replace
+
+        from ..editing.draft import OBJECT_ID
+
+        if self._scene is None or self._scene.field.objects is None:
+            return gaussians
+        return replace(gaussians, extra={**gaussians.extra, OBJECT_ID: self._scene.object_ids()})
+
+    @property
+    def scene(self) -> Scene:
+        from ..errors import InputError
+
+        if self._scene is None:
+            raise InputError("queries, objects, labels and views need the field of the scene: pass field=FIELD")
+        return self._scene
+
+    # --- what is edited ---
+
+    def target(self) -> Target:
+        """Raises: InputError: none was named, or several; nothing is there."""
+        import numpy as np
+
+        from ..editing import Box, Copies, Everything, Rows
+        from ..editing.resolving import label_rows, object_rows, query_rows
+        from ..errors import InputError
+        from ..formats.npy import map_npy
+
+        arguments = self.arguments
+        which = only_one(arguments, TARGETS)
+        if which is None:
+            raise InputError("nothing to edit was named: pass --query WORDS, --object NUMBER or another of these")
+        if which in QUERIES:
+            return query_rows(self.scene, query_of(arguments), query_said(arguments))
+        match which:
+            case "object":
+                return object_rows(self.scene, arguments.object)
+            case "label":
+                return label_rows(self.scene, arguments.label)
+            case "rows":
+                return Rows.of(_row_numbers(map_npy(Path(arguments.rows)), arguments.rows))
+            case "copies":
+                return Copies(arguments.copies)
+            case "everything":
+                return Everything()
+        return Box(np.array(arguments.box[:3]), np.eye(3), np.array(arguments.box[3:]))
+
+    # --- what is done ---
+
+    def change(self, file: EditFile) -> EditList:
+        """The list after what the options say."""
+        from ..editing import Edit
+        from ..editing.edits import drafted
+        from ..errors import InputError
+
+        arguments = self.arguments
+        steps = [arguments.undo is not None, arguments.redo is not None, bool(arguments.changes)]
+        if sum(steps) > 1:
+            raise InputError("--undo, --redo and changes: give one of them at a time")
+        if not any(steps):
+            return file.read(self.gaussians)
+        target = self.target() if arguments.changes else None
+
+        def change(listed: EditList) -> EditList:
+            for _ in range(arguments.undo or 0):
+                listed = listed.undone()
+            for _ in range(arguments.redo or 0):
+                listed = listed.redone()
+            for name, value in arguments.changes or ():
+                assert target is not None
+                draft = drafted(self.gaussians, listed.active, file.other)
+                made = self._made(name, value, draft.part(target.ids(draft)), file.path.parent)
+                listed = listed.with_edit(Edit(target, made))
+            drafted(self.gaussians, listed.active, file.other)  # or the error, before anything is written
+            return listed
+
+        return file.change(self.gaussians, change)
+
+    def _made(self, name: str, value: Any, part: Gaussians, folder: Path) -> Change:
+        from .. import editing
+        from ..editing.making import replaced_by, scaled_on_its_foot
+        from .query_inputs import read_picture
+
+        arguments = self.arguments
+        makers: dict[str, Callable[[], Change]] = {
+            "remove": editing.Remove,
+            "isolate": editing.Isolate,
+            "fill": editing.Fill,
+            "recolour": lambda: editing.Recolour(value, arguments.amount),
+            "palette": lambda: editing.Palette(value),
+            "like_photo": lambda: editing.MatchPhoto.of(read_picture(value)),
+            "opacity": lambda: editing.Opacity(value),
+            "move": lambda: editing.Move(tuple(value)),
+            "duplicate": lambda: editing.Duplicate(tuple(value)),
+            "turn": lambda: editing.Turn(value, tuple(arguments.axis or self._needed_up.tolist())),
+            "scale": lambda: scaled_on_its_foot(part, value, self._up),
+            "replace": lambda: replaced_by(part, self._needed_up, value, arguments.with_object, folder),
+        }
+        return makers[name]()
+
+    @property
+    def _up(self) -> np.ndarray | None:
+        from ..viewing.cameras import named_up
+
+        if self.arguments.up:
+            return named_up(self.arguments.up)
+        return None if self._scene is None else self._scene.up
+
+    @property
+    def _needed_up(self) -> np.ndarray:
+        """Raises: InputError: nothing tells."""
+        from ..errors import InputError
+
+        if self._up is None:
+            raise InputError("nothing tells which way is up: pass up=DIRECTION, e.g. --up +z, or the field")
+        return self._up
+
+    # --- annotations ---
+
+    def annotate(self, file: Any) -> tuple[Annotation, ...]:
+        """The annotations, with what the options add and drop."""
+        from ..errors import InputError
+        from ..scene.annotations import Annotation
+
+        arguments = self.arguments
+        if arguments.drop_annotation is not None:
+            file.drop(arguments.drop_annotation)
+        if arguments.annotate is None:
+            if arguments.at is not None:
+                raise InputError("--at is for --annotate TEXT: pass both, or none")
+            return tuple(file.read())
+        if arguments.at is not None:
+            return tuple(file.add([Annotation.at(arguments.annotate, arguments.at)]))
+        return tuple(file.add(self._boxed(arguments.annotate)))
+
+    def _boxed(self, text: str) -> list[Annotation]:
+        """At each match of a query; else at the box of what is edited."""
+        import numpy as np
+
+        from ..editing.draft import Draft
+        from ..kernels.boxes import box_of
+        from ..scene.annotations import Annotation
+        from ..scene.boxes import solid
+
+        if only_one(self.arguments, TARGETS) in QUERIES:
+            matches = self.scene.locate(query_of(self.arguments))
+            return [Annotation.box(text, one.center, one.axes, one.extent) for one in matches]
+        ids = self.target().ids(Draft.of(self.gaussians))
+        box = box_of(self.gaussians, solid(self.gaussians, ids), None if self._scene is None else self._scene.up)
+        return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))]
+
+    # --- pictures ---
+
+    def draw(self, listed: EditList, after: Gaussians) -> View:
+        """Write --picture; returns the view that it is from."""
+        from ..drawing.pictures import write_picture
+        from ..editing.draft import Draft
+        from ..editing.pictures import before_after
+        from ..editing.targets import Rows
+
+        scene, last = self.scene, listed.active[-1] if listed.active else None
+        rows = last.target.ids(Draft.of(self.gaussians)) if last and isinstance(last.target, Rows) else None
+        view = scene.view(self.arguments.view) if self.arguments.view else scene.best_view(rows)
+        said = ", ".join(f"{one['do']} {one['of']}" for one in _told(listed)[: listed.done][-2:])
+        picture = before_after(self.gaussians, after, view, said, self.arguments.threads)
+        write_picture(self.arguments.picture, picture, self.arguments.overwrite)
+        return view
+
+
+def _row_numbers(array: np.ndarray, path: str) -> np.ndarray:
+    import numpy as np
+
+    from ..errors import FormatError
+
+    if array.ndim != 1 or array.dtype.kind not in "iu" or not len(array):
+        raise FormatError(f"{path}: expected whole numbers (m,), got {array.dtype} {array.shape}")
+    return np.asarray(array, np.int64)

@@ -1,0 +1,99 @@
+"""Options of `drsplat edit`: what is edited, and the changes in the order in which they are given."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+from .options import count, finite, length, whole, words
+
+
+class _Then(argparse.Action):
+    """One more change: (its name, its value) at the end of `changes`."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        namespace.changes = [*(namespace.changes or []), (self.dest, values)]
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """ "#2060ff", or a name such as steelblue."""
+    from PIL import ImageColor
+
+    try:
+        red, green, blue = ImageColor.getrgb(text)[:3]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a colour, e.g. #2060ff or steelblue; got '{text}'") from None
+    return red / 255, green / 255, blue / 255
+
+
+def colours(text: str) -> tuple[tuple[float, float, float], ...]:
+    return tuple(colour(one.strip()) for one in text.split(","))
+
+
+def add_target_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what is edited (one of these)")
+    which = group.add_mutually_exclusive_group()
+    which.add_argument("--query", dest="text", type=words, metavar="WORDS", help="all matches of a query, together")
+    which.add_argument("--object", type=whole, metavar="NUMBER", help="object, as `drsplat objects` numbers them")
+    which.add_argument("--label", type=words, metavar="NAME", help="object with a name that people gave it")
+    which.add_argument(
+        "--box", type=finite, nargs=6, metavar=("X", "Y", "Z", "SX", "SY", "SZ"),
+        help="box along the axes of the world: its middle and its full lengths, in scene units",
+    )  # fmt: skip
+    which.add_argument("--rows", metavar="IDS.npy", help="rows of the scene, as `drsplat select --save` writes them")
+    which.add_argument("--copies", type=count, metavar="NUMBER", help="Gaussians that an earlier edit added")
+    which.add_argument("--everything", action="store_true", help="all Gaussians")
+
+
+def add_change_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what is done, one after the other")
+
+    def then(flag: str, **more: Any) -> None:
+        group.add_argument(flag, action=_Then, default=argparse.SUPPRESS, **more)
+
+    then("--remove", nargs=0, help="remove it")
+    then("--isolate", nargs=0, help="remove everything else")
+    then("--fill", nargs=0, help="close the hole where it stood at first, with clones of the ground or wall beside it")
+    then("--recolour", type=colour, metavar="COLOUR", help="one hue with its own light and shade, e.g. #2060ff")
+    then("--palette", type=colours, metavar="COLOURS", help="these colours for its own, e.g. '#203040,#d0c0a0'")
+    then("--like-photo", metavar="PICTURE", help="colours with the mean and the spread of those in a picture")
+    then("--opacity", type=finite, metavar="FACTOR", help="opacity times this; 0.3 makes it faint")
+    then("--move", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="move it by this, in scene units")
+    then("--turn", type=finite, metavar="DEGREES", help="turn it about --axis through its middle")
+    then("--scale", type=length, metavar="FACTOR", help="make it larger or smaller; its foot stays where it is")
+    then(
+        "--duplicate", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="copy it, the copy moved by this; --copies "
+        "edits the copy later",
+    )  # fmt: skip
+    then(
+        "--replace", metavar="OTHER", help="replace it by another scene, or by --with-object of it, in its place, size "
+        "and on its floor",
+    )  # fmt: skip
+    group.add_argument("--amount", type=finite, default=1.0, metavar="A", help="share of --recolour (default: 1)")
+    group.add_argument("--axis", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="axis of --turn (default: up)")
+    group.add_argument("--with-object", type=whole, metavar="NUMBER", help="object of the field in the folder OTHER")
+    group.add_argument("--up", metavar="+z", help="direction that is up, +x to -z (default: what the photos call up)")
+    parser.set_defaults(changes=None)
+
+
+def add_list_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("the list")
+    group.add_argument("--list", action="store_true", help="print the edits and annotations (done without any change)")
+    group.add_argument("--undo", type=count, nargs="?", const=1, metavar="N", help="undo the last edit, or the last N")
+    group.add_argument("--redo", type=count, nargs="?", const=1, metavar="N", help="redo what was undone last, or N")
+    group.add_argument("--annotate", type=words, metavar="TEXT", help="keep a text at its box, or at the point --at")
+    group.add_argument("--at", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="point of the world for --annotate")
+    group.add_argument("--drop-annotation", type=count, metavar="NUMBER", help="remove an annotation")
+
+
+def only_one(arguments: argparse.Namespace, names: Sequence[str]) -> str | None:
+    """Which of some options was given. Raises: InputError: several."""
+    from ..errors import InputError
+
+    given = [name for name in names if getattr(arguments, name) is not None and getattr(arguments, name) is not False]
+    if len(given) > 1:
+        raise InputError(f"{' and '.join(given)} both say what is edited: drop one")
+    return given[0] if given else None

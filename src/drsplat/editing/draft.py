@@ -1,0 +1,101 @@
+"""A scene while it is edited: rows keep their numbers, whatever is removed, and new ones come behind the last."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from ..formats.scenes import read_gaussians
+from ..scene.gaussians import Gaussians, filled
+
+OBJECT_ID = "object_id"  # the column that says whose a row is, -1 for none
+Ids = Int64[np.ndarray, " m"]
+
+
+@dataclass(eq=False)
+class Draft:
+    """The arrays of all rows, those of the scene first. Its own: changes write into them.
+
+    present: false where a row was removed. homes: means of rows as they came. added: the rows that each edit brought,
+    from the first to before the last, (0, 0) for none; of the edits so far. read: gives other scenes.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    scales: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n k 3"]
+    extra: dict[str, np.ndarray]
+    origin: Float64[np.ndarray, " 3"]
+    present: Bool[np.ndarray, " n"]
+    homes: Float32[np.ndarray, "n 3"]
+    added: list[tuple[int, int]] = field(default_factory=list)
+    read: Callable[[str], Gaussians] = read_gaussians
+
+    @classmethod
+    def of(cls, scene: Gaussians) -> "Draft":
+        extra = {name: column.copy() for name, column in scene.extra.items()}
+        present, homes = np.ones(len(scene), bool), scene.means.copy()
+        return cls(
+            scene.means.copy(), scene.quats.copy(), scene.scales.copy(), scene.opacities.copy(), scene.sh.copy(), extra,
+            scene.origin, present, homes,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether all rows are Gaussians still: floats of 32 bits end somewhere."""
+        finite = all(np.isfinite(column).all() for column in (self.means, self.quats, self.scales, self.sh))
+        return finite and bool((self.scales > 0).all())
+
+    def gaussians(self) -> Gaussians:
+        """What is there now, removed rows left out."""
+        return self.part(np.flatnonzero(self.present))
+
+    def part(self, ids: Ids) -> Gaussians:
+        """Some rows, removed ones as well."""
+        extra = {name: column[ids] for name, column in self.extra.items()}
+        columns = (self.means[ids], self.quats[ids], self.scales[ids], self.opacities[ids], self.sh[ids])
+        return Gaussians(*columns, extra, self.origin)
+
+    def put(self, ids: Ids, part: Gaussians) -> None:
+        """Rows where and as `part` has them."""
+        self.means[ids] = self._means(part)
+        self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
+
+    def shift(self, ids: Ids, by: Sequence[int | float] | Float64[np.ndarray, " 3"]) -> None:
+        self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
+
+    def add(self, part: Gaussians, object_id: int | None = None) -> Ids:
+        """Rows behind the last; returns their numbers.
+
+        object_id: whose they are, None for the column of `part`. What else only one of the two knows is 0.
+        """
+        first, count = len(self), len(part)
+        most = max(self.sh.shape[1], part.sh.shape[1])
+        self.sh = np.concatenate([filled(self.sh, most), filled(part.sh, most)])
+        self.means = np.concatenate([self.means, self._means(part)])
+        self.homes = np.concatenate([self.homes, self.means[first:]])
+        self.quats = np.concatenate([self.quats, part.quats])
+        self.scales = np.concatenate([self.scales, part.scales])
+        self.opacities = np.concatenate([self.opacities, part.opacities])
+        self.present = np.concatenate([self.present, np.ones(count, bool)])
+        for name, column in self.extra.items():
+            own = part.extra.get(name, np.zeros(count, column.dtype)).astype(column.dtype)
+            own = np.full(count, object_id, column.dtype) if name == OBJECT_ID and object_id is not None else own
+            self.extra[name] = np.concatenate([column, own])
+        return np.arange(first, first + count, dtype=np.int64)
+
+    def next_object(self) -> int:
+        """A number that no object has."""
+        ids = self.extra.get(OBJECT_ID)
+        return 0 if ids is None else int(ids.max(initial=-1)) + 1
+
+    def _means(self, part: Gaussians) -> Float32[np.ndarray, "m 3"]:
+        """Counted from this draft's origin; as they are where that is theirs too."""
+        if (part.origin == self.origin).all():
+            return part.means
+        return np.asarray((part.positions - self.origin).astype(np.float32))

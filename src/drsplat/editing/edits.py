@@ -1,0 +1,102 @@
+"""A list of edits, and the scene that it makes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..formats.scenes import read_gaussians
+from ..scene.gaussians import Gaussians
+from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
+from .colouring import MatchPhoto, Palette, Recolour
+from .draft import Draft
+from .filling import Fill
+from .replacement import Replace
+from .targets import Target
+
+Change = Remove | Isolate | Opacity | Move | Turn | Scale | Duplicate | Recolour | Palette | MatchPhoto | Replace | Fill
+MOST = 1000  # edits of a list
+
+
+@dataclass(frozen=True, eq=False)
+class Edit:
+    """One change, and what it is done to."""
+
+    target: Target
+    change: Change
+
+    def apply(self, draft: Draft) -> None:
+        """Raises: InputError: rows that are not there, or what the change says."""
+        before = len(draft)
+        self.change.apply(draft, self.target.ids(draft))
+        draft.added.append((before, len(draft)) if len(draft) > before else (0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class EditList:
+    """scene: fingerprint of the Gaussians that are edited. done: how many of the edits are; later ones were undone.
+
+    Raises: InputError: more than 1,000 edits, or more done than there are.
+    """
+
+    scene: str
+    edits: tuple[Edit, ...] = ()
+    done: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.edits) > MOST or not 0 <= self.done <= len(self.edits):
+            raise InputError(f"expected up to {MOST:,} edits, {self.done} of {len(self.edits)} done")
+
+    @property
+    def active(self) -> tuple[Edit, ...]:
+        """Those that are done."""
+        return self.edits[: self.done]
+
+    def with_edit(self, edit: Edit) -> "EditList":
+        """Done after those that are; what was undone is forgotten."""
+        return EditList(self.scene, (*self.active, edit), self.done + 1)
+
+    def undone(self) -> "EditList":
+        """Raises: InputError: nothing is done."""
+        if not self.done:
+            raise InputError("there is no edit to undo")
+        return replace(self, done=self.done - 1)
+
+    def redone(self) -> "EditList":
+        """Raises: InputError: nothing was undone."""
+        if self.done == len(self.edits):
+            raise InputError("there is no edit to redo")
+        return replace(self, done=self.done + 1)
+
+
+def edited(
+    gaussians: Gaussians, edits: Sequence[Edit], *, read: Callable[[str], Gaussians] = read_gaussians
+) -> Gaussians:
+    """The scene after some edits; itself after none. The same bits for the same input, whatever was undone meanwhile.
+
+    Rows that are left stand in their order, with what edits added behind them; those that no edit was done to have
+    their own bits. A column `object_id` of `gaussians.extra` goes along: copies are objects of their own. read: gives
+    the scenes that objects are replaced from, by the path in the edit.
+
+    Raises: InputError: an edit that cannot be done; the message says which. MismatchError: another scene to replace
+    from than was meant.
+    """
+    return drafted(gaussians, edits, read).gaussians() if edits else gaussians
+
+
+def drafted(
+    gaussians: Gaussians, edits: Sequence[Edit], read: Callable[[str], Gaussians] = read_gaussians
+) -> Draft:  # fmt: skip
+    """As `edited`, with removed rows still in it and the numbers of what was added. Raises: as `edited`."""
+    draft = Draft.of(gaussians)
+    draft.read = read
+    for number, edit in enumerate(edits, start=1):
+        try:
+            with np.errstate(all="ignore"):  # what becomes no number is refused below
+                edit.apply(draft)
+        except InputError as error:
+            raise InputError(f"edit {number}: {error}") from error
+    if not draft.is_sound:
+        raise InputError("these edits move or stretch something beyond all numbers that a scene can hold: undo some")
+    return draft

@@ -1,0 +1,87 @@
+"""An object of another scene in the place of one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from ..errors import InputError, MismatchError
+from ..formats.json_files import is_text
+from ..formats.runs import ids_of
+from ..kernels.boxes import box_of
+from ..scene.boxes import Box, solid
+from ..scene.gaussians import Gaussians
+from ..scene.similarity import similarity_of
+from .draft import OBJECT_ID, Draft
+
+Vector = Float64[np.ndarray, " 3"]
+Spans = Int64[np.ndarray, "s 2"]
+Ids = Int64[np.ndarray, " m"]
+LEAST = 1e-9  # length of a box that something can be fitted to
+
+
+@dataclass(frozen=True, eq=False)
+class Replace:
+    """What was there is removed, and rows of another scene stand in its place.
+
+    scene: its file. fingerprint: of its Gaussians. spans: its rows, None for all. matrix: 4x4, from its world to that
+    of the scene that is edited; `fitted` makes one. What comes belongs to the object that goes.
+
+    Raises: InputError: no path, or a matrix that is no rotation, scale and translation.
+    """
+
+    scene: str
+    fingerprint: str
+    matrix: Float64[np.ndarray, "4 4"]
+    spans: Spans | None = None
+
+    def __post_init__(self) -> None:
+        if not self.scene or not is_text(self.scene):
+            raise InputError("replace: expected the path of a scene")
+        similarity_of(self.matrix)
+
+    def apply(self, draft: Draft, ids: Ids) -> None:
+        draft.present[ids] = False
+        draft.add(similarity_of(self.matrix).moved(self._part(draft.read(self.scene))), _object_of(draft, ids))
+
+    def _part(self, other: Gaussians) -> Gaussians:
+        if other.fingerprint != self.fingerprint:
+            raise MismatchError(
+                f"{self.scene}: has become another scene ({other.fingerprint}) than was meant ({self.fingerprint}): "
+                "undo this edit and make it anew"
+            )
+        return other if self.spans is None else other.subset(ids_of(self.spans))
+
+
+def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
+    """The matrix that puts one upright box into another: the same floor, the same middle, the largest size that fits.
+
+    Upright: the third axis is up. Long sides lie along long sides. Raises: InputError: a box without a length.
+    """
+    if not (goes.extent.max() > LEAST and comes.extent.max() > LEAST):
+        raise InputError("replace: expected two things with a size, got a single point")
+    scale = float((np.maximum(goes.extent, LEAST) / np.maximum(comes.extent, LEAST)).min())
+    rotation = goes.axes.T @ comes.axes
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation
+    matrix[:3, 3] = _foot(goes) - scale * rotation @ _foot(comes)
+    return matrix
+
+
+def placed_in(
+    scene: Gaussians, ids: Ids, up: Vector, other: Gaussians, others: Ids, up_there: Vector
+) -> Float64[np.ndarray, "4 4"]:  # fmt: skip
+    """As `fitted`, of rows of this scene and of another. up: unit directions, in each of them."""
+    goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
+    return fitted(goes, comes)
+
+
+def _foot(box: Box) -> Vector:
+    return np.asarray(box.center - box.axes[2] * box.extent[2] / 2)
+
+
+def _object_of(draft: Draft, ids: Ids) -> int:
+    """The object that most of some rows belong to; a new one where that is none."""
+    of = draft.extra.get(OBJECT_ID)
+    known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
+    return int(np.bincount(known).argmax()) if len(known) else draft.next_object()

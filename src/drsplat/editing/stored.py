@@ -1,0 +1,229 @@
+"""A list of edits as JSON beside its scene: NAME.edits.json of NAME.ply. Read strictly: it may be a stranger's."""
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError, InputError, MismatchError
+from ..formats.claiming import claimed_output
+from ..formats.json_files import as_count, as_matrix, as_number, as_vector, read_json, shown
+from ..formats.replacing import replacing
+from ..formats.runs import runs_of, spans_of_runs
+from ..formats.scenes import companion, read_gaussians
+from ..scene.gaussians import Gaussians
+from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
+from .colouring import MatchPhoto, Palette, Recolour
+from .edits import MOST, Change, Edit, EditList, edited
+from .filling import Fill
+from .replacement import Replace
+from .targets import NAMED, Box, Copies, Everything, Rows, Target
+
+FORMAT, VERSION = "drsplat edits", 1
+PATIENCE = 10.0  # seconds for another process that writes
+Read = Callable[[object, str], Any]
+
+
+@dataclass(frozen=True)
+class EditFile:
+    """The edits of a scene. Every change is whole or not at all, and one writer's at a time."""
+
+    path: Path
+
+    @classmethod
+    def beside(cls, scene: str | os.PathLike[str]) -> "EditFile":
+        """Of the scene in a file NAME.ply, or in a folder NAME: NAME.edits.json."""
+        return cls(companion(scene, "edits"))
+
+    def read(self, scene: Gaussians) -> EditList:
+        """The edits of a scene; none where there is no file.
+
+        Raises: FormatError: the file is damaged, or written by a newer version. MismatchError: it is of another scene.
+        """
+        if not self.path.exists():
+            return EditList(scene.fingerprint)
+        listed = edits_of(read_json(self.path), str(self.path))
+        if listed.scene != scene.fingerprint:
+            raise MismatchError(
+                f"{self.path}: these edits are of another scene, {shown(listed.scene)}; this one is "
+                f"{scene.fingerprint}. Move the file away to edit this one"
+            )
+        return listed
+
+    def change(self, scene: Gaussians, change: Callable[[EditList], EditList]) -> EditList:
+        """Another list in place of that which is there; returns it. What `change` raises leaves the file as it was.
+
+        Raises: InputError: another process writes the file, or it cannot be written; as `read`.
+        """
+        with claimed_output(self.path, PATIENCE):
+            listed = change(self.read(scene))
+            text = json.dumps(document_of(listed), ensure_ascii=False, separators=(",", ":"))
+            with replacing(self.path, overwrite=True) as file:
+                file.write(f"{text}\n".encode())
+        return listed
+
+    def edited(self, scene: Gaussians, listed: EditList) -> Gaussians:
+        """As `edited`, with other scenes read from where the file is. Raises: as `edited` and `read_gaussians`."""
+        return edited(scene, listed.active, read=self.other)
+
+    def other(self, path: str) -> Gaussians:
+        """A scene that an edit names, from the folder of this file."""
+        return read_gaussians(self.path.parent / path)
+
+
+def document_of(listed: EditList) -> dict[str, object]:
+    """What is written."""
+    edits = [{"of": _target_json(edit.target), **_change_json(edit.change)} for edit in listed.edits]
+    return {"format": FORMAT, "version": VERSION, "scene": listed.scene, "done": listed.done, "edits": edits}
+
+
+def edits_of(document: object, where: str) -> EditList:
+    """What was written. Raises: FormatError: no such document, or an edit that there is not."""
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise FormatError(f"{where}: expected '{FORMAT}'")
+    if document.get("version") != VERSION:
+        raise FormatError(f"{where}: version {shown(document.get('version'))}; this drsplat reads {VERSION}")
+    _only(document, ("format", "version", "scene", "done", "edits"), where)
+    scene, edits = document.get("scene"), document.get("edits")
+    if not isinstance(scene, str) or not isinstance(edits, list) or len(edits) > MOST:
+        raise FormatError(f"{where}: expected the fingerprint of a scene and a list of up to {MOST:,} edits")
+    try:
+        read = tuple(_edit(entry, f"{where}: edit {number}") for number, entry in enumerate(edits, start=1))
+        return EditList(scene, read, as_count(document.get("done"), f"{where}: done"))
+    except InputError as error:
+        raise FormatError(f"{where}: {error}") from error
+
+
+def _edit(entry: object, where: str) -> Edit:
+    if not isinstance(entry, dict):
+        raise FormatError(f"{where}: expected an object, got {shown(entry)}")
+    kind = entry.get("do")
+    if not isinstance(kind, str) or kind not in _CHANGES:
+        raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {shown(kind)}")
+    made, readers = _CHANGES[kind]
+    values = {name: value for name, value in entry.items() if name not in ("of", "do")}
+    _only(values, readers, where)
+    missing = [one.name for one in fields(made) if one.default is MISSING and one.name not in values]
+    if missing:
+        raise FormatError(f"{where}: {missing[0]} is missing")
+    try:
+        read = {name: readers[name](value, f"{where}: {name}") for name, value in values.items()}
+        return Edit(_target(entry.get("of"), where), made(**read))
+    except InputError as error:
+        raise FormatError(f"{where}: {error}") from error
+
+
+def _only(entry: Mapping[str, object], known: Mapping[str, object] | tuple[str, ...], where: str) -> None:
+    unknown = [name for name in entry if name not in known]
+    if unknown:
+        raise FormatError(f"{where}: {shown(unknown[0])} is not known; expected {', '.join(known) or 'nothing more'}")
+
+
+# --- what an edit is done to ---
+
+
+def _target(entry: object, where: str) -> Target:
+    if not isinstance(entry, dict):
+        raise FormatError(f"{where}: of: expected an object, got {shown(entry)}")
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or kind not in _TARGETS:
+        raise FormatError(f"{where}: of: expected a kind, one of {', '.join(_TARGETS)}; got {shown(kind)}")
+    keys, made = _TARGETS[kind]
+    _only(entry, ("kind", *keys), f"{where}: of")
+    return made(entry, f"{where}: of")
+
+
+def _rows(entry: dict[str, object], where: str) -> Rows:
+    name: Any = entry.get("name", "")
+    if not isinstance(name, str):
+        raise FormatError(f"{where}: name: expected a text, got {shown(name)}")
+    return Rows(entry["kind"], name, spans_of_runs(entry.get("runs"), f"{where}: runs"))  # type: ignore[arg-type]
+
+
+def _box(entry: dict[str, object], where: str) -> Box:
+    center, extent = (as_vector(entry.get(name), 3, f"{where}: {name}") for name in ("center", "extent"))
+    axes = as_matrix(entry["axes"], 3, 3, f"{where}: axes") if "axes" in entry else np.eye(3)
+    return Box(center, axes, extent)
+
+
+_TARGETS: dict[str, tuple[tuple[str, ...], Callable[[dict[str, object], str], Target]]] = {
+    **dict.fromkeys(NAMED, (("name", "runs"), _rows)),
+    "box": (("center", "axes", "extent"), _box),
+    "copies": (("edit",), lambda entry, where: Copies(as_count(entry.get("edit"), f"{where}: edit"))),
+    "everything": ((), lambda entry, where: Everything()),
+}
+
+
+def _target_json(target: Target) -> dict[str, object]:
+    match target:
+        case Rows():
+            return {"kind": target.kind, "name": target.name, "runs": runs_of(target.spans)}
+        case Box():
+            return {"kind": "box"} | {name: getattr(target, name).tolist() for name in ("center", "axes", "extent")}
+        case Copies():
+            return {"kind": "copies", "edit": target.edit}
+        case Everything():
+            return {"kind": "everything"}
+
+
+# --- what is done ---
+
+
+def _vector(value: object, where: str) -> tuple[float, ...]:
+    return tuple(as_vector(value, 3, where).tolist())
+
+
+def _colors(value: object, where: str) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(value, list):
+        raise FormatError(f"{where}: expected a list of colours, got {shown(value)}")
+    return tuple(_vector(color, where) for color in value)
+
+
+def _text(value: object, where: str) -> str:
+    if not isinstance(value, str):
+        raise FormatError(f"{where}: expected a text, got {shown(value)}")
+    return value
+
+
+_CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
+    "remove": (Remove, {}),
+    "isolate": (Isolate, {}),
+    "opacity": (Opacity, {"factor": as_number}),
+    "move": (Move, {"by": _vector}),
+    "turn": (Turn, {"degrees": as_number, "axis": _vector, "about": _vector}),
+    "scale": (Scale, {"factor": as_number, "about": _vector}),
+    "duplicate": (Duplicate, {"by": _vector}),
+    "recolour": (Recolour, {"color": _vector, "amount": as_number}),
+    "palette": (Palette, {"colors": _colors}),
+    "match photo": (
+        MatchPhoto,
+        {
+            "mean": lambda value, where: as_vector(value, 3, where),
+            "covariance": lambda value, where: as_matrix(value, 3, 3, where),
+        },
+    ),
+    "replace": (
+        Replace,
+        {
+            "scene": _text,
+            "fingerprint": _text,
+            "matrix": lambda value, where: as_matrix(value, 4, 4, where),
+            "spans": spans_of_runs,
+        },
+    ),
+    "fill": (Fill, {}),
+}
+NAMES = {made: name for name, (made, _) in _CHANGES.items()}
+
+
+def _change_json(change: Change) -> dict[str, object]:
+    name = NAMES[type(change)]
+    values = {key: getattr(change, key) for key in _CHANGES[name][1]}
+    if isinstance(change, Replace) and change.spans is not None:
+        values["spans"] = runs_of(change.spans)
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
+    return {"do": name} | {key: value for key, value in plain.items() if value is not None}

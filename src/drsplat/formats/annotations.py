@@ -1,0 +1,124 @@
+"""Annotations as GeoJSON has features: NAME.annotations.json beside the scene NAME.ply.
+
+A feature has a Point as its geometry, with coordinates of the scene's world; a box says its axes and lengths in the
+properties, so that other programs show its middle.
+"""
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError, InputError
+from ..scene.annotations import Annotation, Outline
+from .claiming import claimed_output
+from .json_files import as_matrix, as_vector, read_json, shown
+from .replacing import replacing
+from .scenes import companion
+
+KIND, FORMAT, VERSION = "FeatureCollection", "drsplat annotations", 1
+MOST = 10_000  # annotations of a file
+PATIENCE = 10.0  # seconds for another process that writes
+Annotations = tuple[Annotation, ...]
+
+
+@dataclass(frozen=True)
+class AnnotationFile:
+    """The annotations of a scene. Every change is whole or not at all, and one writer's at a time."""
+
+    path: Path
+
+    @classmethod
+    def beside(cls, scene: str | os.PathLike[str]) -> "AnnotationFile":
+        """Of the scene in a file NAME.ply, or in a folder NAME: NAME.annotations.json."""
+        return cls(companion(scene, "annotations"))
+
+    def read(self) -> Annotations:
+        """All of them; () where there is no file. Raises: FormatError: it is damaged, or of a newer version."""
+        return annotations_of(read_json(self.path), str(self.path)) if self.path.exists() else ()
+
+    def add(self, annotations: Sequence[Annotation]) -> Annotations:
+        """Keep some more; returns all. Raises: as `read`; InputError: too many, or the file cannot be written."""
+        return self._change(lambda known: (*known, *annotations))
+
+    def drop(self, number: int) -> Annotations:
+        """Without one, counted from 1; returns the others. Raises: as `read`; InputError: no such annotation."""
+
+        def without(known: Annotations) -> Annotations:
+            if not 1 <= number <= len(known):
+                raise InputError(f"there is no annotation {number} of {len(known)}")
+            return (*known[: number - 1], *known[number:])
+
+        return self._change(without)
+
+    def _change(self, change: Callable[[Annotations], Annotations]) -> Annotations:
+        with claimed_output(self.path, PATIENCE):
+            annotations = change(self.read())
+            if len(annotations) > MOST:
+                raise InputError(f"{self.path}: has {MOST:,} annotations, which is the most: drop some")
+            text = json.dumps(document_of(annotations), ensure_ascii=False, indent=1)
+            with replacing(self.path, overwrite=True) as file:
+                file.write(f"{text}\n".encode())
+        return annotations
+
+
+def document_of(annotations: Sequence[Annotation]) -> dict[str, Any]:
+    """What is written."""
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": one.center.tolist()},
+            "properties": {"text": one.text} | _outline_json(one.outline),
+        }
+        for one in annotations
+    ]
+    return {"type": KIND, "format": FORMAT, "version": VERSION, "features": features}
+
+
+def annotations_of(document: object, where: str) -> Annotations:
+    """What was written, also by hand: format and version may be missing.
+
+    Raises: FormatError: no collection of features with a point and a text.
+    """
+    if not isinstance(document, dict) or document.get("type") != KIND or document.get("format", FORMAT) != FORMAT:
+        raise FormatError(f"{where}: expected a GeoJSON {KIND} of annotations")
+    if document.get("version", VERSION) != VERSION:
+        raise FormatError(f"{where}: version {shown(document.get('version'))}; this drsplat reads {VERSION}")
+    features = document.get("features")
+    if not isinstance(features, list) or len(features) > MOST:
+        raise FormatError(f"{where}: expected a list of up to {MOST:,} features")
+    return tuple(_annotation(one, f"{where}: feature {number}") for number, one in enumerate(features, start=1))
+
+
+def _annotation(feature: object, where: str) -> Annotation:
+    geometry, properties = (_part(feature, name, where) for name in ("geometry", "properties"))
+    if geometry.get("type") != "Point":
+        raise FormatError(f"{where}: expected a Point, got {shown(geometry.get('type'))}")
+    text = properties.get("text")
+    if not isinstance(text, str):
+        raise FormatError(f"{where}: expected a text, got {shown(text)}")
+    center = as_vector(geometry.get("coordinates"), 3, f"{where}: coordinates")
+    try:
+        return Annotation(text, center, _outline(properties, where))
+    except InputError as error:
+        raise FormatError(f"{where}: {error}") from error
+
+
+def _part(feature: object, name: str, where: str) -> dict[str, object]:
+    part = feature.get(name) if isinstance(feature, dict) else None
+    if not isinstance(part, dict):
+        raise FormatError(f"{where}: expected a {name}")
+    return part
+
+
+def _outline(properties: dict[str, object], where: str) -> Outline | None:
+    if "extent" not in properties:
+        return None
+    extent = as_vector(properties["extent"], 3, f"{where}: extent")
+    return Outline(as_matrix(properties.get("axes"), 3, 3, f"{where}: axes"), extent)
+
+
+def _outline_json(outline: Outline | None) -> dict[str, Any]:
+    return {} if outline is None else {"axes": outline.axes.tolist(), "extent": outline.extent.tolist()}

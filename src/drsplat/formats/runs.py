@@ -1,0 +1,45 @@
+"""Rows of a scene in few numbers: spans in memory, lengths in turns in JSON."""
+
+import numpy as np
+from jaxtyping import Int64, Integer
+
+from ..errors import FormatError
+from .json_files import as_count
+
+MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
+Spans = Int64[np.ndarray, "s 2"]
+
+
+def spans_of(ids: Integer[np.ndarray, " m"]) -> Spans:
+    """Of ascending rows: from the first number of a pair to before the second, ascending."""
+    rows = ids.astype(np.int64)
+    begins = np.flatnonzero(np.diff(rows, prepend=-2) != 1)
+    lasts = np.append(begins[1:], len(rows)) - 1
+    return np.stack([rows[begins], rows[lasts] + 1], axis=1).reshape(-1, 2)
+
+
+def are_rows(spans: Spans) -> bool:
+    """Whether they are ascending rows, one or more."""
+    ends = spans.ravel()
+    return bool(len(ends) and ends[0] >= 0 and (ends[1:] > ends[:-1]).all())
+
+
+def ids_of(spans: Spans) -> Int64[np.ndarray, " m"]:
+    """The rows again; who calls has looked at the last one first, which may be any number."""
+    return np.concatenate([np.arange(begin, end) for begin, end in spans.tolist()])
+
+
+def runs_of(spans: Spans) -> list[int]:
+    """Lengths in turns: rows that are left out, rows that are in it, and so on."""
+    runs: list[int] = np.diff(spans.ravel(), prepend=0).tolist()
+    return runs
+
+
+def spans_of_runs(value: object, where: str) -> Spans:
+    """Of what JSON has. Raises: FormatError: no pairs of lengths."""
+    if not isinstance(value, list):
+        raise FormatError(f"{where}: expected a list of lengths")
+    lengths = [as_count(run, where) for run in value]
+    if len(lengths) % 2 or any(not 0 <= length <= MAX_GAUSSIANS for length in lengths):
+        raise FormatError(f"{where}: expected pairs of lengths: rows left out, rows in it")
+    return np.cumsum(np.array(lengths, np.int64)).reshape(-1, 2)

@@ -1,0 +1,63 @@
+"""What people wrote at places of a scene: points and boxes with a text."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ..errors import InputError
+
+LONGEST = 200  # characters
+LARGEST = 1e30  # coordinates
+SQUARE = 1e-4  # how far axes may be from unit length and right angles
+
+
+class Outline(NamedTuple):
+    """A box's directions and lengths: row a of axes is the unit direction of the full length extent[a]."""
+
+    axes: Float64[np.ndarray, "3 3"]
+    extent: Float64[np.ndarray, " 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Annotation:
+    """A text at a place of the world: at a point, or at a box about it, in scene units.
+
+    outline: of the box, None for a point.
+
+    Raises: InputError: a text that is empty, too long or cannot be written; numbers that are not finite; axes that are
+    not at right angles, lengths that are not above 0.
+    """
+
+    text: str
+    center: Float64[np.ndarray, " 3"]
+    outline: Outline | None = None
+
+    @classmethod
+    def at(cls, text: str, point: Sequence[int | float] | Float64[np.ndarray, " 3"]) -> "Annotation":
+        return cls(text.strip(), np.asarray(point, np.float64))
+
+    @classmethod
+    def box(
+        cls, text: str, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
+        extent: Float64[np.ndarray, " 3"],
+    ) -> "Annotation":  # fmt: skip
+        """With the box of a match, or of an object."""
+        return cls(text.strip(), center, Outline(axes, extent))
+
+    def __post_init__(self) -> None:
+        writable = self.text == self.text.encode(errors="ignore").decode()
+        if not writable or not self.text.strip() or len(self.text) > LONGEST:
+            raise InputError(f"an annotation: expected a text of 1 to {LONGEST} characters, got {self.text!a:.80}")
+        if self.center.shape != (3,) or not (np.abs(self.center) <= LARGEST).all():
+            raise InputError(f"annotation '{self.text}': expected a place of three finite numbers")
+        if self.outline is not None:
+            self._check(*self.outline)
+
+    def _check(self, axes: Float64[np.ndarray, "3 3"], extent: Float64[np.ndarray, " 3"]) -> None:
+        if not ((extent > 0) & (extent <= LARGEST)).all():
+            raise InputError(f"annotation '{self.text}': expected a box of finite lengths above 0")
+        if not np.abs(axes @ axes.T - np.eye(3)).max() <= SQUARE:
+            raise InputError(f"annotation '{self.text}': expected axes of length one at right angles")

@@ -1,0 +1,165 @@
+"""`drsplat edit`: what a stranger types, what it prints and writes."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from command_line import Capture, answer_of, error_of, text_of
+from drsplat import Query, WordEncoder, open_scene, read_features, read_gaussians, read_views, register
+from drsplat.field.labels import Label, LabelFile
+from drsplat.formats.npy import write_npy
+from drsplat.objects.choosing import Tree
+from drsplat.objects.describing import describe
+from toy_capture import PER_THING, write_toy_capture
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A red and a blue ball, a field that knows both as objects, the photos' poses."""
+    folder = write_toy_capture(tmp_path_factory.mktemp("edits"))
+    gaussians, views = read_gaussians(folder / "scene.ply"), read_views(folder / "capture")
+    features = read_features(folder / "capture/language_features", encoder=WordEncoder().identity)
+    field = register(gaussians, views, features).to_field()
+    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
+    tree = Tree(node_of, np.full(2, -1, np.int32), np.ones(2, np.uint8), np.ones(2, np.float32))
+    field.with_objects(describe(field, gaussians, tree)).save(folder / "room.field")
+    return folder
+
+
+@pytest.fixture
+def room(made: Path, tmp_path: Path) -> Path:
+    shutil.copytree(made, tmp_path / "room")
+    return tmp_path / "room"
+
+
+def red(room: Path) -> np.ndarray:
+    """The rows that the query selects."""
+    (match,) = open_scene(room / "room.field", scene=room / "scene.ply").locate(Query("red mug"))
+    return match.gaussian_ids
+
+
+def test_a_query_is_recoloured_and_undone(room: Path, capsys: Capture) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    before, output = read_gaussians(scene), room / "edited.ply"
+    words = ["--field", field, "--query", "red mug", "--recolour", "#2060ff"]
+    answer = answer_of(capsys, "edit", scene, *words, "--save", output)
+    assert (answer["num_edits"], answer["num_undone"]) == (1, 0)
+    assert answer["edits"] == [{"number": 1, "do": "recolour", "of": "“red mug”", "done": True}]
+    after = read_gaussians(output)
+    changed = np.flatnonzero((np.abs(after.sh - before.sh) > 1e-6).any(axis=(1, 2)))
+    np.testing.assert_array_equal(changed, red(room))
+    assert sorted(np.unique(after.extra["object_id"])) == [0, 1]
+    assert answer_of(capsys, "edit", scene, "--undo", "--save", room / "undone.ply")["num_undone"] == 1
+    np.testing.assert_array_equal(read_gaussians(room / "undone.ply").sh, before.sh)
+    assert answer_of(capsys, "edit", scene, "--redo")["num_edits"] == 1
+    assert scene.read_bytes() == (room.parent / "room" / "scene.ply").read_bytes()
+
+
+def test_changes_are_done_in_the_order_given(room: Path, capsys: Capture) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    answer = answer_of(
+        capsys, "edit", scene, "--field", field, "--object", 0, "--scale", 2, "--move", -0.2, 0, 1, "--opacity", 0.5,
+        "--duplicate", 0, 1, 0, "--turn", 30, "--axis", 0, 0, 1,
+    )  # fmt: skip
+    assert [edit["do"] for edit in answer["edits"]] == ["scale", "move", "opacity", "duplicate", "turn"]
+    assert answer["num_gaussians"] == answer["num_gaussians_before"] + PER_THING
+    answer = answer_of(capsys, "edit", scene, "--copies", 4, "--remove")
+    assert answer["num_gaussians"] == answer["num_gaussians_before"]
+    assert "what edit 4 added" in text_of(capsys, "edit", scene, "--list")
+    assert answer_of(capsys, "edit", scene, "--undo", 6)["num_edits"] == 0
+    assert "no edit to undo" in error_of(capsys, "edit", scene, "--undo")
+
+
+def test_a_folder_is_enough_and_pictures_are_before_and_after(room: Path, capsys: Capture) -> None:
+    (room / "points.ply").unlink()
+    for name in ("images", "cameras.json"):
+        source = room / "capture" / name
+        if source.exists():
+            shutil.move(source, room / name)
+    picture = room / "out.png"
+    answer = answer_of(capsys, "edit", room, "--query", "red mug", "--remove", "--picture", picture)
+    assert answer["scene"] == str(room / "scene.ply")
+    assert answer["view"]
+    pixels = np.asarray(Image.open(picture), int)
+    width = pixels.shape[1]
+    half = pixels[:, : width // 2], pixels[:, -(width // 2) :]
+    red_pixels = [int(((one[..., 0] > 150) & (one[..., 1] < 90)).sum()) for one in half]
+    assert red_pixels[0] > 20
+    assert red_pixels[1] < red_pixels[0] / 5
+
+
+def test_labels_boxes_rows_and_photos(room: Path, capsys: Capture) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    opened = open_scene(field, scene=scene)
+    ids = opened.objects[1].gaussian_ids
+    LabelFile.beside(field).add(Label.of("my plate", opened.field.scene, ids, np.zeros(3)))
+    Image.new("RGB", (8, 8), (200, 180, 20)).save(room / "photo.png")
+    write_npy(room / "ids.npy", np.array([0, 5], np.int64))
+    base = ["edit", scene, "--field", field]
+    answer_of(capsys, *base, "--label", "My Plate", "--palette", "#203040,gold")
+    answer_of(capsys, *base, "--label", "my plate", "--like-photo", room / "photo.png")
+    answer_of(capsys, *base, "--rows", room / "ids.npy", "--remove")
+    answer = answer_of(capsys, *base, "--box", -0.7, 0, 0, 1, 1, 1, "--isolate")
+    assert [edit["of"] for edit in answer["edits"]] == [
+        "“My Plate”", "“my plate”", "2 rows", "the box at -0.70 0.00 0.00",
+    ]  # fmt: skip
+    assert answer["num_gaussians"] == PER_THING - 2
+
+
+def test_an_object_of_another_scene(room: Path, capsys: Capture) -> None:
+    other = room.parent / "other"
+    shutil.copytree(room, other)
+    (other / "points.ply").unlink()
+    scene, field = room / "scene.ply", room / "room.field"
+    given = ["--field", field, "--object", 0, "--replace", other, "--with-object", 1, "--up", "+z"]
+    answer = answer_of(capsys, "edit", scene, *given, "--save", room / "edited.ply")
+    assert answer["num_gaussians"] == answer["num_gaussians_before"]
+    after = read_gaussians(room / "edited.ply")
+    stands = after.subset(after.extra["object_id"] == 0).means
+    goes = read_gaussians(scene).means[:PER_THING]
+    np.testing.assert_allclose(stands.mean(axis=0), goes.mean(axis=0), atol=0.05)
+    stored = json.loads((room / "scene.edits.json").read_text())["edits"][0]
+    assert stored["scene"] == "../other/scene.ply"
+
+
+def test_annotations(room: Path, capsys: Capture) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    answer_of(capsys, "edit", scene, "--field", field, "--query", "red mug", "--annotate", "from Delft")
+    answer = answer_of(capsys, "edit", scene, "--at", 1, 2, 3, "--annotate", "here")
+    assert [one["text"] for one in answer["annotations"]] == ["from Delft", "here"]
+    np.testing.assert_allclose(answer["annotations"][0]["center"], (-0.7, 0, 0), atol=0.1)
+    assert answer["annotations"][1]["center"] == [1, 2, 3]
+    assert "annotation 2: here" in text_of(capsys, "edit", scene)
+    answer = answer_of(capsys, "edit", scene, "--drop-annotation", 1)
+    assert [one["text"] for one in answer["annotations"]] == ["here"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--remove"], "nothing to edit was named: pass --query WORDS"),
+        (["--query", "red mug", "--remove"], "pass --field FIELD"),
+        (["--everything", "--turn", 30], "pass --up DIRECTION"),
+        (["--box", 0, 0, 0, 0, 1, 1, "--remove"], "lengths above 0"),
+        (["--everything", "--remove", "--undo"], "one of them at a time"),
+        (["--everything", "--fill"], "edit 1: fill: no ground and no wall"),
+        (["--undo"], "no edit to undo"),
+        (["--at", 1, 2, 3], "--annotate"),
+        (["--everything", "--replace", "none.ply", "--up", "+z"], "there is no file"),
+        (["--copies", 1, "--remove"], "edit 1 added nothing"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_said_and_leaves_nothing(
+    room: Path, capsys: Capture, given: list[object], said: str
+) -> None:
+    assert said in error_of(capsys, "edit", room / "scene.ply", *given)
+    assert not (room / "scene.edits.json").exists()
+
+
+@pytest.mark.parametrize("given", [["--recolour", "bluish"], ["--move", 1, 2], ["--object", 1, "--everything"]])
+def test_what_is_misspelt_is_misuse(room: Path, capsys: Capture, given: list[object]) -> None:
+    error_of(capsys, "edit", room / "scene.ply", *given, code=2)
