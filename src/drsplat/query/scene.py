@@ -20,6 +20,7 @@ from ..field.objects import Objects
 from ..kernels import SplatArrays, splat_arrays
 from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
 from .answer import Answer, Match
 from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
@@ -64,8 +65,9 @@ class Segmentation:
 class Scene:
     """A field, the Gaussians it was registered on, posed photos and who embeds words. Several threads may ask at once.
 
-    gaussians: None where only selections are wanted. views, encoder: themselves, or what makes them when they
-    are first needed; encoder None: the built-in one that the field names. threads: of one query, 0 for all cores.
+    gaussians: a moving scene's are its canonical rows; None where only selections are wanted. views, encoder:
+    themselves, or what makes them when they are first needed; encoder None: the built-in one that the field names.
+    threads: of one query, 0 for all cores.
     labels: the file of names that people give to objects, None where there is none to keep them in.
 
     Raises: MismatchError: the field is of another scene.
@@ -74,7 +76,7 @@ class Scene:
     def __init__(
         self,
         field: LanguageField,
-        gaussians: Gaussians | None = None,
+        gaussians: Gaussians | Moving | None = None,
         views: Sequence[View] | Callable[[], Sequence[View]] = (),
         encoder: Encoder | Callable[[], Encoder] | None = None,
         *,
@@ -83,10 +85,11 @@ class Scene:
         labels: LabelFile | None = None,
     ) -> None:
         if gaussians is not None:
-            field.check_scene(gaussians)
+            field.check_scene(canonical_of(gaussians))
         self.label_file = labels
         self.field, self.name, self.threads = field, name, threads
-        self._gaussians, self._views = gaussians, views
+        self.motion = gaussians if isinstance(gaussians, Moving) else None
+        self._gaussians, self._views = None if gaussians is None else canonical_of(gaussians), views
         self.background = Background(field, _source(field, encoder), threads)
 
     def __repr__(self) -> str:
