@@ -31,7 +31,7 @@ from .masks.features import ViewFeatures
 from .masks.masks import LEVELS
 from .scene.boxes import camera_axes
 from .scene.gaussians import Gaussians
-from .scene.moving import Moving, canonical_of
+from .scene.moving import Moving
 from .scene.units import doubts
 from .scene.views import View
 from .terminal import counted
@@ -215,7 +215,7 @@ def register(
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = with_features(views, features)
-    gaussians, seen = canonical_of(scene), [view for view, _ in chosen]
+    gaussians, seen = scene.canonical if isinstance(scene, Moving) else scene, [view for view, _ in chosen]
     tell_missing(views, chosen)
     tell_doubts(gaussians, seen)
     times = times_of(scene, seen)
