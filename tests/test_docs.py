@@ -202,7 +202,7 @@ def field_folder(capture, tmp_path_factory) -> Path:
 
 
 def test_the_layout_of_a_field_is_as_documented(field_folder):
-    """formats.md lists each tensor as | `file` | `name` | dtype | ...; `coarse*` are of residual codebooks."""
+    """formats.md lists each tensor as | `file` | `name` | dtype | ...; `coarse*` are of residual codes, `view_times` of films."""
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
     documented = {(file, name): dtype for file, name, dtype in listed}
@@ -211,7 +211,7 @@ def test_the_layout_of_a_field_is_as_documented(field_folder):
         tensors, _ = map_tensors(field_folder / file)
         for name, array in tensors.items():
             assert documented.pop((file, name), None) == array.dtype.name, f"{file}: {name}"
-    assert {name for _, name in documented} == {"coarse", "coarse_ids"}
+    assert {name for _, name in documented} == {"coarse", "coarse_ids", "view_times"}
 
 
 def test_the_manifest_of_a_field_is_as_documented(field_folder):

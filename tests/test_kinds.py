@@ -64,8 +64,8 @@ def test_the_mistakes_that_people_make(room: Path) -> None:
             gaussians, "frame_00001"
         ),
         r"Query: text: expected a text or None, got Gaussians": lambda: ds.Query(gaussians),
-        r"register: gaussians: expected Gaussians \(read_gaussians\(...\)\), got list of View": lambda: ds.register(
-            views, gaussians, features
+        r"register: scene: expected Gaussians \(read_gaussians\(...\)\) or Moving \(.*\), got list of View": lambda: (
+            ds.register(views, gaussians, features)
         ),
         r"Scene: field: expected LanguageField .*, got Gaussians": lambda: ds.Scene(gaussians, field),
         r"Query: text: expected a text or None, got list of str": lambda: ds.Query(["mug"]),

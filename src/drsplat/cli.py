@@ -22,8 +22,8 @@ from .terminal import plain, plainly, quoted
 
 # in the order of the pipeline
 VERBS = (
-    "train", "inspect", "embed", "codebook", "tile", "register", "add", "remove", "objects", "select", "locate",
-    "segment", "catalogue", "edit", "render", "view", "evaluate", "demo", "serve", "mcp", "doctor",
+    "train", "inspect", "embed", "codebook", "tile", "motion", "register", "add", "remove", "objects", "select",
+    "locate", "when", "segment", "catalogue", "edit", "render", "view", "evaluate", "demo", "serve", "mcp", "doctor",
 )  # fmt: skip
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]+\b(?:\.\w+)?|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141

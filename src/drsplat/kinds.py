@@ -21,7 +21,7 @@ MAKERS = {
     "Codebook": "load_codebook(...)", "Encoder": "load_encoder(...), read_vocabulary(...)",
     "ImageEncoder": "load_encoder(...)", "Segmenter": "load_segmenter(...)", "EncoderIdentity": "encoder.identity",
     "Code": "field.code", "Evidence": "field.evidence", "SplatArrays": "splat_arrays(gaussians)",
-    "SparsePoints": "read_sparse_points(...)",
+    "SparsePoints": "read_sparse_points(...)", "Moving": "read_moving(...)",
 }  # fmt: skip
 """Where people get what is expected."""
 

@@ -22,7 +22,7 @@ from .errors import DrSplatWarning, InputError, MismatchError
 from .evidence.aggregation import Aggregator, Sampling
 from .evidence.aggregation import aggregator as named
 from .evidence.changing import with_views, without_views
-from .evidence.columns import ColumnMaker, Whole, stack_columns
+from .evidence.columns import ColumnMaker, scenery_of, stack_columns, time_of
 from .evidence.evidence import Evidence, MaskIds
 from .evidence.provenance import Provenance
 from .field import AT_ONCE, LanguageField, RowCoder, build_field, whole_evidence
@@ -31,11 +31,13 @@ from .masks.features import ViewFeatures
 from .masks.masks import LEVELS
 from .scene.boxes import camera_axes
 from .scene.gaussians import Gaussians
+from .scene.moving import Moving
 from .scene.units import doubts
 from .scene.views import View
 from .terminal import counted
 
 UNKNOWN_ENCODER = "unknown"
+LITTLE = 0.05  # of a span of times, that photos of all of it do not keep to
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +190,7 @@ class Registration:
 
 
 def register(
-    gaussians: Gaussians,
+    scene: Gaussians | Moving,
     views: Sequence[View],
     features: Mapping[str, ViewFeatures],
     sampling: Sampling = Sampling(),
@@ -197,8 +199,9 @@ def register(
     threads: int = 0,
     track: Track = untracked,
 ) -> Registration:
-    """Register the masks of every view onto the Gaussians.
+    """Register the masks of every view onto the Gaussians; onto those of a moving scene where they are at its time.
 
+    scene: a moving one makes one field for the whole film, of its canonical rows, which keeps the views' times.
     features: by view name, with or without suffix; views without features are left out with a warning. Their maps lie
     on the photos as stored, as LangSplat's do: where a view has a distortion it is undone on them too. For maps made on
     what `load_image` returned, pass views with distortion None. sampling: which contributors of a pixel count; some
@@ -206,29 +209,55 @@ def register(
     them there does not redo them, so a killed run loses at most one view. None uses a temporary folder. track: shows
     progress.
 
-    Warns: DrSplatWarning: views without features; units that make no sense (`units.doubts`).
-    Raises: InputError: no view has features, two embedding sizes.
+    Warns: DrSplatWarning: views without features; units that make no sense (`units.doubts`); views with times of a
+    scene that stands still.
+    Raises: InputError: no view has features, two embedding sizes; of a moving scene a view without a time, or with one
+    outside of its span.
     Source: Dr. Splat Sec. A "Training stage".
     """
     chosen = with_features(views, features)
+    gaussians, seen = scene.canonical if isinstance(scene, Moving) else scene, [view for view, _ in chosen]
     tell_missing(views, chosen)
-    tell_doubts(gaussians, [view for view, _ in chosen])
+    tell_doubts(gaussians, seen)
+    times = times_of(scene, seen)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
-        scenery = Whole(gaussians, sampling.near)
+        scenery = scenery_of(scene, sampling.near)
         maker = ColumnMaker(scenery, folder, sampling, threads)
         followed = track(chosen, "registering views")
         columns = [maker.columns(view, features[key]) for view, key in followed]
         check_one_size({c.embeddings.shape[1]: c.view_name for c in columns})
         weights = stack_columns(columns, len(gaussians))
     masks = masks_of([c.view_name for c in columns], [len(c.embeddings) for c in columns])
-    evidence = Evidence(weights, masks, np.concatenate([c.embeddings for c in columns]))
+    evidence = Evidence(weights, replace(masks, times=times), np.concatenate([c.embeddings for c in columns]))
     encoder = encoder_of(features, evidence.embeddings.shape[1])
-    provenance = provenance_of([view for view, _ in chosen], [c.key for c in columns], features)
+    provenance = provenance_of(seen, [c.key for c in columns], features)
     return Registration(
         evidence, gaussians.fingerprint, encoder, replace(sampling, near=scenery.near), provenance.up,
         provenance=provenance,
     )  # fmt: skip
+
+
+def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Float64[np.ndarray, " v"] | None:
+    """Of the views of a moving scene; None of one that stands still.
+
+    Warns: DrSplatWarning: times of a scene that stands still, or that fill little of the scene's.
+    Raises: InputError: a moving scene, and a view without a time, or with one outside of its span.
+    """
+    if not isinstance(scene, Moving):
+        if any(view.time is not None for view in views):
+            text = "the photos have times, but this scene stands still: they are registered as if all were of one time"
+            warn(text, DrSplatWarning, stacklevel=3)
+        return None
+    times = np.array([scene.inside(time_of(view)) for view in views])
+    low, high = scene.span
+    if len(set(times.tolist())) > 1 and np.ptp(times) < LITTLE * (high - low):
+        text = (
+            f"the photos' times, {times.min():g} to {times.max():g}, fill little of the scene's, {low:g} to {high:g}: "
+            "are both of one unit?"
+        )
+        warn(text, DrSplatWarning, stacklevel=3)
+    return times
 
 
 def with_features(views: Sequence[View], features: Collection[str]) -> list[tuple[View, str]]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..formats.langsplat import FeatureFolder
     from ..growing import Change
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
     from ..scene.views import View
 
 SUMMARY = "add views to a field: only they are looked at, and it is as if all had been registered at once"
@@ -56,11 +57,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--watch adds views and compares none: drop --replace, and give it afterwards")
     if arguments.idle is not None and not arguments.watch:
         raise InputError("--idle is for --watch: pass both, or none")
-    path, gaussians = field_and_scene(arguments)
+    path, scene = field_and_scene(arguments)
     if arguments.watch:
-        return _watched(arguments, path, gaussians)
+        return _watched(arguments, path, scene)
     views, features = views_of(arguments, arguments.capture), _features(arguments, path)
-    return answer_of(_added(arguments, path, gaussians, views, features), path)
+    return answer_of(_added(arguments, path, scene, views, features), path)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -80,7 +81,7 @@ def _features(arguments: argparse.Namespace, path: Path) -> FeatureFolder:
 
 
 def _added(
-    arguments: argparse.Namespace, path: Path, gaussians: Gaussians, views: Sequence[View], features: FeatureFolder
+    arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving, views: Sequence[View], features: FeatureFolder
 ) -> Change:
     from dataclasses import replace
 
@@ -92,15 +93,15 @@ def _added(
 
     def change(field: LanguageField) -> Change:
         parts = parts_beside(path)
-        done = add_views(field, gaussians, views, features, renew=arguments.replace, parts=parts, **shared)
+        done = add_views(field, scene, views, features, renew=arguments.replace, parts=parts, **shared)
         return done if done.is_none else replace(done, field=with_words(done.field, arguments.features))
 
-    done = change_field(path, gaussians, change, threads=arguments.threads)
+    done = change_field(path, scene, change, threads=arguments.threads)
     remove_parts(parts_beside(path), [*done.added, *done.replaced, *done.known])
     return done
 
 
-def _watched(arguments: argparse.Namespace, path: Path, gaussians: Gaussians) -> dict[str, Any]:
+def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:
     """Batch after batch; what is told in the end is of all together."""
     from .. import load_field
     from ..growing.watching import Watch, together
@@ -111,7 +112,7 @@ def _watched(arguments: argparse.Namespace, path: Path, gaussians: Gaussians) ->
     done: list[Change] = []
     try:
         for views, features in watch.batches():
-            change = _added(arguments, path, gaussians, views, features)
+            change = _added(arguments, path, scene, views, features)
             watch.known |= {view.name for view in views}
             done.append(change)
             _tell(arguments, change)

@@ -11,6 +11,7 @@ from .query_options import FIELD_HELP
 if TYPE_CHECKING:
     from ..growing import Change
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
 
 
 def add_field_options(parser: argparse.ArgumentParser) -> None:
@@ -18,20 +19,20 @@ def add_field_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", help="scene that was registered (default: the one beside the field in its folder)")
 
 
-def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians]:
+def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians | Moving]:
     """The field's folder and its Gaussians.
 
-    Raises: InputError: no such field, or no scene is given or beside it; as `read_gaussians`.
+    Raises: InputError: no such field, or no scene is given or beside it; as `read_scene`.
     """
-    from .. import read_gaussians
     from ..errors import InputError
+    from ..formats.moving_scenes import read_scene
     from ..query.opening import registered_scene, scene_files
 
     files = scene_files(arguments.field, arguments.scene)
     if not files.scenes:
         raise InputError("scene: expected the Gaussians that were registered: pass scene=SCENE")
     if arguments.scene is not None:
-        return files.field, read_gaussians(files.scenes[0])
+        return files.field, read_scene(files.scenes[0])
     return files.field, registered_scene(files)[1]
 
 

@@ -10,7 +10,7 @@ from .options import count
 from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_said
 
 if TYPE_CHECKING:
-    from ..query import Answer, Match, Scene
+    from ..query import Answer, Match, MatchTrack, Scene
 
 SUMMARY = "locate the matches of a query in a scene: where they are, how large, and their supporting photos"
 EXAMPLES = """\
@@ -21,6 +21,7 @@ EXAMPLES = """\
   drsplat locate room.field --click photo_003:210,140 --views capture --scene scene.ply
   drsplat locate room.field "red mug" --vocabulary clip_texts.json --relevancy --scene scene.ply --top 3
   drsplat locate room.field --vector query.npy --threshold 0.25 --scene scene.ply --save found.ply
+  drsplat locate film.field "toy car" --scene film.motion --tracks --during 0 0.5
   drsplat locate room.field "red mug" --scene scene.ply --picture mug.png --views capture --view photo_003
 
 Which threshold? Cosines of one encoder's texts are near 1 for what fits, those of CLIP between texts and photos
@@ -40,6 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="upright: boxes stand on the ground, where the photos told which way is up; free: along the match's own "
         "axes (default: upright)",
     )  # fmt: skip
+    parser.add_argument(
+        "--tracks", action="store_true",
+        help="where each match listed is at all times of a scene that moves, and when photos see it",
+    )  # fmt: skip
     saved = "write the scene with two more columns: relevancy, the measured values; match_id, the match's number or -1"
     add_output_options(parser, saved)
 
@@ -54,6 +59,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
     report["num_matches"] = len(matches)
     report["matches"] = [_json(match) for match in matches[: arguments.top]]
+    if arguments.tracks:
+        for told, track in zip(report["matches"], scene.tracks(matches[: arguments.top], arguments.box), strict=True):
+            told["track"] = _track_json(track)
     with together():
         if arguments.save:
             _save(arguments, scene, answer, matches)
@@ -86,6 +94,8 @@ def show(answer: dict[str, Any]) -> None:
         if match["support"]:
             photos = dict.fromkeys(mask["view"] for mask in match["support"])
             print(f"match {number} is supported by {', '.join(photos)}")
+        if "track" in match:
+            print(f"match {number} {_track_said(match['track'])}")
 
 
 def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
@@ -102,6 +112,27 @@ def _json(match: Match) -> dict[str, Any]:
         "axes": match.axes,
         "support": [{"view": one.view_name, "mask": one.mask_id, "share": one.share} for one in match.support],
     }
+
+
+def _track_json(track: MatchTrack) -> dict[str, Any]:
+    return {
+        "times": track.times,
+        "centers": track.centers,
+        "extents": track.extents,
+        "axes": track.axes,
+        "spans": [list(span) for span in track.spans],
+        "views": list(track.views),
+    }
+
+
+def _track_said(track: dict[str, Any]) -> str:
+    from ..query.tracks import spans_said
+
+    if not len(track["times"]):
+        return "is nowhere at any time"
+    start, end = (" ".join(f"{x:.2f}" for x in track["centers"][place]) for place in (0, -1))
+    seen = f", seen {spans_said(track['spans'])}" if track["spans"] else ""
+    return f"goes from ({start}) at {track['times'][0]:.4g} to ({end}) at {track['times'][-1]:.4g}{seen}"
 
 
 def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: list[Match]) -> None:

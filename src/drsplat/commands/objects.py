@@ -70,6 +70,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_registered": len(scene.field),
         "num_in_objects": sum(one["num_gaussians"] for one in listed),
         "objects": listed,
+        "drifting": _drifting(scene),
         "labels_of_none": [label.name for label in scene.labels.orphans],
         "saved": arguments.save,
         "picture": arguments.picture,
@@ -86,11 +87,37 @@ def show(answer: dict[str, Any]) -> None:
     show_table(title, columns, [_row(one) for one in answer["objects"]])
     if not answer["objects"]:
         print("No two masks of different photos agree: more photos, or larger masks, may help.")
+    if answer["drifting"]:
+        print(_drifting_said(answer["drifting"]))
     for name in answer["labels_of_none"]:
         print(f"the label '{name}' names nothing in this field; it is kept")
     for output in (answer["saved"], answer["picture"]):
         if output:
             print(f"written to {output}")
+
+
+def _drifting(scene: Scene) -> dict[str, Any] | None:
+    """Of a scene that moves: Gaussians that change what they belong to, and between which objects most do."""
+    from collections import Counter
+
+    from ..objects.drifting import drifting
+
+    if scene.field.times is None:
+        return None
+    found = drifting(scene.field)
+    pairs = Counter(zip(found.first.tolist(), found.last.tolist(), strict=True))
+    most = [{"from": first, "to": last, "num_gaussians": count} for (first, last), count in pairs.most_common(5)]
+    return {"num_gaussians": len(found.gaussian_ids), "between": most, "gaussian_ids": found.gaussian_ids}
+
+
+def _drifting_said(drift: dict[str, Any]) -> str:
+    from ..terminal import counted
+
+    if not drift["num_gaussians"]:
+        return "No Gaussian changes what it belongs to over time."
+    between = ", ".join(f"{one['from']} to {one['to']}: {one['num_gaussians']:,}" for one in drift["between"])
+    changes = counted(drift["num_gaussians"], "Gaussian changes", "Gaussians change")
+    return f"{changes} what it belongs to over time, by objects (-1: none): {between}"
 
 
 def _row(one: dict[str, Any]) -> tuple[str, ...]:

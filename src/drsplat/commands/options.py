@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MOST = 2**31 - 1  # the kernels count with 32 bits
 LARGEST, SMALLEST = 3.4e38, 1e-30  # and measure with floats of 32 bits
 
-CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side")
+CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side", "times")
 LEVEL_HELP = (
     "level of the masks: default, small, medium, large or 0-3 (default: large). A trap: level 1 is *small* in "
     "features made by LangSplat, but Dr. Splat's own preprocessing stores its *large* masks in all four levels and "
@@ -95,7 +95,7 @@ def add_overwrite(parser: argparse._ActionsContainer) -> None:
 
 
 def add_capture_options(parser: argparse.ArgumentParser) -> None:
-    """--images, --dataparser-transforms, --max-side: how the photos of a capture are read."""
+    """--images, --dataparser-transforms, --max-side, --times: how the photos of a capture are read."""
     group = parser.add_argument_group("capture")
     group.add_argument(
         "--images", metavar="DIR", help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)"
@@ -107,6 +107,11 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--max-side", type=count, metavar="PIXELS",
         help="longest side of the photos; larger ones are scaled down (default: no limit)",
+    )  # fmt: skip
+    group.add_argument(
+        "--times", type=words, metavar="PATTERN|FILE.csv",
+        help="when the photos of a moving scene were taken: a pattern of their names, e.g. cam*/frame_{time}.png, or a "
+        "table with the line name,time first (default: time in transforms.json, else unknown)",
     )  # fmt: skip
 
 

@@ -87,6 +87,14 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
         help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the "
         "field, else object,things,stuff,texture)",
     )  # fmt: skip
+    _add_during(parser)
+
+
+def _add_during(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--during", type=finite, nargs=2, metavar=("START", "END"),
+        help="of a scene that moves: ask only what photos of this span of time have shown (default: of all times)",
+    )  # fmt: skip
 
 
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
@@ -180,6 +188,7 @@ def cut_of(arguments: argparse.Namespace) -> Cut:
         top_share=arguments.top_share,
         relevancy=arguments.relevancy,
         negatives=arguments.negatives and negatives(arguments.negatives),
+        during=arguments.during and tuple(arguments.during),
     )
 
 

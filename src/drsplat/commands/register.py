@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ..masks.features import ViewFeatures
     from ..registration import Registration
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
     from ..scene.views import View
     from .workers import Register
 
@@ -53,7 +54,7 @@ A stopped run resumes when the same command is given again."""
 
 
 class _Inputs(NamedTuple):
-    scene: "Gaussians | Tiles"
+    scene: "Gaussians | Moving | Tiles"
     register: "Register"
     views: "Sequence[View]"
     left_out: set[str]
@@ -63,7 +64,9 @@ class _Inputs(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, or tiles of a huge scene"
+        "scene",
+        help="Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, tiles of a huge scene, or a "
+        "moving scene: a folder of numbered PLY files, NAME.motion, a PLY of SpacetimeGaussians",
     )
     add_features(parser)
     parser.add_argument(
@@ -151,6 +154,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from .. import load_field
     from ..evidence.aggregation import aggregator
     from ..progress import Stopwatch, peak_memory_bytes
+    from ..scene.moving import canonical_of
 
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)
@@ -163,7 +167,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
     registration = _registration(inputs, known, sampling, parts, shared)
     watch.lap("register")
-    gaussians = in_memory(inputs.scene) if how.voting else None
+    gaussians = canonical_of(in_memory(inputs.scene)) if how.voting else None
     field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, arguments.features)
     watch.lap("code")
@@ -218,6 +222,7 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
         "num_gaussians": field.num_gaussians,
         "num_registered": len(field),
         "num_views": len(registration.masks.view_names),
+        "num_times": None if field.times is None else len(set(field.times.tolist())),
         "num_masks": len(registration.masks),
         "num_weights": int(registration.weights.nnz),
         "dim": field.encoder.dim,
@@ -265,7 +270,7 @@ def show(answer: dict[str, Any]) -> None:
         f"registered: {answer['field']}{COMPLETE if answer['was_complete'] else ''}",
         {
             "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({share:.1%})",
-            "views": f"{said(answer['num_views'])}{reused}{out}",
+            "views": f"{said(answer['num_views'])}{_at_times(answer)}{reused}{out}",
             "masks": f"{said(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
@@ -274,6 +279,10 @@ def show(answer: dict[str, Any]) -> None:
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
+
+
+def _at_times(answer: dict[str, Any]) -> str:
+    return f" at {answer['num_times']:,} times" if answer["num_times"] else ""
 
 
 def _parts(arguments: argparse.Namespace, output: Path) -> str | Path:

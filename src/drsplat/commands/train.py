@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--dataparser-transforms", metavar="FILE",
         help="nerfstudio's dataparser_transforms.json, to train in its frame (default: the one in CAPTURE)",
     )  # fmt: skip
-    parser.set_defaults(max_side=None)
+    parser.set_defaults(max_side=None, times=None)
 
 
 def _add_method(parser: argparse.ArgumentParser) -> None:

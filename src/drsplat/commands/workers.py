@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..formats.tiles import Tiles
     from ..registration import Registration
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
     from ..tiles.launching import Launcher
 
     Register = Callable[..., Registration]
@@ -35,20 +36,21 @@ def add_workers(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Tiles, Register]:
-    """The scene, of which tiles stay on disk, and how it is registered: as `register`, by whom the options say.
+def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Moving | Tiles, Register]:
+    """The scene, of which tiles and frames stay on disk, and how it is registered: by `register`, or whom options say.
 
     Raises: InputError: workers for a scene without tiles, or two kinds of them.
     """
-    from .. import read_gaussians, register
+    from .. import register
     from ..errors import InputError
-    from ..formats.scenes import scene_file
+    from ..formats.moving_scenes import read_scene
     from ..formats.tiles import TILES, read_tiles
     from ..tiles.registering import register_tiles
 
-    file = scene_file(Path(arguments.scene))
-    if file.name == TILES:
-        return read_tiles(file.parent), partial(register_tiles, launcher=_launcher(arguments))
+    path = Path(arguments.scene)
+    folder = path.parent if path.name == TILES else path
+    if (folder / TILES).is_file():
+        return read_tiles(folder), partial(register_tiles, launcher=_launcher(arguments))
     if "://" in str(arguments.parts or ""):
         raise InputError(
             "--parts: an address is for a scene in tiles: give a folder, or cut the scene with drsplat tile"
@@ -58,10 +60,10 @@ def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Tiles, Register
         raise InputError(
             f"{given} is for a scene in tiles: drsplat tile {arguments.scene} --output NAME.tiles, then register those"
         )
-    return read_gaussians(arguments.scene), register
+    return read_scene(arguments.scene), register
 
 
-def in_memory(scene: Gaussians | Tiles) -> Gaussians:
+def in_memory(scene: Gaussians | Moving | Tiles) -> Gaussians | Moving:
     from ..formats.tiles import Tiles
 
     return scene.gaussians() if isinstance(scene, Tiles) else scene

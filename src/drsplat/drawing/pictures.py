@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
 from ..scene.photos import load_image
 from ..scene.views import View
 from .heat import heat_colors
@@ -106,20 +107,28 @@ def _border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray,
 
 
 def best_views(
-    gaussians: Gaussians, views: Sequence[View], selections: Sequence[Integer[np.ndarray, " _"]], *, threads: int = 0
+    scene: Gaussians | Moving,
+    views: Sequence[View],
+    selections: Sequence[Integer[np.ndarray, " _"]],
+    *,
+    threads: int = 0,
 ) -> list[View]:
     """For each selection the view that shows most of it, in share of its pixels, not cut off by the border.
+
+    scene: a moving one is looked at as it was when each photo was taken.
 
     Raises: InputError: no views.
     """
     if not views:
         raise InputError("there are no views to choose from")
-    splats, chosen = (splat_arrays(gaussians), np.zeros((len(gaussians), len(selections)), np.float32))
+    still, chosen = splat_arrays(canonical_of(scene)), np.zeros((len(scene), len(selections)), np.float32)
     for column, ids in enumerate(selections):
         chosen[ids, column] = 1
     areas = np.empty((len(views), len(selections)))
     for row, view in enumerate(views):
         small = view.resized(160, max(1, round(160 * view.height / view.width)))
+        moves = isinstance(scene, Moving) and view.time is not None
+        splats = splat_arrays(scene.at(view.time), still.near) if moves else still  # type: ignore[union-attr,arg-type]
         share = render_channels(splats, small, chosen, threads=threads).channels
         cut = share[[0, -1]].sum((0, 1)) + share[:, [0, -1]].sum((0, 1))
         areas[row] = share.sum((0, 1)) / (1 + cut)

@@ -1,9 +1,10 @@
 """W with columns taken out and others put in, in one pass over its entries: what is new is sorted, the rest copied."""
 
 import numpy as np
-from jaxtyping import Bool, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.sparse import csr_array
 
+from ..errors import MismatchError
 from .aggregation.entries import canonical
 from .evidence import Evidence, MaskIds
 
@@ -17,7 +18,8 @@ def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
     number, kept = (np.cumsum(~gone) - 1).astype(np.int32), ~gone[masks.views]
     columns = np.where(kept, np.cumsum(kept) - 1, GONE).astype(np.int32)
     none = csr_array((len(evidence), int(kept.sum())), dtype=np.float32)
-    ids = MaskIds(names, number[masks.views[kept]], masks.ids[kept])
+    times = None if masks.times is None else masks.times[~gone]
+    ids = MaskIds(names, number[masks.views[kept]], masks.ids[kept], times)
     return Evidence(changed_columns(evidence.weights, columns, none), ids, evidence.embeddings[kept])
 
 
@@ -36,9 +38,23 @@ def with_views(evidence: Evidence, other: Evidence) -> Evidence:
     added = csr_array((new.data, its[new.indices], new.indptr), shape=(len(other), len(order)))
     embeddings = np.empty((len(order), evidence.dim), np.float32)
     embeddings[own], embeddings[its] = evidence.embeddings, other.embeddings
-    return Evidence(
-        changed_columns(evidence.weights, own, added), MaskIds(tuple(names), views[order], ids[order]), embeddings
-    )
+    known = MaskIds(tuple(names), views[order], ids[order], _times(both, rank))
+    return Evidence(changed_columns(evidence.weights, own, added), known, embeddings)
+
+
+def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.ndarray, " v"] | None:
+    """Of the views of both, by rank. Raises: MismatchError: only one of them is of a scene that moves."""
+    one, other = (masks.times for masks in both)
+    if one is None or other is None:
+        if one is not other:
+            raise MismatchError(
+                "one is of a scene that moves, whose views have times, the other of one that stands still: register "
+                "both with the same scene"
+            )
+        return None
+    times = np.empty(len(rank))
+    times[[rank[name] for masks in both for name in masks.view_names]] = np.concatenate([one, other])
+    return times
 
 
 def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:

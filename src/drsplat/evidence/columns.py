@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, UInt32
 from scipy.sparse import csr_array
 
-from ..errors import FormatError, MismatchError
+from ..errors import FormatError, InputError, MismatchError
 from ..formats.tensors import map_tensors, read_tensors, write_tensors
 from ..kernels import SplatArrays, Triples, default_isa, splat_arrays
 from ..masks.features import ViewFeatures
 from ..scene.gaussians import Gaussians, ShapesDigest
+from ..scene.moving import Moving
 from ..scene.photos import undistort_ids
 from ..scene.views import View, same_aspect
 from .aggregation import Sampling
@@ -47,12 +48,11 @@ class Seen(NamedTuple):
 
 @runtime_checkable
 class Scenery(Protocol):
-    """A scene that is looked at. digest: of all that decides what is seen. near: as of `SplatArrays`."""
+    """A scene that is looked at. digest: of all that decides what a view sees. near: as of `SplatArrays`."""
 
     @property
-    def digest(self) -> str: ...
-    @property
     def near(self) -> float: ...
+    def digest(self, view: View) -> str: ...
     def seen(self, view: View) -> Seen: ...
 
 
@@ -72,11 +72,46 @@ class Whole:
         return self.gaussians.near if self.given_near is None else self.given_near
 
     @cached_property
-    def digest(self) -> str:
+    def _digest(self) -> str:
         return f"{ShapesDigest(self.gaussians.origin).add(self.gaussians).text()} {self.near!r}"
+
+    def digest(self, view: View) -> str:
+        return self._digest
 
     def seen(self, view: View) -> Seen:
         return Seen(self.splats)
+
+
+class Played:
+    """A moving scene: every camera is given it as it is at the time of its photo. The last time is held.
+
+    near: one for the whole film. Raises: InputError: a view has no time, or one outside of the scene's span.
+    """
+
+    def __init__(self, moving: Moving, given_near: float | None = None) -> None:
+        self.moving, self.near = moving, moving.canonical.near if given_near is None else given_near
+        self._at = lru_cache(maxsize=1)(lambda time: Whole(moving.at(time), self.near))
+
+    def digest(self, view: View) -> str:
+        return self._at(time_of(view)).digest(view)
+
+    def seen(self, view: View) -> Seen:
+        return self._at(time_of(view)).seen(view)
+
+
+def scenery_of(scene: Gaussians | Moving, near: float | None = None) -> Whole | Played:
+    """A scene in memory, still or moving."""
+    return Played(scene, near) if isinstance(scene, Moving) else Whole(scene, near)
+
+
+def time_of(view: View) -> float:
+    """Raises: InputError: nobody knows."""
+    if view.time is None:
+        raise InputError(
+            f"view '{view.name}' has no time, and the scene moves: give times=TABLE.csv or a pattern of names such as "
+            "cam*/frame_{time}.png (--times), or a transforms.json with the time of each frame"
+        )
+    return view.time
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +155,8 @@ class ColumnMaker:
         return self._key(view, _mask_ids(view, features))
 
     def _key(self, view: View, mask_ids: Int32[np.ndarray, "h w"]) -> bytes:
-        return _digest(view.K, view.cam_from_world, mask_ids, salt=self._settings)
+        salt = f"{self._settings} {self.scenery.digest(view)}"
+        return _digest(view.K, view.cam_from_world, mask_ids, salt=salt)
 
     @cached_property
     def _settings(self) -> str:
@@ -129,7 +165,7 @@ class ColumnMaker:
         counted = f"{sampling.topk} {sampling.first_hits}"
         if sampling.pixels != "all":
             counted = f"{counted} {sampling.pixels}"
-        return f"{COLUMNS_VERSION} {counted} {self.scenery.digest}"
+        return f"{COLUMNS_VERSION} {counted}"
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:

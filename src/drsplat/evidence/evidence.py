@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, Integer
+from jaxtyping import Float32, Float64, Int32, Integer
 from scipy.sparse import csr_array
 
 from ..contents import release
@@ -29,12 +29,15 @@ class Explanation(NamedTuple):
 class MaskIds:
     """The columns of W. views: per column an index into view_names. ids: the mask in that view.
 
-    Raises: InputError: shapes disagree, or a column of no view.
+    times: when each view was taken, of a scene that moves; None of one that stands still.
+
+    Raises: InputError: shapes disagree, a column of no view, or times that are not finite.
     """
 
     view_names: tuple[str, ...]
     views: Int32[np.ndarray, " m"]
     ids: Int32[np.ndarray, " m"]
+    times: Float64[np.ndarray, " v"] | None = None
 
     def __post_init__(self) -> None:
         for name, values in (("views", self.views), ("ids", self.ids)):
@@ -42,6 +45,10 @@ class MaskIds:
                 raise InputError(f"masks: {name} must be int32 (M,), got {values.dtype} {values.shape}")
         if len(self.views) and not 0 <= self.views.min() <= self.views.max() < len(self.view_names):
             raise InputError(f"masks: a column names a view that is not among the {len(self.view_names)}")
+        if self.times is not None and (
+            self.times.shape != (len(self.view_names),) or not np.isfinite(self.times).all()
+        ):
+            raise InputError(f"masks: expected a finite time for each of {len(self.view_names)} views")
 
     def __len__(self) -> int:
         return len(self.views)
@@ -141,7 +148,9 @@ class Evidence:
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Its arrays by name, as they are written to files; `metadata` holds the rest."""
+        of_time = {} if self.masks.times is None else {"view_times": self.masks.times}
         return {
+            **of_time,
             "indptr": self.weights.indptr,
             "indices": self.weights.indices,
             "data": self.weights.data,
@@ -151,6 +160,7 @@ class Evidence:
         }
 
     def metadata(self) -> dict[str, str]:
+        """Further text of its file."""
         return {"view_names": json.dumps(self.masks.view_names)}
 
 
@@ -158,6 +168,7 @@ _ARRAYS = {
     "indptr": ("int32 int64", "r"), "indices": ("int32 int64", "e"), "data": ("float32", "e"),
     "embeddings": ("float32", "m d"), "segment_views": ("int32", "m"), "segment_ids": ("int32", "m"),
 }  # fmt: skip
+_TIMES = {"view_times": ("float64", "v")}  # of scenes that move
 
 
 def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str) -> Evidence:
@@ -165,7 +176,7 @@ def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[s
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.
     """
-    check_tensors(tensors, _ARRAYS, where)
+    check_tensors(tensors, _ARRAYS | (_TIMES if "view_times" in tensors else {}), where)
     indptr, indices, data, embeddings, views, ids = (np.asarray(tensors[name]) for name in _ARRAYS)
     # SciPy checks neither; it would read where the row starts point.
     whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
@@ -173,7 +184,7 @@ def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[s
         raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
     shape = (len(indptr) - 1, len(embeddings))
     try:
-        masks = MaskIds(_view_names(metadata), views, ids)
+        masks = MaskIds(_view_names(metadata), views, ids, tensors.get("view_times"))
         return Evidence(csr_array((data, indices, indptr), shape=shape), masks, embeddings)
     except ValueError as error:  # ours, or SciPy's
         raise FormatError(f"{where}: {error}") from error

@@ -300,6 +300,20 @@ class LanguageField:
                 "positions or row order differ; this is what compressing does; register against the file you query"
             )
 
+    @property
+    def times(self) -> Float64[np.ndarray, " v"] | None:
+        """Of its views, of a scene that moves; None of one that stands still, or without evidence."""
+        return None if self.evidence is None else self.evidence.masks.times
+
+    def check_motion(self, moves: bool) -> None:
+        """Refuse more views of a still scene for a field of a moving one, and the reverse. Raises: MismatchError."""
+        if self.evidence is not None and moves != (self.times is not None):
+            was, given = ("moves", "stands still") if self.times is not None else ("stands still", "moves")
+            raise MismatchError(
+                f"this field was registered with a scene that {was}, the given one {given}: give the scene that was "
+                "registered"
+            )
+
     def check_encoder(self, identity: EncoderIdentity) -> None:
         """Refuse an encoder whose embeddings mean something else. Raises: MismatchError."""
         if not self.encoder.matches(identity):

@@ -19,6 +19,7 @@ from .json_files import read_json
 from .photo_files import find_photo, image_folder, listed, on_photo
 from .point_ply import read_point_ply
 from .transforms import point_file, read_applied_transform, read_transforms
+from .view_times import with_times
 
 CAMERA_FILES = (("transforms", "transforms.json"), ("transforms", "transforms_train.json"), ("cameras", "cameras.json"))
 
@@ -45,6 +46,7 @@ def read_views(
     images: str | Path | None = None,
     dataparser_transforms: str | Path | None = None,
     max_side: int | None = None,
+    times: str | Path | None = None,
 ) -> list[View]:
     """The posed photos of a capture, sorted by name.
 
@@ -59,6 +61,8 @@ def read_views(
     capture's folder is used without being named. transforms.json's own applied_transform is
     accounted for.
     max_side: photos with a longer side, in pixels, are scaled down to it.
+    times: when the photos were taken, see `view_times.with_times`; None: what a transforms.json says (`time`), if it
+    does.
 
     Warns: DrSplatWarning: several camera files (which one was read); photos that are missing
     (COLMAP, cameras.json: the views stay, without image_path; transforms.json: they are left out).
@@ -72,7 +76,8 @@ def read_views(
     frame = _scene_frame(source, Path(capture), dataparser_transforms)
     if frame is not None:
         views = [frame.view(view) for view in views]
-    return [view.limited(max_side) for view in _sorted(views, source.path)]
+    views = [view.limited(max_side) for view in _sorted(views, source.path)]
+    return views if times is None else with_times(views, times)
 
 
 def read_sparse_points(

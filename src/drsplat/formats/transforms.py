@@ -6,6 +6,7 @@ import re
 import warnings
 from collections import ChainMap
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +34,9 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
 
     transform_matrix is camera-to-world in OpenGL axes (+y up, -z forward). Intrinsics (fl_x, fl_y, cx, cy or
     camera_angle_x; w, h or the photo's size; k1, k2, p1, p2; camera_model) are of the frame, else of the file.
-    file_path is relative to the file, with or without suffix; with `images` it is looked for there, less a leading
-    "images/". Names of views are less that folder, too. Absolute paths are taken as they are; where nothing is there
-    any more, as paths below the folder that all of them share.
+    time, of the frame alone, is when its photo was taken. file_path is relative to the file, with or without suffix;
+    with `images` it is looked for there, less a leading "images/". Names of views are less that folder, too.
+    Absolute paths are taken as they are; where nothing is there any more, as paths below the folder that all share.
 
     Warns: DrSplatWarning: frames without photo are left out; the warning names them.
     Raises: FormatError: a damaged file, a pose that is not rigid, a lens that no pinhole stands
@@ -44,6 +45,7 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     document = _document(path)
     views, missing = [], []
     shared = _shared_folder(document)
+    of_all = {key: value for key, value in document.items() if key != "time"}  # each photo has its own
     for index, frame in enumerate(document["frames"]):  # type: ignore[arg-type,var-annotated]
         where = f"{path}, frame {index}"
         given = _file_path(frame, where)
@@ -52,7 +54,7 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
         if photo is None:
             missing.append(name)
         else:
-            views.append(_view(ChainMap(frame, document), _name(name, photo), photo, where))
+            views.append(_view(ChainMap(frame, of_all), _name(name, photo), photo, where))
     _report(path, missing, len(views))
     return views
 
@@ -96,7 +98,8 @@ def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     distortion = tuple(_number(entry, key, where, 0.0) for key in ("k1", "k2", "p1", "p2"))
     intrinsics = _intrinsics(entry, width, height, where)
     view = posed_view(where, name, intrinsics, _cam_from_world(entry, where), (width, height), distortion)
-    return on_photo(view, photo)
+    time = _number(entry, "time", where, 0.0) if entry.get("time") is not None else None
+    return on_photo(replace(view, time=time), photo)
 
 
 def _cam_from_world(entry: Entry, where: str) -> Float64[np.ndarray, "4 4"]:

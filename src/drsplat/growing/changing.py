@@ -21,6 +21,7 @@ from ..masks.features import ViewFeatures
 from ..progress import Stopwatch
 from ..registration import Registration, register, with_features
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
 from .comparing import Comparison
 
@@ -51,7 +52,7 @@ class Change:
 
 def add_views(
     field: LanguageField,
-    gaussians: Gaussians,
+    scene: Gaussians | Moving,
     views: Sequence[View],
     features: Mapping[str, ViewFeatures],
     *,
@@ -71,11 +72,11 @@ def add_views(
     encoder or size of embeddings, or masks of another level.
     """
     watch = Stopwatch()
-    before, how = _opened(field, gaussians)
+    before, how = _opened(field, scene)
     _check_features(field, features)
     found = with_features(views, features)
     known = [(view, key) for view, key in found if view.name in before.masks.view_names]
-    others = Comparison(before, gaussians).changed(known, features, track) if renew and known else []
+    others = Comparison(before, scene).changed(known, features, track) if renew and known else []
     change = _wish(field, [view.name for view, _ in found], {view.name for view in others})
     watch.lap("read")
     if change.is_none:
@@ -83,11 +84,11 @@ def add_views(
     new = [view for view, _ in found if view.name in {*change.added, *change.replaced}]
     assert before.sampling is not None
     tell_isa(before.provenance)
-    more = register(gaussians, new, features, before.sampling, parts=parts, threads=threads, track=track)
+    more = register(scene, new, features, before.sampling, parts=parts, threads=threads, track=track)
     watch.lap("register")
     after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
     watch.lap("weights")
-    return _changed(change, before, after, how, gaussians, watch=watch, threads=threads, track=track)
+    return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 
 def _wish(field: LanguageField, given: Sequence[str], others: set[str]) -> Change:
@@ -104,7 +105,12 @@ def _wish(field: LanguageField, given: Sequence[str], others: set[str]) -> Chang
 
 
 def remove_views(
-    field: LanguageField, gaussians: Gaussians, names: Collection[str], *, threads: int = 0, track: Track = untracked
+    field: LanguageField,
+    scene: Gaussians | Moving,
+    names: Collection[str],
+    *,
+    threads: int = 0,
+    track: Track = untracked,
 ) -> Change:
     """Take some views out of a field, by name. Words and negatives stay, objects are left out: see `change_field`.
 
@@ -112,11 +118,11 @@ def remove_views(
     MismatchError: another scene.
     """
     watch = Stopwatch()
-    before, how = _opened(field, gaussians)
+    before, how = _opened(field, scene)
     after = before.without(names)
     watch.lap("weights")
     change = Change(field, removed=tuple(sorted(names)), known=after.masks.view_names)
-    return _changed(change, before, after, how, gaussians, watch=watch, threads=threads, track=track)
+    return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 
 def recorded_aggregator(field: LanguageField) -> Aggregator:
@@ -131,16 +137,17 @@ def recorded_aggregator(field: LanguageField) -> Aggregator:
     return how
 
 
-def registration_of(field: LanguageField, gaussians: Gaussians) -> Registration:
+def registration_of(field: LanguageField, scene: Gaussians | Moving) -> Registration:
     """What a field was made from. Raises: InputError: it does not say how. MismatchError: another scene."""
-    field.check_scene(gaussians)
+    field.check_scene(canonical_of(scene))
+    field.check_motion(isinstance(scene, Moving))
     if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
         raise InputError(f"this field does not say how it was made, as fields of older versions do not: {CURE}")
     return Registration.from_field(field)
 
 
-def _opened(field: LanguageField, gaussians: Gaussians) -> tuple[Registration, Aggregator]:
-    return registration_of(field, gaussians), recorded_aggregator(field)
+def _opened(field: LanguageField, scene: Gaussians | Moving) -> tuple[Registration, Aggregator]:
+    return registration_of(field, scene), recorded_aggregator(field)
 
 
 def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) -> None:

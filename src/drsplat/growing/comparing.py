@@ -9,10 +9,11 @@ import numpy as np
 
 from ..codes import Track, untracked
 from ..errors import InputError
-from ..evidence.columns import ColumnMaker, Whole
+from ..evidence.columns import ColumnMaker, scenery_of
 from ..masks.features import ViewFeatures
 from ..registration import Registration
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving
 from ..scene.views import View
 
 
@@ -21,7 +22,7 @@ class Comparison:
     """With a registration of these Gaussians, whose provenance is known."""
 
     registration: Registration
-    gaussians: Gaussians
+    scene: Gaussians | Moving
 
     def changed(
         self, views: Sequence[tuple[View, str]], features: Mapping[str, ViewFeatures], track: Track = untracked
@@ -53,4 +54,4 @@ class Comparison:
         sampling = self.registration.sampling
         if sampling is None:
             raise InputError("how the photos were looked at is not known of this registration: register again")
-        return ColumnMaker(Whole(self.gaussians, sampling.near), Path(), sampling, 0)
+        return ColumnMaker(scenery_of(self.scene, sampling.near), Path(), sampling, 0)

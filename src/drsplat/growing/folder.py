@@ -11,6 +11,7 @@ from ..formats.claiming import claimed_output
 from ..objects.finding import find_objects
 from ..progress import Stopwatch
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
 from .changing import Change
 
 
@@ -20,7 +21,11 @@ def parts_beside(path: str | os.PathLike[str]) -> Path:
 
 
 def change_field(
-    path: str | os.PathLike[str], gaussians: Gaussians, change: Callable[[LanguageField], Change], *, threads: int = 0
+    path: str | os.PathLike[str],
+    scene: Gaussians | Moving,
+    change: Callable[[LanguageField], Change],
+    *,
+    threads: int = 0,
 ) -> Change:
     """Change the field in a folder, as `add_views` or `remove_views` do; where it has objects they are found again.
 
@@ -40,7 +45,7 @@ def change_field(
             watch = Stopwatch()
             new = done.field
             if field.objects is not None:
-                new = new.with_objects(find_objects(new, gaussians, threads=threads))
+                new = new.with_objects(find_objects(new, canonical_of(scene), threads=threads))
                 watch.lap("objects")
             new.save(path, overwrite=True)
             watch.lap("save")

@@ -12,6 +12,7 @@ from ..formats.photo_files import listed
 from ..masks.features import ViewFeatures
 from ..registration import UNKNOWN_ENCODER, Registration, with_features
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving
 from ..scene.views import View
 from .changing import registration_of, tell_isa
 from .comparing import Comparison
@@ -19,7 +20,7 @@ from .comparing import Comparison
 
 def with_weights_of(
     field: LanguageField,
-    gaussians: Gaussians,
+    scene: Gaussians | Moving,
     views: Sequence[View],
     features: Mapping[str, ViewFeatures],
     *,
@@ -31,11 +32,11 @@ def with_weights_of(
     Raises: InputError: the field does not know how it was made; views of the one that the other has not.
     MismatchError: another scene, or other masks or poses.
     """
-    before = registration_of(field, gaussians)
+    before = registration_of(field, scene)
     tell_isa(before.provenance)
     new = [(view, key) for view, key in with_features(views, features) if view.name not in field.left_out]
     _refuse_other_views(before.masks.view_names, [view.name for view, _ in new])
-    compared = Comparison(before, gaussians)
+    compared = Comparison(before, scene)
     others, embeddings, dim = [], [], 0
     for view, key in track(new, "comparing masks"):
         seen = features[key]

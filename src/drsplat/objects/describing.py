@@ -4,6 +4,8 @@ Linear in the weights of the evidence: rows of W are summed into nodes and these
 nodes times Gaussians.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.sparse import csr_array
@@ -49,11 +51,32 @@ def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads:
     )
 
 
-def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
-    """(T, T): entry (t, s) is 1 where node s is t, or below it.
+def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 0) -> Objects:
+    """The objects of a field for one of some of its photos (`field_during`): the same nodes, with the same numbers,
+    boxes and masks; their rows are those that it has, their descriptors of what those photos show.
 
-    Raises: InputError: a node without rows.
+    Raises: InputError: the first has no objects, the second no evidence.
     """
+    if whole.objects is None or some.evidence is None:
+        raise InputError("expected a field with objects, and one with evidence")
+    objects, rows = whole.objects, whole.rows_of(some.gaussian_ids)
+    node_of = np.where(rows < 0, np.int32(-1), objects.node_of[rows])
+    weights = _weights(some.evidence, _inside(objects.parents), node_of)
+    starts, vectors = descriptors(_exclusive(weights, some.evidence), some.evidence.embeddings, threads=threads)
+    return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)
+
+
+def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
+    """As `_inside`. Raises: InputError: a node without rows."""
+    inside, count = _inside(parents), len(parents)
+    empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
+    if len(empty):
+        raise InputError(f"node {empty[0]} has no rows, neither of its own nor below it")
+    return inside
+
+
+def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
+    """(T, T): entry (t, s) is 1 where node s is t, or below it."""
     count = len(parents)
     below = above = np.arange(count)
     lower, upper = [below], [above]
@@ -63,11 +86,7 @@ def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"])
         lower.append(below)
         upper.append(above)
     rows, columns = np.concatenate(upper), np.concatenate(lower)
-    inside = csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
-    empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
-    if len(empty):
-        raise InputError(f"node {empty[0]} has no rows, neither of its own nor below it")
-    return inside
+    return csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
 
 
 def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:

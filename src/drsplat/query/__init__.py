@@ -4,26 +4,26 @@ Every rule of measuring, cutting and grouping is here, and every default: the co
 MCP, the demo and the evaluation turn their input into a query and show an answer. Names are loaded when they are
 first used: the command line reads the defaults here without NumPy.
 
-Imports `encoders`, `scene`, `masks`, `formats`, `kernels`, `evidence`, `field`, `models` and `drawing`.
+Imports `encoders`, `scene`, `masks`, `formats`, `kernels`, `evidence`, `field`, `objects`, `models` and `drawing`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .answer import Answer, Match
+    from .answer import Answer, Match, MatchTrack, Segmentation, Word
     from .encoding import encoder_for
     from .opening import SceneFiles, find_scene, open_scene
     from .query import Cut, Query
-    from .scene import Scene, Segmentation, Word
+    from .scene import Scene
     from .views import view_named
 
 _HOMES = {
-    "answer": ("Answer", "Match"),
+    "answer": ("Answer", "Match", "MatchTrack", "Segmentation", "Word"),
     "encoding": ("encoder_for",),
     "opening": ("SceneFiles", "find_scene", "open_scene"),
     "query": ("Cut", "Query"),
-    "scene": ("Scene", "Segmentation", "Word"),
+    "scene": ("Scene",),
     "views": ("view_named",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -32,6 +32,7 @@ __all__ = [
     "Answer",
     "Cut",
     "Match",
+    "MatchTrack",
     "Query",
     "Scene",
     "SceneFiles",

@@ -1,13 +1,15 @@
 """What comes back: values and a threshold, and the places that they make."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, Integer
+from jaxtyping import Float32, Float64, Int32, Int64, Integer
 
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
+from ..field.spans import Span
 from ..terminal import counted
 from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY
 from .search import LOWEST
@@ -101,3 +103,60 @@ class Match:
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)
+
+
+class Word(NamedTuple):
+    """A text and the cosine of a place's feature with it."""
+
+    text: str
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """labels: per Gaussian of the scene the number of its class, -1 for none. answers: one of each class."""
+
+    names: tuple[str, ...]
+    labels: Int32[np.ndarray, " n"]
+    answers: list[Answer]
+
+    @property
+    def counts(self) -> list[int]:
+        """Gaussians of each class."""
+        kept = self.labels[self.labels >= 0]
+        counts: list[int] = np.bincount(kept, minlength=len(self.names)).tolist()
+        return counts
+
+
+@dataclass(frozen=True, eq=False)
+class MatchTrack:
+    """A match over time, in world coordinates and scene units.
+
+    times: those of the scene at which it is there, ascending. centers, axes, extents: its box at each, as of `Match`.
+    spans: of the photos' times, first to last of those that follow each other in which a photo sees it. views: names of
+    these photos. Both are empty where the field kept no evidence.
+    """
+
+    match: Match
+    times: Float64[np.ndarray, " t"]
+    centers: Float64[np.ndarray, "t 3"]
+    axes: Float64[np.ndarray, "t 3 3"]
+    extents: Float64[np.ndarray, "t 3"]
+    spans: tuple[Span, ...] = ()
+    views: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        when = "never" if not len(self.times) else f"{self.times[0]:g} to {self.times[-1]:g}"
+        return f"MatchTrack({self.match!r}, {when})"
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def at(self, time: float) -> Match | None:
+        """The match with its box at one of the scene's times; None where it is not there then."""
+        (found,) = np.nonzero(self.times == time)
+        if not len(found):
+            return None
+        number = int(found[0])
+        box = (self.centers[number], self.axes[number], self.extents[number])
+        return replace(self.match, center=box[0], axes=box[1], extent=box[2])

@@ -72,3 +72,12 @@ def _loaded_encoder(field: Embedded, name: str, device: str, load: Load) -> Enco
         encoder.identity = EncoderIdentity("unknown", field.encoder.dim)
     field.check_encoder(encoder.identity)
     return encoder
+
+
+def source_of(field: Embedded, encoder: Encoder | Callable[[], Encoder] | None) -> Callable[[], Encoder]:
+    """Makes an encoder that is given, or told how to make; None: the built-in one that the field names."""
+    if encoder is None:
+        return lambda: encoder_for(field)
+    if isinstance(encoder, Encoder) and not isinstance(encoder, type):  # a class makes one
+        return lambda: encoder
+    return encoder  # type: ignore[return-value]

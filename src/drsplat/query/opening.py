@@ -11,9 +11,11 @@ from ..field import LanguageField, load_field
 from ..field.labels import LabelFile
 from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
-from ..formats.scenes import read_gaussians
+from ..formats.motion import MOTION
+from ..formats.moving_scenes import read_scene
 from ..models.loading import load_encoder
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
 from .encoding import Load, encoder_for
 from .scene import Scene
@@ -52,6 +54,7 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
             f"{folder}: expected one field (a folder NAME{FIELD_SUFFIX}, as `drsplat register` writes), got {listed}"
         )
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
+    scenes = [path for path in entries if (path / MOTION).is_file()] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
     if not scenes:
@@ -89,6 +92,7 @@ def open_scene(
     images: str | PathLike[str] | None = None,
     dataparser_transforms: str | PathLike[str] | None = None,
     max_side: int | None = None,
+    times: str | PathLike[str] | None = None,
     load: Load = load_encoder,
 ) -> Scene:
     """Open a folder with a field, its scene and photos, or a field (NAME.field) alone.
@@ -96,7 +100,7 @@ def open_scene(
     scene, views: the Gaussians that were registered and the capture, where they lie elsewhere. A field without
     Gaussians
     selects, but cannot tell places. encoder, vocabulary, device: who embeds words; fields of the built-in
-    encoders need none. images, dataparser_transforms, max_side: as for `read_views`. load: see `encoder_for`.
+    encoders need none. images, dataparser_transforms, max_side, times: as for `read_views`. load: see `encoder_for`.
     The encoder and the photos are looked at when they are first needed.
 
     Raises: InputError: files are missing. FormatError: damaged files. MismatchError: the field is of
@@ -104,7 +108,7 @@ def open_scene(
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
     field = load_field(files.field)
-    gaussians = registered_scene(files, field)[1] if files.scenes else None
+    found = registered_scene(files, field)[1] if files.scenes else None
 
     def photos() -> Sequence[View]:
         if files.capture is None:
@@ -116,11 +120,12 @@ def open_scene(
                 images=None if images is None else Path(images),
                 dataparser_transforms=None if dataparser_transforms is None else Path(dataparser_transforms),
                 max_side=max_side,
+                times=None if times is None else str(times),
             )
 
     return Scene(
         field,
-        gaussians,
+        found,
         photos,
         lambda: encoder_for(field, vocabulary, encoder, device, load),
         name=files.name,
@@ -129,19 +134,19 @@ def open_scene(
     )
 
 
-def registered_scene(files: SceneFiles, field: LanguageField | None = None) -> tuple[Path, Gaussians]:
+def registered_scene(files: SceneFiles, field: LanguageField | None = None) -> tuple[Path, Gaussians | Moving]:
     """The scene that the field was made of; others may lie beside it, such as saved answers.
 
     field: that of the files, where it is loaded already. Raises: MismatchError: it is of none of them.
     """
     field, scenes = field or load_field(files.field), files.scenes
     for number, path in enumerate(scenes):
-        gaussians = read_gaussians(path)
+        scene = read_scene(path)
         try:
-            field.check_scene(gaussians)
+            field.check_scene(canonical_of(scene))
         except MismatchError:
             if number == len(scenes) - 1:
                 raise
             continue
-        return path, gaussians
+        return path, scene
     raise InputError("no scene was given")

@@ -15,15 +15,17 @@ class Cut:
 
     threshold: a number, "auto", or None for the default; top_share, a share of the registered Gaussians,
     takes its place. relevancy: measure how much better the query fits than `negatives`, texts or vectors
-    (n, D); None takes those of the field, else LERF's.
+    (n, D); None takes those of the field, else LERF's. during: start and end of a span of time, of a scene that moves:
+    only what photos of that time have shown is asked; None: all of it.
 
-    Raises: InputError: parts that exclude each other.
+    Raises: InputError: parts that exclude each other, or a span that ends before it starts.
     """
 
     threshold: float | str | None = None
     top_share: float | None = None
     relevancy: bool = False
     negatives: tuple[str, ...] | Float32[np.ndarray, "n D"] | None = None
+    during: tuple[float | int, float | int] | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.threshold, str) and self.threshold != AUTO:
@@ -32,6 +34,8 @@ class Cut:
             raise InputError("threshold=NUMBER and top_share=SHARE both set the cut: drop one")
         if self.threshold == AUTO and self.measures_relevancy:
             raise InputError("threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number")
+        if self.during is not None and not -np.inf < self.during[0] <= self.during[1] < np.inf:
+            raise InputError(f"during: expected two finite times, the first no later than the second: {self.during}")
 
     @property
     def is_default(self) -> bool:

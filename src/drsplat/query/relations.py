@@ -12,11 +12,14 @@ from jaxtyping import Float64
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
+from ..scene.views import View
 from .answer import Match
 from .spatial import gap, is_over, stands_on
 
 Relation = Literal["on", "in", "next_to", "above", "between"]
 RELATIONS: tuple[Relation, ...] = get_args(Relation)
+Side = Literal["left_of", "right_of"]
+SIDES: tuple[Side, ...] = get_args(Side)
 Up = Float64[np.ndarray, " 3"]
 
 INSIDE = 0.5  # of an object's Gaussians, in the box of what it is in
@@ -48,6 +51,18 @@ def related(
     if and_to is not None:
         return [one for one in others if lies_between(gaussians, one, to, and_to, up)]
     return [one for one in others if _HOLDS[relation](gaussians, one, to, up)]
+
+
+def is_beside(view: View, side: Side, thing: Match, other: Match) -> bool:
+    """Whether the centre of a thing is further left, or right, in a picture than that of another; both in front of the
+    camera.
+    """
+    pose = view.cam_from_world
+    one, two = (pose[:3, :3] @ each.center + pose[:3, 3] for each in (thing, other))
+    if min(one[2], two[2]) <= 0:
+        return False
+    left, right = (one, two) if side == "left_of" else (two, one)
+    return bool(left[0] / left[2] < right[0] / right[2])
 
 
 def lies_in(gaussians: Gaussians, thing: Match, container: Match, up: Up) -> bool:

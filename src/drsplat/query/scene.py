@@ -1,10 +1,9 @@
 """One opened scene, and everything that can be asked of it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from itertools import islice
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
@@ -13,59 +12,39 @@ from ..drawing.pictures import OtherPixels, as_pixels, best_views, highlighted, 
 from ..drawing.rendering import render
 from ..encoders import Encoder
 from ..errors import InputError, MissingExtraError
-from ..evidence.evidence import Explanation
 from ..field import LanguageField
 from ..field.labels import Label, LabelFile, Matched, matched
 from ..field.objects import Objects
+from ..field.spans import Span
 from ..kernels import SplatArrays, splat_arrays
 from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
-from .answer import Answer, Match
+from .answer import Answer, Match, MatchTrack, Segmentation, Word
 from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
-from .encoding import encoder_for
+from .encoding import source_of
 from .measuring import Background, Measuring
 from .naming import best_names, object_names
-from .objects import answer_of, match_of, most_seen, objects_of, support_of
+from .objects import answer_of, match_of, most_seen, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import feature_at, gaussian_at, seen_at
-from .support import supporting_masks
+from .support import support_in
 from .tasks import locate, segment
 from .views import view_named
 
-SUPPORT = 3  # masks listed for a match
+KEPT = 2  # scenes of a time, and of a span, that are held
+Key = TypeVar("Key", float, Span)
 Place = int | Point | tuple[str, float, float]
-
-
-class Word(NamedTuple):
-    """A text and the cosine of a place's feature with it."""
-
-    text: str
-    score: float
-
-
-@dataclass(frozen=True, eq=False)
-class Segmentation:
-    """labels: per Gaussian of the scene the number of its class, -1 for none. answers: one of each class."""
-
-    names: tuple[str, ...]
-    labels: Int32[np.ndarray, " n"]
-    answers: list[Answer]
-
-    @property
-    def counts(self) -> list[int]:
-        """Gaussians of each class."""
-        kept = self.labels[self.labels >= 0]
-        counts: list[int] = np.bincount(kept, minlength=len(self.names)).tolist()
-        return counts
 
 
 class Scene:
     """A field, the Gaussians it was registered on, posed photos and who embeds words. Several threads may ask at once.
 
-    gaussians: None where only selections are wanted. views, encoder: themselves, or what makes them when they
-    are first needed; encoder None: the built-in one that the field names. threads: of one query, 0 for all cores.
+    gaussians: a moving scene's are its canonical rows; None where only selections are wanted. views, encoder:
+    themselves, or what makes them when they are first needed; encoder None: the built-in one that the field names.
+    threads: of one query, 0 for all cores.
     labels: the file of names that people give to objects, None where there is none to keep them in.
 
     Raises: MismatchError: the field is of another scene.
@@ -74,7 +53,7 @@ class Scene:
     def __init__(
         self,
         field: LanguageField,
-        gaussians: Gaussians | None = None,
+        gaussians: Gaussians | Moving | None = None,
         views: Sequence[View] | Callable[[], Sequence[View]] = (),
         encoder: Encoder | Callable[[], Encoder] | None = None,
         *,
@@ -83,11 +62,14 @@ class Scene:
         labels: LabelFile | None = None,
     ) -> None:
         if gaussians is not None:
-            field.check_scene(gaussians)
+            field.check_scene(canonical_of(gaussians))
         self.label_file = labels
         self.field, self.name, self.threads = field, name, threads
-        self._gaussians, self._views = gaussians, views
-        self.background = Background(field, _source(field, encoder), threads)
+        self.motion = gaussians if isinstance(gaussians, Moving) else None
+        self._gaussians, self._views = None if gaussians is None else canonical_of(gaussians), views
+        self.background = Background(field, source_of(field, encoder), threads)
+        self._spans: dict[Span, Scene] = {}
+        self._times: dict[float, Scene] = {}
 
     def __repr__(self) -> str:
         return f"Scene('{self.name}', {self._gaussians or 'no Gaussians'}, {self.field})"
@@ -202,6 +184,8 @@ class Scene:
         point. MismatchError: a vector of another dimension.
         """
         query = Query(query) if isinstance(query, str) else query
+        if query.during is not None:
+            return self.during(query.during).ask(replace(query, during=None))
         measuring = Measuring(self.background, query, query.exclude)
         if query.text is not None:
             named = self._labelled(query)
@@ -215,6 +199,52 @@ class Scene:
         if query.is_default and self.field.objects is not None:
             return self._thing_at(place, measuring)
         return measuring.of_vector(self.feature_of(place))
+
+    def during(self, span: Span) -> "Scene":
+        """The same scene, of which only photos of a span of time were registered; the last two are kept.
+
+        Raises: InputError: a field without evidence or of a scene that stands still, or no photo in the span.
+        """
+        from .tracks import of_span
+
+        return _kept(self._spans, (float(span[0]), float(span[1])), lambda key: of_span(self, key))
+
+    @property
+    def moving(self) -> Moving:
+        """Raises: InputError: a scene that stands still, or without Gaussians."""
+        if self.motion is None:
+            raise InputError(f"'{self.name}' stands still: pass scene=SCENE, the moving scene that was registered")
+        return self.motion
+
+    def at(self, time: float | int) -> "Scene":
+        """The same scene as it is at a time: it stands still there. Raises: InputError: a time outside of its span."""
+        from .tracks import at_time
+
+        return _kept(self._times, self.moving.inside(time), lambda key: at_time(self, key))
+
+    def seen_by(self, view: View) -> "Scene":
+        """As it was when a photo was taken; itself where it stands still, or nobody knows when that was."""
+        return self if self.motion is None or view.time is None else self.at(view.time)
+
+    def tracks(self, matches: Sequence[Match], box: BoxKind = "upright") -> list[MatchTrack]:
+        """Where matches are over time, and when photos see them. Raises: InputError: a scene that stands still."""
+        from .tracks import tracks
+
+        return tracks(self.moving, self.field, matches, self.up if box == "upright" else None)
+
+    def when(
+        self, one: Match | str, relation: str, other: Match | str, view: View | str | None = None
+    ) -> tuple[Span, ...]:
+        """Spans of time in which one match, or the best of a text, stands in a relation to another: on, in, next_to,
+        above, left_of, right_of.
+
+        view: the camera, or a photo's name, that left_of and right_of are meant from.
+
+        Raises: InputError: no match for a text, no such view, a scene that stands still; an unknown relation.
+        """
+        from .tracks import when_of
+
+        return when_of(self, one, relation, other, view)
 
     def locate(
         self,
@@ -235,7 +265,7 @@ class Scene:
         up = self.up if box == "upright" else None
         matches = locate(answer, self.gaussians, min_gaussians=min_gaussians, up=up)[:top]
         return [
-            replace(match, support=self._support(match, answer), label=self._label_of(match.object_id))
+            replace(match, support=support_in(match, answer), label=self._label_of(match.object_id))
             for match in matches
         ]
 
@@ -246,6 +276,8 @@ class Scene:
 
         Raises: as `ask`; InputError: no classes, or one twice.
         """
+        if cut is not None and cut.during is not None:
+            return self.during(cut.during).segment(classes, replace(cut, during=None))
         names = tuple(classes)
         if not names or len(set(names)) < len(names):
             raise InputError(f"expected one or more different classes, got {', '.join(names) or 'none'}")
@@ -271,7 +303,7 @@ class Scene:
         if isinstance(place[0], str):
             view = self.view(place[0])
             xy = (float(place[1]), float(place[2]))
-            return feature_at(self.field, self.gaussians, view, xy, threads=self.threads)
+            return feature_at(self.field, self.seen_by(view).gaussians, view, xy, threads=self.threads)
         return self._feature(self.nearest(place))  # type: ignore[arg-type]
 
     def nearest(self, point: Point) -> int:
@@ -290,8 +322,8 @@ class Scene:
         Raises: InputError: no such view or pixel, or nothing with a feature there.
         """
         view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
-        found = gaussian_at(self.field, self.gaussians, view, xy, threads=self.threads)
-        return np.asarray(self.gaussians.positions[found])
+        seen = self.seen_by(view).gaussians
+        return np.asarray(seen.positions[gaussian_at(self.field, seen, view, xy, threads=self.threads)])
 
     def picture(
         self,
@@ -311,6 +343,8 @@ class Scene:
         ids = shown.gaussian_ids if isinstance(shown, Answer) else shown
         chosen = self.best_view(ids) if view is None else view
         chosen = self.view(chosen) if isinstance(chosen, str) else chosen
+        if self.seen_by(chosen) is not self:
+            return self.seen_by(chosen).picture(chosen, ids, photo=photo, max_side=max_side)
         chosen = chosen.limited(max_side)
         if photo:
             pixels = photo_or_rendering(self.gaussians, chosen, threads=self.threads)
@@ -333,7 +367,7 @@ class Scene:
             )
         if gaussian_ids is None:
             return self.views[0]
-        return best_views(self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
+        return best_views(self.motion or self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
 
     def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
         feature: np.ndarray = self.field.feature(np.array([self._row(gaussian_id)]))[0]
@@ -374,21 +408,15 @@ class Scene:
         if not isinstance(place[0], str):
             return self._row(self.nearest(place))  # type: ignore[arg-type]
         xy = (float(place[1]), float(place[2]))
-        rows, weights = seen_at(self.field, self.gaussians, self.view(place[0]), xy, threads=self.threads)
+        view = self.view(place[0])
+        rows, weights = seen_at(self.field, self.seen_by(view).gaussians, view, xy, threads=self.threads)
         return most_seen(objects, rows, weights)
 
-    def _support(self, match: Match, answer: Answer) -> tuple[Explanation, ...]:
-        if answer.vector is None and match.object_id is not None:
-            node = objects_of(self.field).thing(match.object_id)
-            return tuple(islice(support_of(self.field, node), SUPPORT))
-        if self.field.evidence is None or answer.vector is None:
-            return ()
-        return tuple(supporting_masks(self.field, match.gaussian_ids, answer.vector, top=SUPPORT))
 
-
-def _source(field: LanguageField, encoder: Encoder | Callable[[], Encoder] | None) -> Callable[[], Encoder]:
-    if encoder is None:
-        return lambda: encoder_for(field)
-    if isinstance(encoder, Encoder) and not isinstance(encoder, type):  # a class makes one
-        return lambda: encoder
-    return encoder  # type: ignore[return-value]
+def _kept(scenes: dict[Key, Scene], key: Key, make: Callable[[Key], Scene]) -> Scene:
+    """Of the two asked for last; made outside of any lock, at worst twice."""
+    made = scenes.pop(key, None) or make(key)
+    for old in list(scenes)[: -KEPT + 1]:
+        scenes.pop(old, None)
+    scenes[key] = made
+    return made

@@ -39,8 +39,9 @@ def object_picture(scene: Scene, match: Match, view: View | None = None, size: t
     Raises: InputError: the scene has no views or no Gaussians.
     """
     view = view or object_views(scene, [match])[0]
-    share = visible_share(scene.gaussians, view, match.gaussian_ids, splats=scene.splats, threads=scene.threads)
-    return cut_out(photo_or_rendering(scene.gaussians, view, threads=scene.threads), share, size)
+    seen = scene.seen_by(view)
+    share = visible_share(seen.gaussians, view, match.gaussian_ids, splats=seen.splats, threads=scene.threads)
+    return cut_out(photo_or_rendering(seen.gaussians, view, threads=scene.threads), share, size)
 
 
 def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
@@ -54,7 +55,9 @@ def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
         some = matches[begin : begin + AT_ONCE]
         named = {name for match in some for name in _photos(scene, match)[:LOOKED_AT]}
         views = [view for view in scene.views if view.name in named] or list(scene.views)
-        found += best_views(scene.gaussians, views, [one.gaussian_ids for one in some], threads=scene.threads)
+        found += best_views(
+            scene.motion or scene.gaussians, views, [one.gaussian_ids for one in some], threads=scene.threads
+        )
     return found
 
 

@@ -1,11 +1,15 @@
 """Why an answer was given: the photos and masks behind a set of Gaussians."""
 
+from itertools import islice
+
 import numpy as np
 from jaxtyping import Float32, Integer
 
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
+from .answer import Answer, Match
+from .objects import SUPPORT, objects_of, support_of
 
 
 def supporting_masks(
@@ -33,3 +37,13 @@ def supporting_masks(
         for k in order
         if support[k] > 0
     ]
+
+
+def support_in(match: Match, answer: Answer) -> tuple[Explanation, ...]:
+    """The masks that are listed for a match of an answer: those of its query, or of the object that it is."""
+    field = answer.field
+    if answer.vector is None and match.object_id is not None:
+        return tuple(islice(support_of(field, objects_of(field).thing(match.object_id)), SUPPORT))
+    if field.evidence is None or answer.vector is None:
+        return ()
+    return tuple(supporting_masks(field, match.gaussian_ids, answer.vector, top=SUPPORT))

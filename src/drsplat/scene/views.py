@@ -20,8 +20,9 @@ class View:
     image_path: the photo, or None where it is not at hand.
     distortion: OpenCV coefficients (k1, k2, p1, p2) of the *photo on disk*, or None. K and every
     kernel are of the undistorted pinhole; `load_image` undoes the distortion.
+    time: when the photo was taken, in the unit of a moving scene's times; None: unknown, or all stands still.
 
-    Raises: InputError: a singular K, a pose that is no rigid motion, or an empty raster.
+    Raises: InputError: a singular K, a pose that is no rigid motion, an empty raster, or a time that is not finite.
     """
 
     name: str
@@ -31,6 +32,7 @@ class View:
     height: int
     image_path: Path | None = None
     distortion: tuple[float, float, float, float] | None = None
+    time: float | None = None
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -40,6 +42,8 @@ class View:
                 raise InputError(f"view '{self.name}': {label} must be a finite {shape} matrix")
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
             raise InputError(f"view '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}")
+        if self.time is not None and not abs(self.time) < np.inf:
+            raise InputError(f"view '{self.name}': expected a finite time, got {self.time}")
         rotation = self.cam_from_world[:3, :3]
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
             raise InputError(f"view '{self.name}': cam_from_world is not a rigid motion (check scale and handedness)")

@@ -33,6 +33,7 @@ from .models import (
 from .pictures import png
 from .requests import Tool
 
+Span = Sequence[float]
 MOST_MATCHES, MOST_OBJECTS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 100, 200, 768, 8
 
 
@@ -151,8 +152,10 @@ class Conversation:
             advice="" if up else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
-    def locate(self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright") -> Located:
-        answer = self.scene.ask(_text(text))
+    def locate(
+        self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright", during: Span | None = None
+    ) -> Located:
+        answer = self.scene.ask(_asked(text, during))
         every = self.scene.locate(answer, box=box)
         found = every if on is None else standing_on(self.scene, every, on)
         return Located(
@@ -164,8 +167,8 @@ class Conversation:
             field=self._field,
         )
 
-    def count(self, text: str, on: str | None = None) -> Count:
-        every = self.scene.locate(_text(text))
+    def count(self, text: str, on: str | None = None, during: Span | None = None) -> Count:
+        every = self.scene.locate(_asked(text, during))
         counted = every if on is None else standing_on(self.scene, every, on)
         digits = decimals_of(self.scene)
         return Count(
@@ -177,8 +180,8 @@ class Conversation:
             advice=_advice(text, every, counted, on),
         )
 
-    def where_is(self, text: str) -> Place:
-        found = self.scene.locate(_text(text))
+    def where_is(self, text: str, during: Span | None = None) -> Place:
+        found = self.scene.locate(_asked(text, during))
         if not found:
             return Place(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
         return Place(
@@ -339,6 +342,11 @@ def _text(text: str) -> str:
             f"text: expected a few words that name an object, at most {MOST_TEXT} characters; got {len(text)}"
         )
     return text
+
+
+def _asked(text: str, during: Span | None) -> engine.Query:
+    """A text, of all times or a span of them."""
+    return engine.Query(_text(text), during=None if during is None else (during[0], during[1]))
 
 
 def _names(names: list[str] | None) -> list[str] | None:

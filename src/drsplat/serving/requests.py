@@ -40,6 +40,9 @@ class Cut(Request):
     top_share: Share | None = None
     relevancy: bool = False
     negatives: Annotated[list[Text], Field(min_length=1, max_length=32)] | None = None
+    during: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="start and end of a span of time, of a scene that moves: only what photos of it have shown"
+    )
 
 
 class Query(Cut):
@@ -158,6 +161,7 @@ def cut_of(given: Cut) -> engine.Cut:
         top_share=given.top_share,
         relevancy=given.relevancy,
         negatives=None if given.negatives is None else tuple(given.negatives),
+        during=None if given.during is None else (given.during[0], given.during[1]),
     )
 
 

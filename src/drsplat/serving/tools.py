@@ -48,6 +48,10 @@ Names = Annotated[
 On = Annotated[
     str | None, Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=200)
 ]
+During = Annotated[
+    list[float] | None,
+    Field(description="[start, end] of a span of time, of a scene that moves", min_length=2, max_length=2),
+]
 READS = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
 
 
@@ -164,19 +168,20 @@ def _add_matches(server: MCPServer, asking: _Asking) -> None:
         box: Annotated[
             BoxKind, Field(description="upright: the third axis of boxes is up; free: along the match's own axes")
         ] = "upright",
+        during: During = None,
     ) -> Located:
         """All matches of a text, best first: centre, oriented box, score and supporting photos."""
-        return await asking.told(Located, "locate", scene, text=text, on=on, top=top, box=box)
+        return await asking.told(Located, "locate", scene, text=text, on=on, top=top, box=box, during=during)
 
     @server.tool(title="Count matches", annotations=READS)
-    async def count(text: Text, on: On = None, scene: SceneName = "") -> Count:
+    async def count(text: Text, on: On = None, scene: SceneName = "", during: During = None) -> Count:
         """How many matches a text has, in the scene or standing on something."""
-        return await asking.told(Count, "count", scene, text=text, on=on)
+        return await asking.told(Count, "count", scene, text=text, on=on, during=during)
 
     @server.tool(title="Where is it", annotations=READS)
-    async def where_is(text: Text, scene: SceneName = "") -> Place:
+    async def where_is(text: Text, scene: SceneName = "", during: During = None) -> Place:
         """The best match of a text: where it is, how large it is, and the photo that shows it best."""
-        return await asking.told(Place, "where_is", scene, text=text)
+        return await asking.told(Place, "where_is", scene, text=text, during=during)
 
     @server.tool(title="How far apart", annotations=READS)
     async def how_far_apart(first: Text, second: Text, scene: SceneName = "") -> Distance:

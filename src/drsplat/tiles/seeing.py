@@ -83,8 +83,7 @@ class Gallery:
     def near(self) -> float:
         return self.tiles.near if self.given_near is None else self.given_near
 
-    @property
-    def digest(self) -> str:
+    def digest(self, view: View) -> str:
         return f"{self.tiles.digest} {self.near!r}"
 
     def seen(self, view: View) -> Seen:

@@ -153,5 +153,6 @@ def canonical(evidence: Evidence) -> Evidence:
         return evidence
     columns = csr_array(weights[:, order])
     columns.sort_indices()
-    ordered = MaskIds(tuple(names), views[order], masks.ids[order])
+    times = None if masks.times is None else masks.times[np.argsort(np.array(masks.view_names, object), kind="stable")]
+    ordered = MaskIds(tuple(names), views[order], masks.ids[order], times)
     return Evidence(columns, ordered, evidence.embeddings[order])

@@ -1,0 +1,55 @@
+"""drsplat when: two things of a scene that moves, and a relation -> the spans of time in which it holds."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from .options import add_capture_options, add_query_encoders, words
+from .query_options import FIELD_HELP, open_scene
+
+RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
+SUMMARY = "tell when one match of a scene that moves is on, in, next to, above, left or right of another"
+EXAMPLES = """\
+  drsplat when film.field "toy car" next_to "white vase" --scene film.motion
+  drsplat when film.field "toy car" left_of "white vase" --scene film.motion --views capture --view cam00/frame_0000
+
+Of each text the best match is taken. Left and right are meant as seen from the camera of a photo, which stands still.
+Times are those of the scene: a span is the first and the last of those that follow each other."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("field", help=FIELD_HELP)
+    parser.add_argument("one", type=words, help="query in words for the one")
+    parser.add_argument("relation", choices=RELATIONS, help="how the one stands to the other")
+    parser.add_argument("other", type=words, help="query in words for the other")
+    parser.add_argument("--scene", help="moving scene that was registered")
+    parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --view")
+    parser.add_argument(
+        "--view", type=words, metavar="NAME", help="photo whose camera left_of and right_of are meant from"
+    )
+    add_query_encoders(parser)
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    scene = open_scene(arguments)
+    spans = scene.when(arguments.one, arguments.relation, arguments.other, arguments.view)
+    return {
+        "field": arguments.field,
+        "one": arguments.one,
+        "relation": arguments.relation,
+        "other": arguments.other,
+        "view": arguments.view,
+        "times": list(scene.moving.span),
+        "spans": [list(span) for span in spans],
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ..query.tracks import spans_said
+
+    start, end = answer["times"]
+    said = f"'{answer['one']}' is {answer['relation'].replace('_', ' ')} '{answer['other']}'"
+    held = spans_said(answer["spans"]) or "at no time"
+    print(f"{said}: {held} (of {start:.4g} to {end:.4g})")

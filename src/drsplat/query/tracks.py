@@ -1,0 +1,157 @@
+"""Where matches of a scene that moves are over time, when photos see them, and when they stand in a relation."""
+
+from collections.abc import Iterable, Sequence
+from typing import cast
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ..errors import InputError
+from ..field import LanguageField
+from ..field.spans import Span, field_during
+from ..kernels.boxes import box_of
+from ..objects.describing import objects_during
+from ..scene.boxes import HAZE, solid
+from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving, canonical_of
+from ..scene.views import View
+from .answer import Match, MatchTrack
+from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
+from .scene import Scene
+
+THERE = 0.1  # of the Gaussians that a match has where it has most: with fewer it is not there
+SLIVER = 0.01  # of what the best photo shows of a match: a photo with less does not see it
+
+
+def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: Up | None = None) -> list[MatchTrack]:
+    """Of each match its box at all times of the scene; one time is looked at at a time.
+
+    up: boxes stand upright along it; None: as things lie.
+    """
+    times = moving.times.tolist()
+    counts = np.zeros((len(matches), len(times)), np.int64)
+    boxes: list[list[tuple[np.ndarray, ...]]] = [[] for _ in matches]
+    for column, time in enumerate(times):
+        gaussians = moving.at(time)
+        for row, match in enumerate(matches):
+            ids = match.gaussian_ids
+            counts[row, column] = np.count_nonzero(gaussians.opacities[ids] >= HAZE)
+            boxes[row].append(tuple(box_of(gaussians, solid(gaussians, ids), up)))
+    there = counts >= THERE * counts.max(axis=1, keepdims=True, initial=1)
+    there |= (counts.max(axis=1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
+    return [
+        _track(match, moving.times, found, own, field) for match, found, own in zip(matches, boxes, there, strict=True)
+    ]
+
+
+def _track(
+    match: Match,
+    times: Float64[np.ndarray, " t"],
+    boxes: Sequence[tuple[np.ndarray, ...]],
+    there: Bool[np.ndarray, " t"],
+    field: LanguageField,
+) -> MatchTrack:
+    center, axes, extent = (np.array([box[part] for box in boxes])[there] for part in range(3))
+    spans, names = seen_during(field, match)
+    return MatchTrack(match, times[there], center, axes, extent, spans, names)
+
+
+def seen_during(field: LanguageField, match: Match) -> tuple[tuple[Span, ...], tuple[str, ...]]:
+    """In which spans of the photos' times a photo sees a match, and which photos do, by the weights of its Gaussians;
+    nothing where the field has no evidence, or no times.
+    """
+    if field.evidence is None or field.times is None:
+        return (), ()
+    masks, rows = field.evidence.masks, field.rows_of(match.gaussian_ids)
+    weights = field.evidence.weights[rows[rows >= 0]]
+    shown = np.bincount(masks.views[weights.indices], weights.data, minlength=len(masks.view_names))
+    sees = shown > SLIVER * shown.max(initial=0)
+    stamps = np.unique(field.times)
+    seen = np.isin(stamps, field.times[sees])
+    return runs(stamps, seen), tuple(np.array(masks.view_names, object)[sees].tolist())
+
+
+def runs(times: Float64[np.ndarray, " t"], holds: Bool[np.ndarray, " t"]) -> tuple[Span, ...]:
+    """First and last of times that follow each other where something holds."""
+    steps = np.diff(np.concatenate([[0], holds.astype(np.int8), [0]]))
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
+    return tuple((float(times[start]), float(times[end])) for start, end in zip(starts, ends, strict=True))
+
+
+def when(
+    moving: Moving, relation: Relation | Side, one: MatchTrack, other: MatchTrack, up: Up | None, view: View | None
+) -> tuple[Span, ...]:
+    """Spans of the scene's times, first to last, in which one match stands in a relation to another; both are there.
+
+    view: the camera that left and right are meant from; it stands still. Source: docs/moving.md.
+
+    Raises: InputError: a relation of two others, of which this is none; left or right without a view, or another
+    relation where nobody knows what is up.
+    """
+    if relation == "between":
+        raise InputError("when: 'between' has three ends; ask for on, in, next_to, above, left_of or right_of")
+    if relation in SIDES and view is None:
+        raise InputError(f"'{relation}' is meant as seen from a camera: give view=NAME, a photo's or a View")
+    times = moving.times
+    holds = [_holds(moving, float(time), relation, one, other, up, view) for time in times.tolist()]
+    return runs(times, np.array(holds, np.bool_))
+
+
+def _holds(
+    moving: Moving, time: float, relation: Relation | Side, one: MatchTrack, other: MatchTrack, up: Up | None,
+    view: View | None,
+) -> bool:  # fmt: skip
+    first, second = one.at(time), other.at(time)
+    if first is None or second is None:
+        return False
+    if relation in ("left_of", "right_of"):
+        assert view is not None
+        return is_beside(view, relation, first, second)
+    gaussians: Gaussians = moving.at(time)
+    return bool(related(gaussians, cast("Relation", relation), [first], second, up=up))
+
+
+def when_of(
+    scene: Scene, one: Match | str, relation: str, other: Match | str, view: View | str | None
+) -> tuple[Span, ...]:
+    """`Scene.when`."""
+    known: dict[str, Relation | Side] = {name: name for name in (*RELATIONS, *SIDES)}
+    if relation not in known:
+        raise InputError(f"relation: expected one of {', '.join(known)}; got '{relation[:60]}'")
+    ends = scene.tracks([_best(scene, one), _best(scene, other)])
+    seen_from = scene.view(view) if isinstance(view, str) else view
+    return when(scene.moving, known[relation], ends[0], ends[1], scene.up, seen_from)
+
+
+def at_time(scene: Scene, time: float) -> Scene:
+    """`Scene.at`."""
+    still = Scene(
+        scene.field, scene.moving.at(time), lambda: scene.views, lambda: scene.encoder,
+        name=scene.name, threads=scene.threads, labels=scene.label_file,
+    )  # fmt: skip
+    still.background = scene.background  # what queries are compared with is made once
+    return still
+
+
+def of_span(scene: Scene, span: Span) -> Scene:
+    """`Scene.during`."""
+    gaussians = scene.motion or (scene.gaussians if scene.has_gaussians else None)
+    field = field_during(scene.field, span, gaussians and canonical_of(gaussians), threads=scene.threads)
+    if scene.field.objects is not None:
+        field = field.with_objects(objects_during(scene.field, field, threads=scene.threads))
+    return Scene(
+        field, gaussians, lambda: scene.views, lambda: scene.encoder,
+        name=scene.name, threads=scene.threads, labels=scene.label_file,
+    )  # fmt: skip
+
+
+def _best(scene: Scene, what: Match | str) -> Match:
+    found = [what] if isinstance(what, Match) else scene.locate(what, top=1)
+    if not found:
+        raise InputError(f"no match for '{str(what)[:60]}': ask for other words, or lower the threshold")
+    return found[0]
+
+
+def spans_said(spans: Iterable[Span]) -> str:
+    """For people: "0 to 0.5, 1"."""
+    return ", ".join(f"{start:.4g}" if start == end else f"{start:.4g} to {end:.4g}" for start, end in spans)

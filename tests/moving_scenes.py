@@ -1,0 +1,113 @@
+"""Small scenes that move, for tests; and PLY files of SpacetimeGaussians, written by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
+from drsplat.formats.ply import write_vertices
+from drsplat.kernels import render_channels, splat_arrays
+from drsplat.objects.choosing import Tree
+from drsplat.objects.describing import describe
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.moving import Frames, Moving
+from scenes import look_at_view, random_gaussians
+
+
+def still(gaussians: Gaussians, times: np.ndarray | None = None) -> Moving:
+    """A scene whose frames are all the same."""
+    stamps = np.array([0.0, 0.5, 1.0]) if times is None else times
+    return Moving(gaussians, stamps, Frames(stamps, lambda _: replace(gaussians)))
+
+
+def drifting(count: int = 120, seed: int = 0, times: np.ndarray | None = None) -> Moving:
+    """Each row along a line of its own, turning about an axis of its own."""
+    gaussians = random_gaussians(count, seed)
+    rng = np.random.default_rng([seed, 1])
+    speed, spin = rng.normal(0, 0.5, (count, 3)), rng.normal(0, 0.3, (count, 4))
+    stamps = np.linspace(0, 2, 5) if times is None else times
+
+    def frame(number: int) -> Gaussians:
+        quats = gaussians.quats + spin * stamps[number]
+        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+        means = gaussians.means + speed * stamps[number]
+        return replace(gaussians, means=means.astype(np.float32), quats=quats.astype(np.float32))
+
+    return Moving(frame(0), stamps, Frames(stamps, frame))
+
+
+def spacetime_columns(count: int = 60, seed: int = 0) -> dict[str, np.ndarray]:
+    """The columns of the published format, before any activation; rotations are of no unit length."""
+    rng = np.random.default_rng(seed)
+    names = ["x", "y", "z", "trbf_center", "trbf_scale", "nx", "ny", "nz"]
+    names += [f"motion_{number}" for number in range(9)] + ["f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
+    names += [f"scale_{number}" for number in range(3)] + [f"rot_{number}" for number in range(4)]
+    names += [f"omega_{number}" for number in range(4)]
+    columns = {name: rng.normal(0, 1, count).astype(np.float32) for name in names}
+    columns |= {name: np.zeros(count, np.float32) for name in ("nx", "ny", "nz")}
+    columns |= {f"scale_{number}": rng.normal(-3, 0.3, count).astype(np.float32) for number in range(3)}
+    columns["trbf_center"] = rng.uniform(0, 1, count).astype(np.float32)
+    return columns
+
+
+def write_spacetime(path: str, columns: dict[str, np.ndarray]) -> None:
+    write_vertices(path, columns)
+
+
+WORDS = ("red car", "white vase", "brown table")
+STEPS = 6
+
+
+def passing() -> Moving:
+    """A car (rows 0 to 99) that goes along +y, in front of a vase (100 to 199), above a table (200 to 299)."""
+    rng = np.random.default_rng(3)
+    car, vase = (rng.uniform(-0.2, 0.2, (100, 3)) + center for center in ((0.0, -1.0, 0.2), (-0.6, 0.05, 0.2)))
+    table = rng.uniform((-1, -1.5, -0.2), (1, 1.5, -0.05), (100, 3))
+    means = np.concatenate([car, vase, table]).astype(np.float32)
+    count = len(means)
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+    scales = np.repeat(np.array([0.05, 0.05, 0.15], np.float32), 100)[:, None].repeat(3, 1)
+    gaussians = Gaussians(means, quats, scales, np.full(count, 0.9, np.float32), np.zeros((count, 1, 3), np.float32))
+    stamps = np.linspace(0, 1, STEPS)
+
+    def frame(number: int) -> Gaussians:
+        moved = means.copy()
+        moved[:100, 1] += np.float32(2 * stamps[number])
+        return replace(gaussians, means=moved)
+
+    return Moving(gaussians, stamps, Frames(stamps, frame))
+
+
+def passing_views(moving: Moving) -> list[View]:
+    """Two cameras, each at every time."""
+    eyes = {"cam0": (3.0, 0.3, 1.5), "cam1": (2.0, -1.5, 2.0)}
+    return [
+        replace(look_at_view(eye, width=80, height=60), name=f"{camera}/{number:02d}.png", time=float(time))
+        for camera, eye in eyes.items()
+        for number, time in enumerate(moving.times)
+    ]
+
+
+def label_masks(moving: Moving, views: list[View], labels: np.ndarray, words: tuple[str, ...]) -> dict:
+    """Features by view: masks of what most of each pixel's weight belongs to, and their words' vectors."""
+    vectors, found = WordEncoder().encode_texts(words), {}
+    for view in views:
+        assert view.time is not None
+        at = moving.at(view.time)
+        drawn = render_channels(splat_arrays(at), view, np.eye(len(words), dtype=np.float32)[labels])
+        masks = np.where(drawn.alpha > 0.5, drawn.channels.argmax(2), -1).astype(np.int32)
+        found[view.name] = ViewFeatures(masks, np.asarray(vectors, np.float32))
+    return found
+
+
+def passing_scene(objects: bool = False) -> Scene:
+    moving = passing()
+    views = passing_views(moving)
+    labels = np.repeat(np.arange(3), 100)
+    features = label_masks(moving, views, labels, WORDS)
+    field = replace(register(moving, views, features), encoder=WordEncoder.identity).to_field(Mixture())
+    if objects:
+        node_of = labels[field.gaussian_ids].astype(np.int32)
+        tree = Tree(node_of, np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
+        field = field.with_objects(describe(field, moving.canonical, tree))
+    return Scene(field, moving, views)
