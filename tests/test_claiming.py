@@ -51,9 +51,9 @@ def test_it_is_let_go_of_when_the_block_ends_badly(kind, claim, lock, tmp_path):
 
 def test_a_lock_that_was_removed_is_not_held(tmp_path, monkeypatch):
     """Who waited for a file that its owner has unlinked would hold nothing."""
-    from drsplat.formats import claiming
+    from drsplat import system
 
-    original, times = claiming.fcntl.flock, []
+    original, times = system.fcntl.flock, []
 
     def unlinked_meanwhile(file, how):
         original(file, how)
@@ -61,7 +61,7 @@ def test_a_lock_that_was_removed_is_not_held(tmp_path, monkeypatch):
         if len(times) == 1:
             (tmp_path / ".out.lock").unlink()
 
-    monkeypatch.setattr(claiming.fcntl, "flock", unlinked_meanwhile)
+    monkeypatch.setattr(system.fcntl, "flock", unlinked_meanwhile)
     with claimed_output(tmp_path / "out"):
         assert len(times) == 2
         assert (tmp_path / ".out.lock").is_file()

@@ -22,7 +22,7 @@ from drsplat.demo import story as household
 from drsplat.demo.probes import PROBES
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
-from drsplat.progress import peak_memory_bytes, track
+from drsplat.progress import track
 from furnished.story import Story
 
 
@@ -500,14 +500,6 @@ def test_progress_shows_after_a_while(capsys: Capture, monkeypatch: pytest.Monke
     assert "counting" in err
     assert list(track([1, 2, 3], "counting", quiet=True)) == [1, 2, 3]
     assert capsys.readouterr().err == ""
-
-
-def test_peak_memory_counts_bytes() -> None:
-    before = peak_memory_bytes()
-    block = np.ones(80_000_000, np.uint8)
-    assert peak_memory_bytes() >= before
-    assert peak_memory_bytes() > block.nbytes
-    assert peak_memory_bytes() < 1 << 40
 
 
 def test_python_dash_m_runs_it() -> None:

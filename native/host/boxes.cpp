@@ -13,7 +13,8 @@ namespace {
 
 constexpr double kPrecision = 1e-7;  // of the range of a set
 constexpr int kSteps = 100;          // of which it needs less than 20
-constexpr int kSweeps = 30;          // of Jacobi's rotations, of which it needs less than ten
+constexpr double kPi = 3.14159265358979323846, kRootOfHalf = 0.70710678118654752440;
+constexpr int kSweeps = 30;  // of Jacobi's rotations, of which it needs less than ten
 
 using Vector3 = std::array<double, 3>;
 using Matrix3 = std::array<Vector3, 3>;  // by rows
@@ -61,7 +62,8 @@ struct Normal {
   Normal() {
     for (int i = 0; i < kCount + 2; i++) {
       const double z = (double)i / kEach - kFar;
-      values[i] = std::erfc(-z * M_SQRT1_2) / 2, slopes[i] = std::exp(-z * z / 2) * M_SQRT1_2 / std::sqrt(M_PI) / kEach;
+      values[i] = std::erfc(-z * kRootOfHalf) / 2;
+      slopes[i] = std::exp(-z * z / 2) * kRootOfHalf / std::sqrt(kPi) / kEach;
     }
   }
 

@@ -1,5 +1,6 @@
 #include "host/dispatch.h"
 
+#include "host/processor.h"
 #include "kernels/scan_kernels.h"
 
 #include <cstdlib>
@@ -29,29 +30,23 @@ struct Available {
   Available() {
     int n = 0;
 #if defined(__x86_64__)
-    __builtin_cpu_init();
-    [[maybe_unused]] const bool has_v2 = __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
-    [[maybe_unused]] const bool has_v3 =
-        has_v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
-    [[maybe_unused]] const bool has_v4 = has_v3 && __builtin_cpu_supports("avx512f") &&
-                                         __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
-                                         __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd");
+    [[maybe_unused]] const Processor processor;
 #endif
 #if DRSPLAT_HAS_v4_vbmi
-    if (has_v4 && __builtin_cpu_supports("avx512vbmi")) {
+    if (processor.vbmi) {
       with_bytes = v4::table;
       with_bytes.name = "v4_vbmi", with_bytes.scan = &v4_vbmi::scan_table;
       list[n++] = &with_bytes;
     }
 #endif
 #if DRSPLAT_HAS_v4
-    if (has_v4) list[n++] = &v4::table;
+    if (processor.v4) list[n++] = &v4::table;
 #endif
 #if DRSPLAT_HAS_v3
-    if (has_v3) list[n++] = &v3::table;
+    if (processor.v3) list[n++] = &v3::table;
 #endif
 #if DRSPLAT_HAS_v2
-    if (has_v2) list[n++] = &v2::table;
+    if (processor.v2) list[n++] = &v2::table;
 #endif
     list[n++] = &portable::table;
   }

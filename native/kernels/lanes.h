@@ -162,17 +162,25 @@ INLINE float sum(const Floats &a) {
   return (s[0] + s[2]) + (s[1] + s[3]);
 }
 
+// GCC before 12 has no __builtin_shufflevector, Clang no __builtin_shuffle.
+#if defined(__clang__)
+#define FOUR_OF(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
 typedef int32_t FourIndices __attribute__((vector_size(16)));
+#define FOUR_OF(a, b, ...) __builtin_shuffle(a, b, FourIndices{__VA_ARGS__})
+#endif
+#define LOW_PAIRS(a, b) FOUR_OF(a, b, 0, 4, 1, 5)
+#define HIGH_PAIRS(a, b) FOUR_OF(a, b, 2, 6, 3, 7)
+#define LOW_HALVES(a, b) FOUR_OF(a, b, 0, 1, 4, 5)
+#define HIGH_HALVES(a, b) FOUR_OF(a, b, 2, 3, 6, 7)
 
 // Rows a, b, c, d of four numbers become the columns of w, x, y, z.
 INLINE void transpose_4x4(const float *a, const float *b, const float *c, const float *d, float *w, float *x, float *y,
                           float *z) {
-  const FourIndices low = {0, 4, 1, 5}, high = {2, 6, 3, 7}, first = {0, 1, 4, 5}, second = {2, 3, 6, 7};
   const Four A = *(const Four *)a, B = *(const Four *)b, C = *(const Four *)c, D = *(const Four *)d;
-  const Four ab = __builtin_shuffle(A, B, low), AB = __builtin_shuffle(A, B, high), cd = __builtin_shuffle(C, D, low),
-             CD = __builtin_shuffle(C, D, high);
-  *(Four *)w = __builtin_shuffle(ab, cd, first), *(Four *)x = __builtin_shuffle(ab, cd, second);
-  *(Four *)y = __builtin_shuffle(AB, CD, first), *(Four *)z = __builtin_shuffle(AB, CD, second);
+  const Four ab = LOW_PAIRS(A, B), AB = HIGH_PAIRS(A, B), cd = LOW_PAIRS(C, D), CD = HIGH_PAIRS(C, D);
+  *(Four *)w = LOW_HALVES(ab, cd), *(Four *)x = HIGH_HALVES(ab, cd);
+  *(Four *)y = LOW_HALVES(AB, CD), *(Four *)z = HIGH_HALVES(AB, CD);
 }
 
 // columns[i][l] = rows[l][i], i < width
@@ -199,11 +207,9 @@ INLINE void scatter_rows(const float (*columns)[16], int width, float *const *ro
 
 // The sums of four at once, added in the order of `sum`.
 INLINE void store_sums(float *out, const Floats &a, const Floats &b, const Floats &c, const Floats &d) {
-  const FourIndices low = {0, 4, 1, 5}, high = {2, 6, 3, 7}, first = {0, 1, 4, 5}, second = {2, 3, 6, 7};
   const Four A = quarters(a), B = quarters(b), C = quarters(c), D = quarters(d);
-  const Four ab = __builtin_shuffle(A, B, low) + __builtin_shuffle(A, B, high),
-             cd = __builtin_shuffle(C, D, low) + __builtin_shuffle(C, D, high);
-  *(Four *)out = __builtin_shuffle(ab, cd, first) + __builtin_shuffle(ab, cd, second);
+  const Four ab = LOW_PAIRS(A, B) + HIGH_PAIRS(A, B), cd = LOW_PAIRS(C, D) + HIGH_PAIRS(C, D);
+  *(Four *)out = LOW_HALVES(ab, cd) + HIGH_HALVES(ab, cd);
 }
 
 INLINE Floats floor_of(Floats a) {  // |a| < 2^31

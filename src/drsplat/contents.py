@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from .errors import FormatError, InputError
+from .system import NO_WAITING, OF_OURS
 
 SMALL = 64 << 20  # bytes; read in some hundredths of a second
 _LINE = 64  # bytes that a processor reads at once
@@ -26,7 +27,7 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 
     Raises: InputError: a folder, pipe, socket or device. OSError: as `open`.
     """
-    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    number = os.open(path, os.O_RDONLY | NO_WAITING | OF_OURS)
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
         raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")

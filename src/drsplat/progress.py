@@ -1,6 +1,5 @@
 """Progress on the terminal, and what a run has cost."""
 
-import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -80,12 +79,6 @@ def _job_bar() -> "Progress":
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[text]}"),
         TextColumn("{task.fields[rate]}/s"), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
     )  # fmt: skip
-
-
-def peak_memory_bytes() -> int:
-    """Largest resident size of this process so far."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
 
 
 class Stopwatch:

@@ -39,7 +39,7 @@ def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians | Mo
 def answer_of(change: Change, path: Path) -> dict[str, Any]:
     """What has changed, and the new totals."""
     from ..field.labels import LabelFile, matched
-    from ..progress import peak_memory_bytes
+    from ..system import peak_memory_bytes
 
     field = change.field
     evidence = field.evidence

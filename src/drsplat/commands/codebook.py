@@ -63,7 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..codes import load_codebook, save_codebook
     from ..errors import InputError
-    from ..progress import Stopwatch, peak_memory_bytes
+    from ..progress import Stopwatch
+    from ..system import peak_memory_bytes
 
     output = new_or_complete(arguments.output, arguments.overwrite, ".safetensors")
     if (arguments.features is None) == (arguments.lvis is None):

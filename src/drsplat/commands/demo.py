@@ -31,7 +31,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..demo.household import SCENE
     from ..demo.page import write_page
     from ..demo.story import FIELD, tell
-    from ..progress import Stopwatch, peak_memory_bytes
+    from ..progress import Stopwatch
+    from ..system import peak_memory_bytes
 
     folder, watch, overwrite = Path(arguments.output_dir), Stopwatch(), arguments.overwrite
     story = tell(folder, overwrite=overwrite, threads=arguments.threads, track=tracker(arguments))

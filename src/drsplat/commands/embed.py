@@ -96,7 +96,8 @@ def add_device(parser: argparse._ActionsContainer) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..embedding.embed import embed
-    from ..progress import Stopwatch, peak_memory_bytes
+    from ..progress import Stopwatch
+    from ..system import peak_memory_bytes
 
     watch = Stopwatch()
     views = views_of(arguments, arguments.capture)

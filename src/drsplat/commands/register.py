@@ -153,8 +153,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from .. import load_field
     from ..evidence.aggregation import aggregator
-    from ..progress import Stopwatch, peak_memory_bytes
+    from ..progress import Stopwatch
     from ..scene.moving import canonical_of
+    from ..system import peak_memory_bytes
 
     watch = Stopwatch()
     how = aggregator(arguments.aggregator)

@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.sources import blocks_of
-    from ..progress import Stopwatch, peak_memory_bytes
+    from ..progress import Stopwatch
+    from ..system import peak_memory_bytes
     from ..tiles.cutting import ROWS, cut
 
     output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()

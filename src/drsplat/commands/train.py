@@ -111,7 +111,8 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_sparse_points, train
-    from ..progress import Meter, peak_memory_bytes
+    from ..progress import Meter
+    from ..system import peak_memory_bytes
     from ..terminal import counted
     from ..training.devices import chosen_device
 

@@ -1,7 +1,6 @@
 """One writer for an output at a time."""
 
 import errno
-import fcntl
 import json
 import os
 import socket
@@ -12,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from .. import system
 from ..errors import InputError
 
 LOCK = ".lock"
@@ -59,7 +59,9 @@ def _held(lock: Path, output: Path, patience: float = 0.0) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(FileNotFoundError):
+        if not system.RENAMES_OPEN_FILES:
+            file.close()
+        with suppress(FileNotFoundError, PermissionError):  # the latter: on Windows, where another has opened it since
             lock.unlink()  # before it is let go: who waits for this file then finds that it has no name
         file.close()
 
@@ -68,23 +70,28 @@ def _locked(lock: Path, output: Path, until: float) -> BinaryIO:
     """The file that has the lock's name, held. until: when waiting for another ends, by the monotonic clock."""
     while True:
         file = _opened(lock)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not _ours_now(file):
             with file:
                 if time.monotonic() < until:
                     time.sleep(LOOK_AGAIN)
                     continue
                 raise InputError(
                     f"{output} is being written by {_holder(file)}: wait until it has ended, or name another output"
-                ) from None
-        except OSError as error:
-            if error.errno not in _NO_LOCKS:
-                raise
+                )
         if _is_named(file, lock):
             _sign(file)
             return file
         file.close()
+
+
+def _ours_now(file: BinaryIO) -> bool:
+    """False where another holds it; where there are no locks, nobody does."""
+    try:
+        return system.try_lock(file.fileno())
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        return True
 
 
 def _opened(lock: Path) -> BinaryIO:
@@ -92,7 +99,7 @@ def _opened(lock: Path) -> BinaryIO:
 
     Raises: InputError: it is no plain file.
     """
-    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    flags = os.O_RDWR | os.O_CREAT | system.NO_LINKS | system.OF_OURS
     try:
         number = os.open(lock, flags, 0o666)
     except OSError as error:

@@ -17,14 +17,10 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
+from .. import system
 from ..errors import InputError
 
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: nothing is swept
-    fcntl = None  # type: ignore[assignment]
-
-_WAITING: ContextVar[list[tuple[Path, Path, int]] | None] = ContextVar("waiting", default=None)
+_WAITING: ContextVar[list[tuple[Path, Path, int | None]] | None] = ContextVar("waiting", default=None)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _OURS = re.compile(r"\.(.+\.)?[0-9a-f]{16}\.tmp", re.DOTALL)
 
@@ -67,8 +63,10 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
                 os.fsync(raw.fileno())
                 waiting = _WAITING.get()
                 if waiting is not None:
-                    waiting.append((temporary, path, os.dup(raw.fileno())))  # the copy keeps the lock
+                    waiting.append((temporary, path, _holding(raw)))
                     return
+                if not system.RENAMES_OPEN_FILES:
+                    file.close()
                 os.replace(temporary, path)  # while it is locked
             sync_folder(path.parent)
         finally:
@@ -83,7 +81,7 @@ def together() -> Iterator[None]:
     A process that is killed leaves none of them, so that the same command can be given again; if the block fails,
     none appears.
     """
-    waiting: list[tuple[Path, Path, int]] = []
+    waiting: list[tuple[Path, Path, int | None]] = []
     token = _WAITING.set(waiting)
     try:
         yield
@@ -95,7 +93,13 @@ def together() -> Iterator[None]:
         _WAITING.reset(token)
         for temporary, _, descriptor in waiting:
             temporary.unlink(missing_ok=True)
-            os.close(descriptor)
+            if descriptor is not None:
+                os.close(descriptor)
+
+
+def _holding(raw: io.FileIO) -> int | None:
+    """A copy of an open file, which keeps its lock; none where open files have no other name to take."""
+    return os.dup(raw.fileno()) if system.RENAMES_OPEN_FILES else None
 
 
 @contextmanager
@@ -145,15 +149,14 @@ def temporary_beside(path: Path, name: str = "") -> Path:
 
 def lock(descriptor: int) -> None:
     """What is open is not swept until it is closed, where the file system has locks."""
-    if fcntl is not None:
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with suppress(OSError):
+        system.lock(descriptor)
 
 
 @cache
 def sweep(folder: Path) -> None:
     """Remove what killed processes left in a folder; once in the life of this process."""
-    if fcntl is not None:
+    if system.can_sweep():
         for entry in os.scandir(folder):
             if _OURS.fullmatch(entry.name):
                 with suppress(OSError):  # in use, not ours to remove, or gone
@@ -162,20 +165,15 @@ def sweep(folder: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Bring the names in a folder to the disk, where the system can."""
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        with suppress(OSError):  # some network drives refuse
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    with suppress(OSError):  # some network drives refuse
+        system.sync_folder(folder)
 
 
 def _remove_unlocked(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    descriptor = os.open(path, os.O_RDONLY | system.NO_LINKS)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not system.try_lock(descriptor):
+            return
         if path.is_dir():
             shutil.rmtree(path)
         else:

@@ -2,12 +2,13 @@
 
 import asyncio
 import json
-import resource
 from collections import OrderedDict
 from collections.abc import Mapping
 from enum import Enum
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from ..system import allow_open_files
 
 
 class Stage(Enum):
@@ -124,11 +125,7 @@ class Connection(H11Protocol):
 
 def room() -> int:
     """How many connections may be open, once this process may open as many files as it is allowed to."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    allowed = MOST + OTHERS if hard == resource.RLIM_INFINITY else min(hard, MOST + OTHERS)
-    if soft != resource.RLIM_INFINITY and soft < allowed:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
-    return max(allowed - OTHERS, 16)
+    return max(allow_open_files(MOST + OTHERS) - OTHERS, 16)
 
 
 def connection_class(most: int, seconds: Mapping[Stage, float] = SECONDS) -> type[Connection]:

@@ -2,11 +2,16 @@
 
 from importlib.util import find_spec
 
-from ..errors import MissingExtraError
+from .. import system
+from ..errors import InputError, MissingExtraError
 
 
 def require(extra: str, *modules: str) -> None:
-    """Raises: MissingExtraError: a module of an extra is not installed."""
+    """Raises: MissingExtraError: a module of an extra is not installed. InputError: there are no services here."""
+    if system.WINDOWS:
+        raise InputError(
+            "services give sockets to their processes, which Windows cannot: run them in WSL or a container"
+        )
     absent = [name for name in modules if find_spec(name) is None]
     if absent:
         raise MissingExtraError(f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"')

@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from ..errors import InputError, MissingExtraError
 from ..formats.replacing import replacing
+from ..system import is_ours, owner
 
 
 @runtime_checkable
@@ -57,9 +58,9 @@ class Remote:
     @cached_property
     def folder(self) -> Path:
         name = hashlib.blake2b(self.url.encode(), digest_size=8).hexdigest()
-        place = Path(tempfile.gettempdir()) / f"drsplat-store-{os.getuid()}-{name}"
+        place = Path(tempfile.gettempdir()) / f"drsplat-store-{owner()}-{name}"
         place.mkdir(mode=0o700, exist_ok=True)
-        if place.stat().st_uid != os.getuid():
+        if not is_ours(place.stat()):
             raise InputError(f"{place} belongs to somebody else: remove it, or set TMPDIR")
         return place
 

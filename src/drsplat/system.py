@@ -1,0 +1,117 @@
+"""What is not the same on every system: the one module that asks which it is.
+
+Linux and macOS have all of it. On Windows, files have other locks and cannot be renamed while they are open.
+"""
+
+import getpass
+import os
+import sys
+
+try:
+    import fcntl
+    import resource
+except ImportError:  # Windows
+    fcntl = resource = None  # type: ignore[assignment]
+
+WINDOWS = sys.platform == "win32"
+RENAMES_OPEN_FILES = not WINDOWS
+NO_WAITING = getattr(os, "O_NONBLOCK", 0)
+NO_LINKS = NO_WAITING | getattr(os, "O_NOFOLLOW", 0)
+"""Flags to open what a stranger may have put there: no pipe is waited for, and no link is followed."""
+OF_OURS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+_LOCKED_BYTE = 1 << 30  # of Windows, where a locked byte cannot be read: far beyond what is
+
+
+def can_sweep() -> bool:
+    """Whether a lock tells files in use from those that a killed process left."""
+    return fcntl is not None
+
+
+def lock(descriptor: int) -> None:
+    """Wait for the lock of an open file. Raises: OSError: the file system has none."""
+    if fcntl is not None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+
+
+def try_lock(descriptor: int) -> bool:
+    """The lock of an open file, until it is closed; False where another has it.
+
+    Raises: OSError: the file system has no locks.
+    """
+    if fcntl is None:
+        return _try_windows_lock(descriptor)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _try_windows_lock(descriptor: int) -> bool:
+    import msvcrt
+
+    at = os.lseek(descriptor, 0, os.SEEK_CUR)
+    os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+    except PermissionError:
+        return False
+    finally:
+        os.lseek(descriptor, at, os.SEEK_SET)
+    return True
+
+
+def sync_folder(folder: str | os.PathLike[str]) -> None:
+    """Bring the names in a folder to the disk, where the system can. Raises: OSError: this drive cannot."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def owner() -> str:
+    """Who runs this process, as part of a file's name."""
+    return str(os.getuid()) if hasattr(os, "getuid") else getpass.getuser()
+
+
+def is_ours(found: os.stat_result) -> bool:
+    return not hasattr(os, "getuid") or found.st_uid == os.getuid()
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident size of this process so far."""
+    if resource is None:
+        return _windows_peak_bytes()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def _windows_peak_bytes() -> int:
+    import ctypes
+
+    class Counters(ctypes.Structure):  # PROCESS_MEMORY_COUNTERS
+        _fields_ = (
+            ("cb", ctypes.c_uint32), ("PageFaultCount", ctypes.c_uint32), ("PeakWorkingSetSize", ctypes.c_size_t),
+            ("rest", ctypes.c_size_t * 7),
+        )  # fmt: skip
+
+    counters = Counters(ctypes.sizeof(Counters))
+    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined,unused-ignore]
+    kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    kernel.K32GetProcessMemoryInfo.argtypes = (ctypes.c_void_p, ctypes.POINTER(Counters), ctypes.c_uint32)
+    kernel.K32GetProcessMemoryInfo(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.cb)
+    return int(counters.PeakWorkingSetSize)
+
+
+def allow_open_files(wanted: int) -> int:
+    """How many files this process may open, after asking for that many."""
+    if resource is None:
+        return 512  # what Windows gives a process by itself
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    allowed = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
+    if soft != resource.RLIM_INFINITY and soft < allowed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+    return int(allowed)

@@ -1,0 +1,106 @@
+"""One module asks which system this is; files are written also where those that are open have no new name."""
+
+import ast
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drsplat
+from drsplat import system
+from drsplat.errors import InputError
+from drsplat.formats.claiming import claimed_output
+from drsplat.formats.replacing import replacing, together
+from drsplat.serving.libraries import require
+from drsplat.system import peak_memory_bytes
+
+SOURCE = Path(drsplat.__file__).parent
+MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "msvcrt", "winreg", "posix", "nt"}
+NAMES = {"getuid", "geteuid", "getgid", "fork", "killpg", "O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_DIRECTORY"}
+
+
+def asked_for(path: Path) -> set[str]:
+    """Of MODULES and NAMES, what a file uses."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names} & MODULES
+        elif isinstance(node, ast.ImportFrom):
+            found |= {node.module or ""} & MODULES
+        elif isinstance(node, ast.Attribute):
+            found |= {node.attr} & NAMES
+    return found
+
+
+def test_one_module_asks_which_system_it_is() -> None:
+    asking = {path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if asked_for(path)}
+    assert asking == {"system.py"}
+
+
+def test_peak_memory_counts_bytes() -> None:
+    before = peak_memory_bytes()
+    block = np.ones(80_000_000, np.uint8)
+    assert peak_memory_bytes() >= before
+    assert peak_memory_bytes() > block.nbytes
+    assert peak_memory_bytes() < 1 << 40
+
+
+@pytest.fixture
+def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+    """Its rules, as far as they can be had here: other locks, and no new name for an open file."""
+    taken: list[tuple[int, int]] = []
+
+    class Locks:
+        LK_NBLCK = 2
+
+        @staticmethod
+        def locking(descriptor: int, how: int, length: int) -> None:
+            if taken:
+                raise PermissionError
+            taken.append((how, length))
+
+    monkeypatch.setitem(sys.modules, "msvcrt", Locks)
+    monkeypatch.setattr(system, "fcntl", None)
+    monkeypatch.setattr(system, "RENAMES_OPEN_FILES", False)
+    return taken
+
+
+def open_files(folder: Path) -> list[str]:
+    """Of this process, under a folder."""
+    if not Path("/proc/self/fd").is_dir():
+        pytest.skip("no /proc to see open files in")
+    return [
+        name for name in map(str, (link.resolve() for link in Path("/proc/self/fd").iterdir())) if str(folder) in name
+    ]
+
+
+def test_a_file_is_closed_before_it_takes_its_name_there(windows, tmp_path, monkeypatch) -> None:
+    seen: list[list[str]] = []
+    replace = drsplat.formats.replacing.os.replace
+    monkeypatch.setattr(
+        drsplat.formats.replacing.os, "replace", lambda *names: (seen.append(open_files(tmp_path)), replace(*names))
+    )
+    with replacing(tmp_path / "a") as file:
+        file.write(b"one")
+    with together(), replacing(tmp_path / "b") as file:
+        file.write(b"two")
+    assert [(tmp_path / name).read_bytes() for name in "ab"] == [b"one", b"two"]
+    assert seen == [[], []]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_one_writer_at_a_time_there(windows, tmp_path) -> None:
+    with claimed_output(tmp_path / "out"):
+        assert windows == [(2, 1)]
+        assert json.loads((tmp_path / ".out.lock").read_text())["pid"] > 0
+        with pytest.raises(InputError, match="is being written by process"), claimed_output(tmp_path / "out"):
+            pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_services_say_that_they_cannot_run_there(monkeypatch) -> None:
+    monkeypatch.setattr(system, "WINDOWS", True)
+    with pytest.raises(InputError, match="WSL"):
+        require("serve")
