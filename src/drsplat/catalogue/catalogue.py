@@ -134,7 +134,7 @@ class Catalogue:
             if not listed:
                 raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
             table.remove_scene(self.path, known.table, name)
-            table.tidy(self.path)
+        table.tidy(self.path)
         return int(listed) - 1
 
     def scenes(self) -> list[Listed]:
@@ -229,7 +229,7 @@ class Catalogue:
                 _check_folder(known, name, folder)
                 encoder = known.encoder
             table.replace_scene(self.path, name, table.batch(rows.columns, rows.descriptors, encoder), encoder)
-            table.tidy(self.path)
+        table.tidy(self.path)
 
     def _surroundings(self, known: Snapshot) -> Surroundings:
         """Of a version of the table, made once."""

@@ -5,9 +5,10 @@ and who reads looks at one version: nobody sees half of a change.
 """
 
 import json
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
@@ -19,6 +20,7 @@ from jaxtyping import Float32
 
 from ..encoders import EncoderIdentity, identity_json, identity_said
 from ..errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
+from ..formats.claiming import claimed_output
 from .conditions import of_scene
 
 NAME, KEY = "objects", b"drsplat catalogue"
@@ -27,7 +29,8 @@ MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
 LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
 PROBES, REFINED = 64, 10  # partitions of an index that are looked into; candidates compared exactly, for each wanted
-FRAGMENTS = 24  # files of rows from which they are put together
+FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
+PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
 INDEXING = timedelta(minutes=119)  # as long as LanceDB waits
 HEAD = ("scene", "tile", "object_id")  # what a row is known by
@@ -178,15 +181,37 @@ def remove_scene(path: Path, table: Any, name: str) -> None:
 def tidy(path: Path) -> None:
     """Put small files of rows together, take new rows into the index, and let old versions go, where it is time.
 
-    What goes wrong is a warning: the change before it has been made.
+    Rewrites up to a million rows, so it is time once in every root of the rows / 4 changes. Needs no writer to wait: a
+    change that is made meanwhile is kept, and where both have the same rows this is left to the next one. What else
+    goes wrong is a warning: the change before it has been made.
     """
     known = opened(path)
+    if known is None or not _is_scattered(known):
+        return
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(claimed_output(path.with_name(f"{path.name}.tidy")))
+        except InputError:  # somebody does it
+            return
+        try:
+            _put_together(known)
+        except InputError as error:
+            warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+
+
+def _is_scattered(known: Snapshot) -> bool:
+    with reading(known.path):
+        small = int(known.table.stats()["fragment_stats"]["num_small_fragments"])
+    return small > max(FRAGMENTS, math.isqrt(known.num_rows) // 4)
+
+
+def _put_together(known: Snapshot) -> None:
     try:
-        with writing(path):
-            if known is not None and known.table.stats()["fragment_stats"]["num_fragments"] > FRAGMENTS:
-                known.table.optimize(cleanup_older_than=OUTDATED)
+        with writing(known.path):
+            known.table.optimize(cleanup_older_than=OUTDATED)
     except InputError as error:
-        warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+        if PREEMPTED not in str(error):
+            raise
 
 
 def index(known: Snapshot, partitions: int) -> None:
