@@ -4,7 +4,6 @@ import os
 import warnings
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from math import isqrt
 from pathlib import Path
 from threading import Lock
 
@@ -170,9 +169,8 @@ class Catalogue:
             known = self._snapshot()
             if known.num_rows < LEAST_OF_INDEX:
                 raise InputError(f"an index takes {LEAST_OF_INDEX} objects or more, there are {known.num_rows:,}")
-            partitions = isqrt(known.num_rows)
-            table.index(known, partitions)
-        return partitions
+            table.index(known)
+        return table.partitions_for(known.num_rows)
 
     # --- asking ---
 

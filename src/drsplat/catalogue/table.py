@@ -28,7 +28,8 @@ VERSION = 1
 MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
 LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
-PROBES, REFINED = 64, 10  # partitions of an index that are looked into; candidates compared exactly, for each wanted
+MOST_PARTITIONS, LEAST_PROBES = 512, 64  # of an index; of these half are looked into, as words are far from all
+REFINED = 10  # candidates compared exactly, for each wanted
 FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
 PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
@@ -122,8 +123,12 @@ class Snapshot:
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
             search = search.distance_type("cosine").where(where, prefilter=True).limit(count)
-            search = search.bypass_vector_index() if exact else search.nprobes(PROBES).refine_factor(REFINED)
+            search = search.bypass_vector_index() if exact else search.nprobes(self._probes).refine_factor(REFINED)
             return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
+
+    @property
+    def _probes(self) -> int:
+        return max(LEAST_PROBES, partitions_for(self.num_rows) // 2)
 
     def spread(self, count: int) -> Any:
         """The descriptors of some rows, evenly spread over the table."""
@@ -214,13 +219,17 @@ def _put_together(known: Snapshot) -> None:
             raise
 
 
-def index(known: Snapshot, partitions: int) -> None:
-    """Build the index of all descriptors, and wait until it is there."""
-    from lancedb.index import IvfPq
+def partitions_for(rows: int) -> int:
+    """Of an index; more would take time to build that grows faster than the rows."""
+    return min(math.isqrt(rows), MOST_PARTITIONS)
 
-    dim = known.encoder.dim
-    parts = max(part for part in range(1, max(dim // 16, 1) + 1) if dim % part == 0)
-    kind = IvfPq(distance_type="cosine", num_partitions=partitions, num_sub_vectors=parts, sample_rate=LEARNED_FROM)
+
+def index(known: Snapshot) -> None:
+    """Build the index of all descriptors, a byte for each of their numbers, and wait until it is there."""
+    from lancedb.index import IvfSq
+
+    partitions = partitions_for(known.num_rows)
+    kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=LEARNED_FROM)
     with writing(known.path):
         known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
         known.table.wait_for_index([INDEX], timeout=INDEXING)
