@@ -9,7 +9,7 @@ block of 30 rooms has 3 million Gaussians. views: of each room. side: pixels of 
 all processes; memory is what they held together, looked at every 20 ms: the most of their own, and the most with the
 pages of files that they had mapped. --most GB is a limit of the system on the former (RLIMIT_DATA), beyond which
 memory is refused. --check compares the field with that of one registration of the whole, to the bit (in the memory that
-this takes).
+this takes). --objects finds the objects of the field, and says what that takes.
 
 The second table is computed, not measured: what 1 to 64 nodes of 16 cores would take for as many such streets, if each
 task took what it took here, and a store delivered and took so many bytes a second in all. One node learns the code from
@@ -37,6 +37,7 @@ from drsplat.field.learning import learn
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import Tiles
 from drsplat.masks.features import ViewFeatures
+from drsplat.objects.finding import find_objects
 from drsplat.scene.similarity import Similarity
 from drsplat.tiles.cutting import cut
 from drsplat.tiles.launching import Processes
@@ -215,6 +216,8 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
         made.to_field(Smaller()).save(place / "street.field")
     field_s, code_cpu = time.perf_counter() - start, time.process_time() - code_cpu
     disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
+    if given.objects:
+        print(objects_of(place / "street.field", tiles), flush=True)
     held = f"{memory.own / 2**30:.2f}", f"{memory.whole / 2**30:.2f}"
     same = ""
     if given.check:
@@ -232,6 +235,18 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
     return Street(numbers, kinds, learning.seconds, rest, read + 2 * written)
 
 
+def objects_of(path: Path, tiles: Tiles) -> str:
+    """What finding the objects of the whole takes."""
+    memory, start = Memory(), time.process_time()
+    field = ds.load_field(path)
+    found = find_objects(field, tiles.gaussians())
+    spent, own, whole = time.process_time() - start, memory.own / 2**30, memory.whole / 2**30
+    return (
+        f"{len(found)} objects of {len(field):,} Gaussians: {spent:.0f} s of processor, {own:.2f} GiB own, "
+        f"{whole:.2f} with maps"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("demo", type=Path)
@@ -241,6 +256,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--most", type=float)
     parser.add_argument("--check", action="store_true")
+    parser.add_argument("--objects", action="store_true")
     given = parser.parse_args()
     if given.most:
         resource.setrlimit(resource.RLIMIT_DATA, (int(given.most * 1e9),) * 2)

@@ -23,6 +23,7 @@ from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
+from drsplat.formats.claiming import claimed_output
 from drsplat.query.objects import support_of
 from known_objects import CENTERS, known_scene
 
@@ -367,6 +368,28 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
     assert fragments() < 4
     for number in range(8):
         assert found(Catalogue.open(path), Query(vector=vectors[number], threshold=0.99)) == [(f"s{number}", 0)]
+
+
+def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+    vectors = unit(rng, 8, 16)
+    monkeypatch.setattr(table, "FRAGMENTS", 4)
+    for number in range(8):
+        own = vectors[number : number + 1]
+        table.replace_scene(path, f"s{number}", rows_of(f"s{number}", own, encoder, 1), encoder)
+    known = table.opened(path)
+    assert known is not None
+    optimize = type(known.table).optimize
+
+    def meanwhile(self: object, **how: object) -> None:
+        Catalogue.open(path).remove("s3")
+        with pytest.raises(InputError, match="is being written by"), claimed_output(path.with_name("c.tidy")):
+            pass
+        optimize(self, **how)
+
+    monkeypatch.setattr(type(known.table), "optimize", meanwhile)
+    table.tidy(path)  # the removal was quicker, and no warning is due
+    assert sorted(one.scene for one in Catalogue.open(path).scenes()) == [f"s{n}" for n in range(8) if n != 3]
 
 
 def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:

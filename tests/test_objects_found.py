@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from drsplat import Gaussians, LanguageField, Registration
 from drsplat.errors import InputError
+from drsplat.evidence.changing import without_views
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects import GROUP, PART, THING
 from drsplat.kernels import Forest
 from drsplat.objects.choosing import best_nodes, choose
-from drsplat.objects.finding import find_objects
+from drsplat.objects.finding import find_objects, of_few_views
 
 
 def forest(parents: list[int], sizes: list[int], fits: list[float], spreads: list[float] | None = None) -> Forest:
@@ -134,6 +135,25 @@ def registered(num_views: int, owner: np.ndarray, points: np.ndarray, masks: int
 def clusters(rng: np.random.Generator, count: int, each: int) -> tuple[np.ndarray, np.ndarray]:
     owner = np.repeat(np.arange(count), each)
     return owner, rng.normal(0, 0.1, (count * each, 3)) + owner[:, None] * np.array([0.35, 0, 0])
+
+
+def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    owner, points = clusters(np.random.default_rng(0), 3, 200)
+    scene, field = registered(7, owner, points, 3)
+    assert field.evidence is not None
+    whole = field.evidence
+    assert of_few_views(whole, whole.weights.nnz) is whole
+    few = of_few_views(whole, int(2.5 * len(points)))
+    gone = ~np.isin(whole.masks.view_names, few.masks.view_names)
+    rest = without_views(whole, gone)
+    assert np.count_nonzero(~gone) == 2
+    assert few.masks.view_names == rest.masks.view_names
+    for name, array in few.tensors().items():
+        np.testing.assert_array_equal(array, rest.tensors()[name])
+    more = of_few_views(without_views(whole, np.arange(7) == np.flatnonzero(gone)[0]), int(2.5 * len(points)))
+    assert more.masks.view_names == few.masks.view_names  # a view that is not drawn changes nothing
+    monkeypatch.setattr("drsplat.objects.finding.of_few_views", lambda _: few)
+    assert find_objects(field, scene).num_views.tolist() == [7, 7, 7]  # described from all
 
 
 def test_three_things_side_by_side_are_three_objects() -> None:

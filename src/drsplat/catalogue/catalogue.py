@@ -4,7 +4,6 @@ import os
 import warnings
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from math import isqrt
 from pathlib import Path
 from threading import Lock
 
@@ -134,7 +133,7 @@ class Catalogue:
             if not listed:
                 raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
             table.remove_scene(self.path, known.table, name)
-            table.tidy(self.path)
+        table.tidy(self.path)
         return int(listed) - 1
 
     def scenes(self) -> list[Listed]:
@@ -170,9 +169,8 @@ class Catalogue:
             known = self._snapshot()
             if known.num_rows < LEAST_OF_INDEX:
                 raise InputError(f"an index takes {LEAST_OF_INDEX} objects or more, there are {known.num_rows:,}")
-            partitions = isqrt(known.num_rows)
-            table.index(known, partitions)
-        return partitions
+            table.index(known)
+        return table.partitions_for(known.num_rows)
 
     # --- asking ---
 
@@ -229,7 +227,7 @@ class Catalogue:
                 _check_folder(known, name, folder)
                 encoder = known.encoder
             table.replace_scene(self.path, name, table.batch(rows.columns, rows.descriptors, encoder), encoder)
-            table.tidy(self.path)
+        table.tidy(self.path)
 
     def _surroundings(self, known: Snapshot) -> Surroundings:
         """Of a version of the table, made once."""

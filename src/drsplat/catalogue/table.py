@@ -5,9 +5,10 @@ and who reads looks at one version: nobody sees half of a change.
 """
 
 import json
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
@@ -19,6 +20,7 @@ from jaxtyping import Float32
 
 from ..encoders import EncoderIdentity, identity_json, identity_said
 from ..errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
+from ..formats.claiming import claimed_output
 from .conditions import of_scene
 
 NAME, KEY = "objects", b"drsplat catalogue"
@@ -26,8 +28,10 @@ VERSION = 1
 MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
 LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
-PROBES, REFINED = 64, 10  # partitions of an index that are looked into; candidates compared exactly, for each wanted
-FRAGMENTS = 24  # files of rows from which they are put together
+MOST_PARTITIONS, LEAST_PROBES = 512, 64  # of an index; of these half are looked into, as words are far from all
+REFINED = 10  # candidates compared exactly, for each wanted
+FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
+PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
 INDEXING = timedelta(minutes=119)  # as long as LanceDB waits
 HEAD = ("scene", "tile", "object_id")  # what a row is known by
@@ -119,8 +123,12 @@ class Snapshot:
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
             search = search.distance_type("cosine").where(where, prefilter=True).limit(count)
-            search = search.bypass_vector_index() if exact else search.nprobes(PROBES).refine_factor(REFINED)
+            search = search.bypass_vector_index() if exact else search.nprobes(self._probes).refine_factor(REFINED)
             return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
+
+    @property
+    def _probes(self) -> int:
+        return max(LEAST_PROBES, partitions_for(self.num_rows) // 2)
 
     def spread(self, count: int) -> Any:
         """The descriptors of some rows, evenly spread over the table."""
@@ -178,24 +186,50 @@ def remove_scene(path: Path, table: Any, name: str) -> None:
 def tidy(path: Path) -> None:
     """Put small files of rows together, take new rows into the index, and let old versions go, where it is time.
 
-    What goes wrong is a warning: the change before it has been made.
+    Rewrites up to a million rows, so it is time once in every root of the rows / 4 changes. Needs no writer to wait: a
+    change that is made meanwhile is kept, and where both have the same rows this is left to the next one. What else
+    goes wrong is a warning: the change before it has been made.
     """
     known = opened(path)
+    if known is None or not _is_scattered(known):
+        return
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(claimed_output(path.with_name(f"{path.name}.tidy")))
+        except InputError:  # somebody does it
+            return
+        try:
+            _put_together(known)
+        except InputError as error:
+            warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+
+
+def _is_scattered(known: Snapshot) -> bool:
+    with reading(known.path):
+        small = int(known.table.stats()["fragment_stats"]["num_small_fragments"])
+    return small > max(FRAGMENTS, math.isqrt(known.num_rows) // 4)
+
+
+def _put_together(known: Snapshot) -> None:
     try:
-        with writing(path):
-            if known is not None and known.table.stats()["fragment_stats"]["num_fragments"] > FRAGMENTS:
-                known.table.optimize(cleanup_older_than=OUTDATED)
+        with writing(known.path):
+            known.table.optimize(cleanup_older_than=OUTDATED)
     except InputError as error:
-        warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+        if PREEMPTED not in str(error):
+            raise
 
 
-def index(known: Snapshot, partitions: int) -> None:
-    """Build the index of all descriptors, and wait until it is there."""
-    from lancedb.index import IvfPq
+def partitions_for(rows: int) -> int:
+    """Of an index; more would take time to build that grows faster than the rows."""
+    return min(math.isqrt(rows), MOST_PARTITIONS)
 
-    dim = known.encoder.dim
-    parts = max(part for part in range(1, max(dim // 16, 1) + 1) if dim % part == 0)
-    kind = IvfPq(distance_type="cosine", num_partitions=partitions, num_sub_vectors=parts, sample_rate=LEARNED_FROM)
+
+def index(known: Snapshot) -> None:
+    """Build the index of all descriptors, a byte for each of their numbers, and wait until it is there."""
+    from lancedb.index import IvfSq
+
+    partitions = partitions_for(known.num_rows)
+    kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=LEARNED_FROM)
     with writing(known.path):
         known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
         known.table.wait_for_index([INDEX], timeout=INDEXING)

@@ -80,32 +80,31 @@ def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added:
     shape = (len(lengths), added.shape[1])
     # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
     indptr = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
-    return csr_array((_inserted(data, added.data, places), _inserted(kept, added.indices, places), indptr), shape=shape)
+    free = np.ones(starts[-1], np.bool_)
+    free[places] = False
+    pairs = ((data, added.data), (kept, added.indices))
+    data, kept = (_inserted(old, new, places, free) for old, new in pairs)
+    return csr_array((data, kept, indptr), shape=shape)
 
 
 def _places(
     starts: Int64[np.ndarray, " n1"], indices: Int32[np.ndarray, " e"], added: csr_array
 ) -> Int64[np.ndarray, " a"]:
-    """How many entries of W come before each of those added."""
-    counts = np.diff(added.indptr)
-    rows = np.flatnonzero(counts)
-    lengths = starts[rows + 1] - starts[rows]
-    ends = np.cumsum(lengths)
-    entries = np.arange(ends[-1] if len(ends) else 0) + np.repeat(starts[rows] - (ends - lengths), lengths)
-    width = np.int64(added.shape[1])
-    own = np.repeat(np.arange(len(rows)), lengths) * width + indices[entries]
-    theirs = np.repeat(np.arange(len(rows)), counts[rows]) * width + added.indices
-    before = np.searchsorted(own, theirs) - np.repeat(ends - lengths, counts[rows])
-    return np.asarray(np.repeat(starts[rows], counts[rows]) + before)
+    """How many entries of W come before each of those added: each is looked for in its row, all of them at once."""
+    rows = np.repeat(np.arange(len(starts) - 1), np.diff(added.indptr))
+    low, high = starts[rows], starts[rows + 1]
+    while (wide := np.flatnonzero(low < high)).size:
+        middle = (low[wide] + high[wide]) // 2
+        before = indices[middle] < added.indices[wide]
+        low[wide[before]], high[wide[~before]] = middle[before] + 1, middle[~before]
+    return low
 
 
-def _inserted(values: np.ndarray, added: np.ndarray, places: Int64[np.ndarray, " a"]) -> np.ndarray:
-    """`added` at `places` of the result, the others in between."""
+def _inserted(values: np.ndarray, added: np.ndarray, places: Int64[np.ndarray, " a"], free: np.ndarray) -> np.ndarray:
+    """`added` at `places` of the result, the others where it is `free`."""
     if not len(places):
         return values
-    result = np.empty(len(values) + len(added), values.dtype)
-    free = np.ones(len(result), np.bool_)
-    free[places] = False
+    result = np.empty(len(free), values.dtype)
     result[free], result[places] = values, added
     return result
 

@@ -10,7 +10,7 @@ from ..codes.codebook import TRAINING_POINTS
 from ..codes.mixture import SceneAtoms, learn_scene_atoms
 from ..encoders import EncoderIdentity
 from ..evidence.aggregation import Aggregated
-from ..evidence.aggregation.entries import canonical, of_columns, used_columns
+from ..evidence.aggregation.entries import canonical, column_counts, of_columns
 from ..evidence.evidence import Evidence
 
 LEARNT_FROM = 64  # views
@@ -44,9 +44,9 @@ def learning_views(evidence: Evidence) -> tuple[str, ...]:
     One view more changes them with a probability of LEARNT_FROM / V, whenever it comes.
     """
     masks = evidence.masks
-    seeing = np.unique(masks.views[used_columns(evidence.weights)])
+    seeing = np.unique(masks.views[column_counts(evidence.weights) > 0])
     names = [masks.view_names[view] for view in seeing.tolist()]
-    return tuple(sorted(sorted(names, key=_drawn)[:LEARNT_FROM]))
+    return tuple(sorted(sorted(names, key=drawn)[:LEARNT_FROM]))
 
 
 def source_of(features: Aggregated) -> Evidence:
@@ -55,7 +55,8 @@ def source_of(features: Aggregated) -> Evidence:
     return canonical(rows)
 
 
-def _drawn(name: str) -> bytes:
+def drawn(name: str) -> bytes:
+    """Where a view comes in an order that looks like chance, and that further views do not change."""
     return hashlib.blake2b(name.encode(), digest_size=8).digest()
 
 

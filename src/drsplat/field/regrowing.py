@@ -131,9 +131,15 @@ def _coded_again(
     old, norms = field.code.codes(rows), field.code.inverse_norms[rows]
     norms = np.concatenate([norms, field.codebook.inverse_norms(codes)])
     order = np.argsort(np.concatenate([ids[: len(rows)], ids[len(rows) :][directed]]))
-    return Coded(pq_code(field.codebook, _joined(old, codes).rows(order), norms[order]), directed)
+    return Coded(pq_code(field.codebook, _ordered(old, codes, order), norms[order]), directed)
 
 
-def _joined(one: Codes, other: Codes) -> Codes:
-    coarse = None if one.coarse_ids is None else np.concatenate([one.coarse_ids, other.coarse_ids])
-    return Codes(np.concatenate([one.codes, other.codes]), coarse)
+def _ordered(one: Codes, other: Codes, order: Int64[np.ndarray, " n"]) -> Codes:
+    """Of both, one after the other, those at `order`."""
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    codes = np.empty((len(order), one.codes.shape[1]), np.uint8)
+    codes[places[: len(one.codes)]], codes[places[len(one.codes) :]] = one.codes, other.codes
+    if one.coarse_ids is None or other.coarse_ids is None:
+        return Codes(codes)
+    return Codes(codes, np.concatenate([one.coarse_ids, other.coarse_ids])[order])

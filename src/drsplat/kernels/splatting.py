@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float32, Float64, Int32, Integer, UInt32
 
 from .. import _native
 from ..errors import InputError
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
 
+BLOCK = 1 << 13  # Gaussians whose covariances are computed at once
 MAX_SIDE = 65536
 MOST_COUNTED = 2**31 - 1  # no ray meets so many: as good as all
 
@@ -97,12 +98,10 @@ def laid_out(gaussians: Gaussians, near: float) -> SplatArrays:
     if not 0 < near < np.inf:
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
     covariances = np.empty((6, len(gaussians)), np.float32)
-    block = 1 << 16  # bounds the float64 temporaries
-    for begin in range(0, len(gaussians), block):
-        part = slice(begin, begin + block)
+    for begin in range(0, len(gaussians), BLOCK):
+        part = slice(begin, begin + BLOCK)
         with np.errstate(over="ignore"):  # infinite ones are drawn nowhere
-            rows = np.arange(len(gaussians))[part]
-            covariances[:, part] = gaussians.subset(rows).covariances().T
+            covariances[:, part] = covariances_of(gaussians.quats[part], gaussians.scales[part])
     means = np.ascontiguousarray(gaussians.means.T)
     return SplatArrays(means, covariances, np.ascontiguousarray(gaussians.opacities), near, gaussians.origin)
 

@@ -9,8 +9,11 @@ from jaxtyping import Float32, Int32
 from scipy.sparse import csr_array
 
 from ..errors import InputError
+from ..evidence.aggregation.entries import column_counts, of_columns
+from ..evidence.changing import without_views
 from ..evidence.evidence import Evidence
 from ..field import LanguageField
+from ..field.learning import drawn
 from ..field.objects import Objects
 from ..kernels import Forest, MergeRule, agglomerate
 from ..scene.gaussians import Gaussians
@@ -23,12 +26,14 @@ SOFT = 0.55  # of what a photo shows of a Gaussian in the mean
 SIGHT = 1.2e-4  # of the weight of a photo
 SMALLEST = 30  # Gaussians
 DIRECTIONS = 32  # of embeddings that are looked at
+MOST_WEIGHTS = 32_000_000  # that are held at once, in some 66 bytes each
 
 
 def find_objects(field: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
     """The things of a scene with their parts and groups, from the evidence that its field keeps.
 
-    No encoder is needed. Time and memory are linear in the weights; the same bits at any number of threads.
+    No encoder is needed. Time and memory are linear in the weights, of which up to MOST_WEIGHTS are looked at: of more
+    those of some views, which a hash of their names draws. The same bits at any number of threads.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
     Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/objects.md.
@@ -36,8 +41,20 @@ def find_objects(field: LanguageField, gaussians: Gaussians, *, threads: int = 0
     field.check_scene(gaussians)
     if field.evidence is None:
         raise InputError("objects are found in the evidence, and this field was saved without: register again")
-    forest = grow(field.evidence, gaussians.means[field.gaussian_ids], threads=threads)
+    forest = grow(of_few_views(field.evidence), gaussians.means[field.gaussian_ids], threads=threads)
     return describe(field, gaussians, choose(forest, len(field), SMALLEST), threads=threads)
+
+
+def of_few_views(evidence: Evidence, most: int = MOST_WEIGHTS) -> Evidence:
+    """The evidence of as many views as have that many weights together; itself where all have no more."""
+    if evidence.weights.nnz <= most:
+        return evidence
+    masks, entries = evidence.masks, column_counts(evidence.weights)
+    counts = np.bincount(masks.views, entries, len(masks.view_names))
+    order = np.array(sorted(range(len(counts)), key=lambda view: drawn(masks.view_names[view])))
+    gone = np.ones(len(counts), np.bool_)
+    gone[order[: max(1, np.searchsorted(np.cumsum(counts[order]), most, side="right"))]] = False
+    return without_views(of_columns(evidence, ~gone[masks.views]), gone)
 
 
 def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:

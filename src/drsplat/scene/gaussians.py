@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Integer
 
 from ..errors import InputError
 from .placing import FEWEST, local_origin, near_plane
-from .rotations import rotation_matrices
+from .rotations import rotation_matrices, rotation_rows
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
@@ -100,9 +100,7 @@ class Gaussians:
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
-        axes = rotation_matrices(self.quats.astype(np.float64)) * self.scales.astype(np.float64)[:, None, :]
-        rows, columns = np.triu_indices(3)
-        return np.asarray(np.einsum("nik,nik->ni", axes[:, rows], axes[:, columns]))
+        return covariances_of(self.quats, self.scales).T
 
     def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
         """inv(S) R^T: takes an offset from the mean to where the Gaussian is round and of size one."""
@@ -116,6 +114,17 @@ class Gaussians:
             self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
             self.origin,
         )  # fmt: skip
+
+
+def covariances_of(quats: Float32[np.ndarray, "n 4"], scales: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "6 n"]:
+    """See `Gaussians.covariances`, number by number: of some thousand Gaussians all stays near the processor."""
+    turned = rotation_rows(quats.T.astype(np.float64, order="C"))
+    lengths = scales.T.astype(np.float64, order="C")
+    axes = [[number * length for number, length in zip(row, lengths, strict=True)] for row in turned]
+    found = np.empty((6, len(quats)))
+    for at, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
+        found[at] = axes[i][0] * axes[j][0] + axes[i][1] * axes[j][1] + axes[i][2] * axes[j][2]
+    return found
 
 
 class ShapesDigest:

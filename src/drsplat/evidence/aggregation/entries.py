@@ -131,12 +131,13 @@ def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
     return replace(evidence, weights=matrix)
 
 
-def used_columns(weights: csr_array) -> Bool[np.ndarray, " m"]:
-    """Those that have any entry."""
-    used = np.zeros(weights.shape[1], np.bool_)
+def column_counts(weights: csr_array) -> Int64[np.ndarray, " m"]:
+    """How many entries each has."""
+    counts = np.zeros(weights.shape[1], np.int64)
     for rows in row_chunks(weights):
-        used[weights.indices[weights.indptr[rows.start] : weights.indptr[rows.stop]]] = True
-    return used
+        columns = weights.indices[weights.indptr[rows.start] : weights.indptr[rows.stop]]
+        counts += np.bincount(columns, minlength=len(counts))
+    return counts
 
 
 def canonical(evidence: Evidence) -> Evidence:
