@@ -36,8 +36,8 @@ def add_film_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("film")
     group.add_argument(
         "--around", type=around, default=SCENE, metavar="scene|match|NUMBER",
-        help="what an orbit or a swing is around: what the photos look at (scene), the best match of --query, or an "
-        "object of its field (default: scene)",
+        help="center of an orbit or a swing: what the photos look at (scene), the best match of --query, or an object "
+        "of its field (default: scene)",
     )  # fmt: skip
     group.add_argument("--up", metavar="AXIS", help="up for orbits: +x, -x ... -z (default: as the photos were held)")
     group.add_argument("--fps", type=finite, metavar="N", help="pictures a second (default: those of FILE, else 30)")

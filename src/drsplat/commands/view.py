@@ -70,6 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder to save files to, under new names (default: none, the browser downloads them)",
     )  # fmt: skip
     parser.add_argument("--export", metavar="PAGE.html", help="write a page with the answers to --ask, and exit")
+    parser.add_argument(
+        "--path", metavar="orbit|swing|photos|FILE",
+        help="path of the film that the page of --export plays, as of drsplat render (default: orbit)",
+    )  # fmt: skip
     add_overwrite(parser)
     add_query_encoders(parser)
 
@@ -81,6 +85,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("view: expected a scene, or --catalogue CATALOGUE")
     if arguments.catalogue is not None:
         _serve_catalogue(arguments)
+    if arguments.path is not None and arguments.export is None:
+        raise InputError("path: a film is part of a page: give --export PAGE.html")
     return _export(arguments) if arguments.export else _serve(arguments)
 
 
@@ -102,6 +108,7 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
     page = export_page(
         arguments.export, scene, queries, words=_words(arguments), up=_up(arguments, scene),
         max_gaussians=arguments.max_gaussians, overwrite=arguments.overwrite,
+        path_name="orbit" if arguments.path is None else arguments.path,
     )  # fmt: skip
     return {
         "page": arguments.export,

@@ -9,6 +9,8 @@ from jaxtyping import Float64, UInt8, UInt16
 from ..drawing.heat import heat_of
 from ..errors import DrSplatError, InputError
 from ..filming.looking import before, up_direction
+from ..filming.paths import CameraPath
+from ..filming.planning import ORBIT, path_named
 from ..query import Scene
 from .bare import NO_FIELD
 from .cameras import first_look
@@ -28,13 +30,15 @@ def export_page(
     words: Sequence[str] | None = None,
     up: Float64[np.ndarray, " 3"] | None = None,
     max_gaussians: int | None = None,
+    path_name: str = ORBIT,
     title: str = "",
     overwrite: bool = False,
 ) -> Page:
     """Write a scene and its answers to one HTML file, which needs nothing but a browser; returns what is in it.
 
     words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
-    held. max_gaussians: the most significant ones are shown, 200,000 at most. title: the scene's name if empty.
+    held. max_gaussians: the most significant ones are shown, 200,000 at most. path_name: of the film that it plays, as
+    `filming.planning.path_named` has it. title: the scene's name if empty.
 
     Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
     that the encoder does not know. MismatchError: another encoder.
@@ -43,7 +47,8 @@ def export_page(
     if bool(queries) != session.is_askable:
         raise InputError(NO_FIELD if queries else "a page holds answers: give it queries, as in 'red mug; lamp'")
     up = up_direction(scene) if up is None else up
-    page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title)
+    film = path_named(path_name, scene.gaussians, scene.views, up=up)
+    page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title, film)
     write_page(path, page, overwrite=overwrite)
     return page
 
@@ -54,6 +59,7 @@ def page_of(
     look: tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]],
     up: Float64[np.ndarray, " 3"],
     title: str = "",
+    path: CameraPath | None = None,
 ) -> Page:
     """The scene with the answers to some texts. look: eye and target of the first look, in the world.
 
@@ -64,9 +70,8 @@ def page_of(
     session.mode = Mode.FEATURES
     features = session.colors[shown.ids]
     words, best = _words(scene, session.words)
-    return Page(
-        title or scene.name, shown, answers, *look, up, features, words, None if best is None else best[shown.ids]
-    )
+    best = None if best is None else best[shown.ids]
+    return Page(title or scene.name, shown, answers, *look, up, features, words, best, path)
 
 
 def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageAnswer:

@@ -16,9 +16,9 @@ MOST_MESSAGE = 1 << 20  # bytes; pictures come in parts of half of that
 MOST_COUNT = 1 << 40
 FAR = 1e9
 
-CAMERA, CONTROL, SCENE_PRESS, NODE_PRESS, UPLOAD, PART = (
+CAMERA, CONTROL, SCENE_PRESS, NODE_PRESS, UPLOAD, PART, KEY = (
     "ViewerCameraMessage", "GuiUpdateMessage", "ScenePointerMessage", "SceneNodeClickMessage",
-    "FileTransferStartUpload", "FileTransferPart",
+    "FileTransferStartUpload", "FileTransferPart", "CommandTriggerMessage",
 )  # fmt: skip
 Check = Callable[[Any], bool]
 Message = dict[str, Any]
@@ -88,6 +88,7 @@ SHAPES: Mapping[str, Mapping[str, Check]] = {
         "image_height": _is_count, "image_width": _is_count,
     },
     CONTROL: {"uuid": _is_name, "updates": _is_pressed},
+    KEY: {"uuid": _is_name},
     SCENE_PRESS: {
         "event_type": lambda value: value == "click", "ray_origin": _point, "ray_direction": _point,
         "screen_pos": _list_of(1, _place), "modifier": _or_none(_is_name),

@@ -10,7 +10,7 @@
   const state = { answer: 0, mode: header.answers.length ? "answer" : "photo", target: header.target.slice(), yaw: 0, pitch: 0, distance: 1, width: 1, height: 1 };
   const stage = $("stage"), marks = $("marks"), painted = new Uint8Array(4 * count), order = new Uint32Array(count);
   const painter = webgl($("splats")) || flat($("splats"));
-  let wanted = false, flying = null;
+  let wanted = false, flying = null, interrupted = null;
   lookFrom(header.eye, header.target);
 
   async function unpacked(text, layout) {
@@ -44,8 +44,15 @@
     return { target: target.slice(), distance, pitch: Math.asin(Math.max(-0.99, Math.min(0.99, height))), yaw: Math.atan2(dot(back, north), dot(back, east)) };
   }
   function lookFrom(eye, target) { Object.assign(state, pose(eye, target)); draw(); }
+  function fly(step, stopped = null) {  // step: says whether that was all; null stops what flies
+    if (interrupted) interrupted();
+    interrupted = stopped;
+    flying = step && ((now) => { if (step(now)) flying = interrupted = null; });
+    draw();
+  }
   function flyTo(eye, target) {
     const from = { ...state, target: state.target.slice() }, to = pose(eye, target), start = performance.now();
+    fly(null);
     to.yaw = from.yaw + Math.atan2(Math.sin(to.yaw - from.yaw), Math.cos(to.yaw - from.yaw));
     flying = (now) => {
       const t = Math.min(1, (now - start) / 700), s = t * t * (3 - 2 * t), mix = (a, b) => a + (b - a) * s;
@@ -166,7 +173,6 @@
     gl.disable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    gl.clearColor(...header.background, 1);
     return {
       recolor() {
         full.set(painted);
@@ -175,6 +181,7 @@
       },
       draw(cam, ratio) {
         gl.viewport(0, 0, canvas.width, canvas.height);
+        gl.clearColor(...header.background, 1);
         gl.clear(gl.COLOR_BUFFER_BIT);
         gl.uniform3fv(at("eye"), cam.eye);
         gl.uniformMatrix3fv(at("world_to_camera"), true, [...cam.right, ...cam.down, ...cam.ahead]);
@@ -312,7 +319,7 @@
   function hands() {
     let moved = 0, walking = null;
     stage.addEventListener("contextmenu", (event) => event.preventDefault());
-    stage.addEventListener("pointerdown", (event) => { stage.setPointerCapture(event.pointerId); fingers.set(event.pointerId, [event.offsetX, event.offsetY]); moved = 0; flying = null; });
+    stage.addEventListener("pointerdown", (event) => { stage.setPointerCapture(event.pointerId); fingers.set(event.pointerId, [event.offsetX, event.offsetY]); moved = 0; fly(null); });
     stage.addEventListener("pointermove", (event) => {
       const before = fingers.get(event.pointerId);
       if (!before) return;
@@ -320,6 +327,8 @@
       moved += Math.abs(dx) + Math.abs(dy);
       if (fingers.size === 2) {
         const other = [...fingers].find(([id]) => id !== event.pointerId)[1];
+        const cam = camera(), step = state.distance / cam.focal / 2;
+        state.target = plus(plus(state.target, cam.right, -dx * step), cam.down, -dy * step);
         state.distance *= Math.hypot(before[0] - other[0], before[1] - other[1]) / Math.max(1, Math.hypot(event.offsetX - other[0], event.offsetY - other[1]));
       } else if (event.buttons & 2 || event.shiftKey) {
         const cam = camera(), step = state.distance / cam.focal;
@@ -347,9 +356,10 @@
     addEventListener("blur", () => { keys.clear(); clearInterval(walking); walking = null; });
     new ResizeObserver(draw).observe(stage);
   }
-  window.drsplat = { frames: 0, state, header, project: (point) => project(point), pick, flyTo, painter };
+  window.drsplat = { frames: 0, state, header, project: (point) => project(point), pick, flyTo, fly, stand: lookFrom, draw, painter };
   panel();
   hands();
+  dispatchEvent(new Event("drsplat"));
 })();
 
 const VERTEX = `#version 300 es

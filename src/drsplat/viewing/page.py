@@ -16,6 +16,7 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 from ..drawing.heat import HEAT
 from ..errors import InputError
 from ..filming.looking import FOV_DEGREES
+from ..filming.paths import CameraPath
 from ..formats.replacing import replacing
 from ..query import Match
 from . import painting
@@ -25,6 +26,7 @@ from .texts import escaped, printable
 MOST = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
 MOST_WORDS = 65_535
+FILM_STEPS, FILM_SECONDS, MOST_FILM_SECONDS = 12, 8.0, 60.0  # places a second
 BACKGROUND = (0.078, 0.086, 0.106)
 KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2"}
 
@@ -47,7 +49,7 @@ class PageAnswer:
 class Page:
     """eye, target, up: of the first look, in the world. features: their colours, in [0, 1].
 
-    best_words: per shown Gaussian 0, or 1 for the first of `words`.
+    best_words: per shown Gaussian 0, or 1 for the first of `words`. path: that the page flies along.
     """
 
     title: str
@@ -59,6 +61,7 @@ class Page:
     features: Float32[np.ndarray, "m 3"] | None = None
     words: Sequence[str] = ()
     best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
+    path: CameraPath | None = None
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
@@ -72,6 +75,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         "HEADER": _in_script(json.dumps(_header(page) | {"arrays": layout})),
         "BLOB": base64.b64encode(zlib.compress(blob, 6)).decode(),
         "SCRIPT": _own("page.js"),
+        "FILM": _own("page_film.js"),
     }
     text = filled(_own("page.html"), parts).encode()
     with replacing(path, overwrite) as file:
@@ -122,8 +126,24 @@ def _header(page: Page) -> dict[str, Any]:
         "background": BACKGROUND,
         "heat": HEAT.tolist(),
         "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
+        "film": None if page.path is None else _film(frame, page.path, page.target),
         "words": list(page.words)[:MOST_WORDS],
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
+    }
+
+
+def _film(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
+    """Places along it, near enough to each other for straight lines; each looks at something as far as `target`."""
+    seconds = min(path.seconds or FILM_SECONDS, MOST_FILM_SECONDS)
+    shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS)))
+    keys = path.at(shares)
+    ahead = [max(float(key.rotation[2] @ (target - key.eye)), 1 / frame.scale) for key in keys]
+    targets = [key.eye + far * key.rotation[2] for key, far in zip(keys, ahead, strict=True)]
+    return {
+        "seconds": seconds,
+        "eyes": [np.round(frame.shown(key.eye), 4).tolist() for key in keys],
+        "targets": [np.round(frame.shown(one), 4).tolist() for one in targets],
+        "fovs": [round(key.fov_degrees, 2) for key in keys],
     }
 
 

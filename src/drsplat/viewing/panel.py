@@ -2,14 +2,13 @@
 
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..drawing.palette import class_colors
 from ..errors import DrSplatError
 from ..filming.looking import before
 from ..query import Match
@@ -17,7 +16,10 @@ from . import painting, saving, texts
 from .actions import Actions
 from .bare import NO_FIELD
 from .choosing import ChosenControls
+from .film import FilmControls, save_swing
 from .finds import FindList, finds_of
+from .keyboard import add_keys, flipped, next_of
+from .legend import legend_html
 from .naming import This, photo_of
 from .prompts import prompt
 from .saving import Saves
@@ -25,7 +27,7 @@ from .session import Mode
 from .suggestions import suggestions
 from .texts import escaped, paragraphs
 from .uploads import picture_in
-from .window import Window
+from .window import DARK, LIGHT, Window, themed
 
 STEP = 0.001  # of the slider
 PICTURE_SIZE = (1280, 960)
@@ -98,6 +100,8 @@ class Panel:
         self._build_this()
         self._build_edit()
         self._build_save()
+        self.film = FilmControls(self.window, self._button, self._save, self.flights)
+        self._build_keys()
         if askable:
             self._do("suggest", None, self._suggest)
 
@@ -143,6 +147,8 @@ class Panel:
                 cameras = self.gui.add_checkbox("Cameras of the photos", False)
                 show = self.window.show_cameras
                 cameras.on_update(lambda event: self._do("cameras", event, lambda _: show(cameras.value)))
+            self.look = self.gui.add_dropdown("Look", (DARK, LIGHT))
+            self._by_hand(self.look, "look", self._set_look)
             self.classes = self._prompt("Classes", "mug, bowl, table", self._classify)
             self.classes.visible = askable
             self.legend = self.gui.add_html("")
@@ -177,13 +183,23 @@ class Panel:
             if self.session.is_askable:
                 self._button("Selection as PLY", lambda event: self._save_ply(event, True))
             self._button("Picture as PNG", self._save_png)
-            self._button("Flight as GIF", self._save_gif)
+            self._button("Flight as GIF", lambda event: save_swing(self.window, self._save, event))
             self.saved = self.gui.add_html("")
 
     def _button(self, label: str, act: Callable[[Any], None]) -> Any:
         button = self.gui.add_button(label)
         button.on_click(lambda event: self._do(label, event, act))
         return button
+
+    def _build_keys(self) -> None:
+        acts = {
+            "Add key frame": ("K", self.film.add),
+            "Play the path": ("P", self.film.play),
+            "Boxes and names": ("B", flipped(self.boxes, self._set_boxes)),
+            "Next colours": ("C", next_of(self.mode, self._set_mode)),
+            "Dark or light": ("L", next_of(self.look, self._set_look)),
+        }
+        add_keys(self.gui, self._do, acts)
 
     # --- asking ---
 
@@ -303,6 +319,9 @@ class Panel:
         self.window.boxes = self.boxes.value
         self.window.repaint()
 
+    def _set_look(self, _: Any) -> None:
+        themed(self.gui, self.look.value != LIGHT)
+
     def _classify(self, _: Any) -> None:
         self.classes.value = self.classes.value.replace("\n", "")
         found = self.session.classify(self.classes.value.split(","))
@@ -352,16 +371,6 @@ class Panel:
         data = saving.png_of(saving.picture_of(self.session, view))
         self._save(event, "found", ".png", lambda path: saving.write_bytes(path, data))
 
-    def _save_gif(self, event: Any) -> None:
-        frame, camera = self.session.shown.frame, event.client.camera
-        eye, target = (frame.world(np.array(x)) for x in (camera.position, camera.look_at))
-        found = [match for result in self.session.results for match in result.matches]
-        if found:
-            scene, target = self.session.scene, found[0].center
-            eye = before(found[0], scene.gaussians, scene.views, self.window.up)
-        data = saving.flight_gif(self.session, eye, target, self.window.up)
-        self._save(event, "found", ".gif", lambda path: saving.write_bytes(path, data))
-
     def _save(self, event: Any, stem: str, suffix: str, write: Callable[[Path], None]) -> None:
         path, data = self.saves.save(stem, suffix, write)
         kept = self.saves.folder is not None
@@ -384,15 +393,3 @@ def said_of_this(this: This) -> str:
     masks = [f"{escaped(one.view_name)}, mask {one.mask_id} ({one.share:.0%})" for one in this.evidence]
     others = "or " + ", ".join(words[1:]) if words[1:] else ""
     return paragraphs(best, others, f"at {place}", "Seen in " + "; ".join(masks) if masks else "")
-
-
-def legend_html(names: tuple[str, ...], counts: Sequence[int]) -> str:
-    """A swatch, a name and a number of Gaussians on each line."""
-    spot = "display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:.6em"
-    return paragraphs(
-        *(
-            f'<span style="{spot};background:rgb({",".join(map(str, color))})"></span>{escaped(name)} '
-            f'<span style="opacity:.6">{count:,}</span>'
-            for name, color, count in zip(names, class_colors(len(names)), counts, strict=True)
-        )
-    )

@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from ..errors import MissingExtraError
 from ..filming.looking import FOV_DEGREES, looking_at
+from ..filming.paths import KeyFrame
 from ..query import Match
 from ..scene.views import View
 from ..serving.access import EVERYWHERE, is_loopback
@@ -23,6 +24,7 @@ from .listening import listening_socket
 from .session import Session
 from .texts import printable
 
+DARK, LIGHT = "dark", "light"
 INSTALL = 'pip install "drsplat[viewer]"'
 FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
 MOST_CAMERAS, CAMERA_SIZE = 200, 0.35
@@ -63,15 +65,20 @@ def served(host: str, port: int) -> Served:
     """
     token = None if is_loopback(host) else secrets.token_urlsafe(24)
     server = guarded_server(host, port, token)
-    server.gui.configure_theme(
-        dark_mode=True, control_width="large", show_logo=False, show_share_button=False,
-        brand_color=painting.accent(0),
-    )  # fmt: skip
+    themed(server.gui, is_dark=True)
     server.gui.main_panel.dock_right()
     name = socket.gethostname() if host in EVERYWHERE else host
     name = f"[{name}]" if ":" in name and not name.startswith("[") else name
     address = f"http://{name}:{server.get_port()}" + ("" if token is None else f"/?token={token}")
     return Served(server, address, token)
+
+
+def themed(gui: Any, is_dark: bool) -> None:
+    """How controls look, for who is here and who comes; viser cannot ask a browser which it is set to."""
+    gui.configure_theme(
+        dark_mode=is_dark, control_width="large", show_logo=False, show_share_button=False,
+        brand_color=painting.accent(0),
+    )  # fmt: skip
 
 
 def viser_module() -> Any:
@@ -188,6 +195,16 @@ class Window:
                 camera.look_at = from_target + share * (to_target - from_target)
             client.flush()
             time.sleep(FLIGHT_SECONDS / FLIGHT_STEPS)
+
+    def stand(self, client: Any, key: KeyFrame) -> None:
+        """Put the camera of one browser where a key frame is, as far from what it turns about as it was."""
+        frame, camera = self.session.shown.frame, client.camera
+        reach = float(np.linalg.norm(np.array(camera.look_at) - np.array(camera.position)))
+        eye = frame.shown(key.eye)
+        with client.atomic():
+            camera.up_direction, camera.fov = -key.rotation[1], float(np.radians(key.fov_degrees))
+            camera.position, camera.look_at = eye, eye + max(reach, 1e-3) * key.rotation[2]
+        client.flush()
 
     def is_sending(self, client: Any) -> bool:
         """Whether a browser has not yet taken the last file: who never takes any fills no memory."""

@@ -1,0 +1,150 @@
+"""Key frames in the viewer: taken, played, saved and filmed; keys and the look. No browser: pages that talk."""
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from browsing import eventually
+from drsplat.errors import InputError
+from drsplat.filming.encoding import ffmpeg
+from drsplat.filming.path_files import read_path
+from drsplat.viewing import film
+from viewer_clients import CAMERA, Stranger, a_viewer
+
+PLACES = ([6.0, -9.0, 4.0], [-7.0, -8.0, 3.0], [1.0, -12.0, 8.0])
+
+
+@pytest.fixture
+def panel(tmp_path: Path) -> Iterator[Any]:
+    with a_viewer(tmp_path / "saved") as one:
+        yield one
+
+
+def only_client(panel: Any) -> Any:
+    eventually(lambda: len(panel.window.server.get_clients()) == 1)
+    return next(iter(panel.window.server.get_clients().values()))
+
+
+def settle(panel: Any) -> None:
+    assert panel.actions.settled(120.0)
+
+
+def key(panel: Any, label: str) -> str:
+    """The name that viser has for what a key does."""
+    commands = panel.window.server.gui._command_handle_from_uuid
+    return next(uuid for uuid, one in commands.items() if one.label == label)
+
+
+def taken(panel: Any, stranger: Stranger) -> None:
+    """A key frame at each of three places, by the key K."""
+    for number, place in enumerate(PLACES):
+        at = CAMERA | {"position": place}
+        stranger.say(**{"kind" if name == "type" else name: value for name, value in at.items()})
+        eventually(lambda place=place: np.allclose(only_client(panel).camera.position, place))
+        stranger.say("CommandTriggerMessage", uuid=key(panel, "Add key frame"))
+        eventually(lambda number=number: len(panel.film.keys) == number + 1)
+
+
+def test_key_frames_are_what_the_browser_sees_and_render_takes_the_path(panel: Any, tmp_path: Path) -> None:
+    stranger = Stranger(panel)
+    taken(panel, stranger)
+    frame = panel.session.shown.frame
+    for one, place in zip(panel.film.keys, PLACES, strict=True):
+        np.testing.assert_allclose(one.eye, frame.world(np.array(place)), atol=1e-9)
+        np.testing.assert_allclose(one.rotation[2], -np.array(place) / np.linalg.norm(place), atol=1e-9)
+        assert one.fov_degrees == pytest.approx(np.degrees(0.8))
+    assert "3 key frames" in panel.film.said.content
+    event = SimpleNamespace(client=only_client(panel), client_id=0)
+    panel._do("save", event, panel.film.save_path)
+    settle(panel)
+    path = read_path(tmp_path / "saved" / "path.json")
+    assert (path.seconds, path.fps, path.size, len(path.keys)) == (8.0, 24.0, (960, 720), 3)
+    np.testing.assert_allclose(path.keys[1].eye, panel.film.keys[1].eye)
+    stranger.close()
+
+
+def test_a_path_is_played_and_stopped(panel: Any) -> None:
+    stranger = Stranger(panel)
+    taken(panel, stranger)
+    panel.film.seconds.value = 1.0
+    seen: list[np.ndarray] = []
+    stand = panel.window.stand
+    panel.window.stand = lambda client, at: (seen.append(at.eye), stand(client, at))
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Play the path"))
+    eventually(lambda: len(seen) > 3)
+    eventually(lambda: not panel.film.is_playing)
+    first, last = panel.film.keys[0].eye, panel.film.keys[-1].eye
+    assert np.linalg.norm(seen[0] - first) < 0.3 * np.linalg.norm(last - first)
+    np.testing.assert_allclose(seen[-1], last, atol=1e-9)
+    assert panel.film.playing.label == "Play"
+    panel.film.seconds.value = 60.0
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Play the path"))
+    eventually(lambda: panel.film.is_playing and panel.film.playing.label == "Stop")
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Play the path"))
+    eventually(lambda: panel.film.playing.label == "Play")
+    stranger.close()
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif", ".mp4"])
+def test_a_film_shows_what_the_viewer_shows(
+    suffix: str, panel: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if suffix == ".mp4" and ffmpeg() is None:
+        pytest.skip("the program ffmpeg is not installed")
+    monkeypatch.setattr(film, "SIZE", (64, 48))
+    stranger = Stranger(panel)
+    taken(panel, stranger)
+    panel.session.ask("tall lamp")
+    panel.film.seconds.value, panel.film.suffix.value = 1.0, suffix
+    panel._do("film", SimpleNamespace(client=only_client(panel), client_id=0), panel.film.film)
+    settle(panel)
+    assert panel.fault.content == ""
+    path = tmp_path / "saved" / f"film{suffix}"
+    if suffix == ".mp4":
+        asked = ["-count_frames", "-show_entries", "stream=nb_read_frames,width,height", "-of", "json"]
+        told = subprocess.run(["ffprobe", "-v", "error", *asked, path], capture_output=True, check=True)
+        assert json.loads(told.stdout)["streams"] == [{"width": 64, "height": 48, "nb_read_frames": "24"}]
+    else:
+        with Image.open(path) as shown:
+            assert (shown.n_frames, shown.size) == (24, (64, 48))  # type: ignore[attr-defined]
+    assert "3 key frames" in panel.film.said.content
+    stranger.close()
+
+
+def test_too_few_or_too_many_key_frames(panel: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="two key frames or more, and there are 0"):
+        panel.film.path()
+    panel.film.remove(None)
+    assert "No key frames" in panel.film.said.content
+    monkeypatch.setattr(film, "MOST_KEYS", 0)
+    with pytest.raises(InputError, match="up to 0 key frames"):
+        panel.film.add(SimpleNamespace(client=None))
+
+
+def test_keys_turn_boxes_colours_and_the_look(panel: Any) -> None:
+    stranger = Stranger(panel)
+    stranger.look()
+    panel.ask("tall lamp")
+    settle(panel)
+    assert panel.mode.value == "answer"
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Next colours"))
+    eventually(lambda: panel.session.mode.value == "heat map")
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Boxes and names"))
+    eventually(lambda: not panel.window.boxes and not panel.boxes.value)
+    stranger.heard(0.3)
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Dark or light"))
+    eventually(lambda: panel.look.value == "light")
+    themes = [one["dark_mode"] for one in stranger.heard(1.0) if one["type"] == "ThemeConfigurationMessage"]
+    assert themes == [False]
+    stranger.say("CommandTriggerMessage", uuid="nobody")
+    stranger.say("CommandTriggerMessage", uuid=7)
+    stranger.say("CommandTriggerMessage", uuid=key(panel, "Dark or light"))
+    eventually(lambda: panel.look.value == "dark")
+    stranger.close()
