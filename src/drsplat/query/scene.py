@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -66,7 +67,8 @@ class Scene:
 
     gaussians: None where only selections are wanted. views, encoder: themselves, or what makes them when they
     are first needed; encoder None: the built-in one that the field names. threads: of one query, 0 for all cores.
-    labels: the file of names that people give to objects, None where there is none to keep them in.
+    labels: the file of names that people give to objects, None where there is none to keep them in. path: of the file
+    with the Gaussians, beside which edits and annotations are kept.
 
     Raises: MismatchError: the field is of another scene.
     """
@@ -81,10 +83,11 @@ class Scene:
         name: str = "scene",
         threads: int = 0,
         labels: LabelFile | None = None,
+        path: Path | None = None,
     ) -> None:
         if gaussians is not None:
             field.check_scene(gaussians)
-        self.label_file = labels
+        self.label_file, self.path = labels, path
         self.field, self.name, self.threads = field, name, threads
         self._gaussians, self._views = gaussians, views
         self.background = Background(field, _source(field, encoder), threads)

@@ -12,13 +12,15 @@ import numpy as np
 from ..drawing.palette import class_colors
 from ..errors import DrSplatError
 from ..query import Match
-from . import painting, saving, texts
+from . import saving, texts
 from .actions import Actions
 from .bare import NO_FIELD
 from .cameras import before
 from .choosing import ChosenControls
+from .edit_controls import EditControls
 from .finds import FindList, finds_of
 from .naming import This, photo_of
+from .object_list import ObjectList
 from .prompts import prompt
 from .saving import Saves
 from .session import Mode
@@ -96,7 +98,9 @@ class Panel:
         self._build_answer()
         self._build_show()
         self._build_this()
-        self._build_edit()
+        self.editing = EditControls(self)
+        if self.session.has_objects:
+            self.objects = ObjectList(self.session, self.gui, self._button, self._list_pressed)
         self._build_save()
         if askable:
             self._do("suggest", None, self._suggest)
@@ -161,15 +165,6 @@ class Panel:
             return self._prompt(label, "my mug", act)
 
         return ChosenControls(self.session, self.gui, self._button, naming, self._chose)
-
-    def _build_edit(self) -> None:
-        session = self.session
-        with self.gui.add_folder("Edit the matches", expand_by_default=False, visible=session.is_askable):
-            self._button("Keep only this", self._changing(session.keep))
-            self._button("Hide", self._changing(session.hide))
-            color = self.gui.add_rgb("Colour", painting.accent(1))
-            self._button("Recolour", self._changing(lambda: session.repaint(color.value)))
-            self._button("Show all again", self._changing(session.restore))
 
     def _build_save(self) -> None:
         with self.gui.add_folder("Save", expand_by_default=False):
@@ -318,6 +313,12 @@ class Panel:
         self._show_photo()
         if self.thing is not None:
             self._answered()
+
+    def _list_pressed(self, event: Any, number: int) -> None:
+        self.session.choose_object(number)
+        self._chose()
+        if event.client is not None:
+            self.fly(event, self.session.results[0].matches[0])
 
     def _chose(self) -> None:
         """Show another part, thing or group, or another name of it."""
