@@ -1,7 +1,7 @@
 """What people press to edit: one change at a time, undo and redo, before and after, and annotations."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -30,6 +30,7 @@ HINT = "Of the matches, or of the object that was clicked; kept beside the scene
 Act = Callable[[Any], None]
 
 
+@runtime_checkable
 class Owner(Protocol):
     """The panel: it makes controls whose presses are done one after the other, and shows what came of it."""
 
