@@ -9,25 +9,17 @@ import pytest
 from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat import Query, WordEncoder, open_scene, read_features, read_gaussians, read_views, register
+from drsplat import Query, open_scene, read_gaussians
 from drsplat.field.labels import Label, LabelFile
 from drsplat.formats.npy import write_npy
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
-from toy_capture import PER_THING, write_toy_capture
+from edited_rooms import write_room
+from toy_capture import PER_THING
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A red and a blue ball, a field that knows both as objects, the photos' poses."""
-    folder = write_toy_capture(tmp_path_factory.mktemp("edits"))
-    gaussians, views = read_gaussians(folder / "scene.ply"), read_views(folder / "capture")
-    features = read_features(folder / "capture/language_features", encoder=WordEncoder().identity)
-    field = register(gaussians, views, features).to_field()
-    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
-    tree = Tree(node_of, np.full(2, -1, np.int32), np.ones(2, np.uint8), np.ones(2, np.float32))
-    field.with_objects(describe(field, gaussians, tree)).save(folder / "room.field")
-    return folder
+    return write_room(tmp_path_factory.mktemp("edits"))
 
 
 @pytest.fixture
@@ -75,7 +67,6 @@ def test_changes_are_done_in_the_order_given(room: Path, capsys: Capture) -> Non
 
 
 def test_a_folder_is_enough_and_pictures_are_before_and_after(room: Path, capsys: Capture) -> None:
-    (room / "points.ply").unlink()
     for name in ("images", "cameras.json"):
         source = room / "capture" / name
         if source.exists():
@@ -113,7 +104,6 @@ def test_labels_boxes_rows_and_photos(room: Path, capsys: Capture) -> None:
 def test_an_object_of_another_scene(room: Path, capsys: Capture) -> None:
     other = room.parent / "other"
     shutil.copytree(room, other)
-    (other / "points.ply").unlink()
     scene, field = room / "scene.ply", room / "room.field"
     given = ["--field", field, "--object", 0, "--replace", other, "--with-object", 1, "--up", "+z"]
     answer = answer_of(capsys, "edit", scene, *given, "--save", room / "edited.ply")

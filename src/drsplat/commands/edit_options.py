@@ -58,7 +58,7 @@ def add_change_options(parser: argparse.ArgumentParser) -> None:
     then("--isolate", nargs=0, help="remove everything else")
     then("--fill", nargs=0, help="close the hole where it stood at first, with clones of the ground or wall beside it")
     then("--recolour", type=colour, metavar="COLOUR", help="one hue with its own light and shade, e.g. #2060ff")
-    then("--palette", type=colours, metavar="COLOURS", help="these colours for its own, e.g. '#203040,#d0c0a0'")
+    then("--palette", type=colours, metavar="COLOURS", help="colours in place of its own, e.g. '#203040,#d0c0a0'")
     then("--like-photo", metavar="PICTURE", help="colours with the mean and the spread of those in a picture")
     then("--opacity", type=finite, metavar="FACTOR", help="opacity times this; 0.3 makes it faint")
     then("--move", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="move it by this, in scene units")

@@ -108,7 +108,7 @@ def open_scene(
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
     field = load_field(files.field)
-    found = registered_scene(files, field)[1] if files.scenes else None
+    file, found = registered_scene(files, field) if files.scenes else (None, None)
 
     def photos() -> Sequence[View]:
         if files.capture is None:
@@ -131,6 +131,7 @@ def open_scene(
         name=files.name,
         threads=threads,
         labels=LabelFile.beside(files.field),
+        path=file,
     )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -45,7 +46,8 @@ class Scene:
     gaussians: a moving scene's are its canonical rows; None where only selections are wanted. views, encoder:
     themselves, or what makes them when they are first needed; encoder None: the built-in one that the field names.
     threads: of one query, 0 for all cores.
-    labels: the file of names that people give to objects, None where there is none to keep them in.
+    labels: the file of names that people give to objects, None where there is none to keep them in. path: of the file
+    with the Gaussians, beside which edits and annotations are kept.
 
     Raises: MismatchError: the field is of another scene.
     """
@@ -60,10 +62,11 @@ class Scene:
         name: str = "scene",
         threads: int = 0,
         labels: LabelFile | None = None,
+        path: Path | None = None,
     ) -> None:
         if gaussians is not None:
             field.check_scene(canonical_of(gaussians))
-        self.label_file = labels
+        self.label_file, self.path = labels, path
         self.field, self.name, self.threads = field, name, threads
         self.motion = gaussians if isinstance(gaussians, Moving) else None
         self._gaussians, self._views = None if gaussians is None else canonical_of(gaussians), views

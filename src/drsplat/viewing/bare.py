@@ -36,7 +36,8 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene
     cameras = capture if capture is not None else own
     views = () if cameras is None else tuple(read_views(cameras))
     gaussians = read_gaussians(path)
-    return Scene(_empty_field(gaussians), gaussians, views, _no_encoder, name=path.resolve().stem, threads=threads)
+    name = path.resolve().stem
+    return Scene(_empty_field(gaussians), gaussians, views, _no_encoder, name=name, threads=threads, path=path)
 
 
 def _empty_field(gaussians: Gaussians) -> LanguageField:

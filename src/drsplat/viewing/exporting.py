@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from os import PathLike
 
 import numpy as np
-from jaxtyping import Float64, UInt8, UInt16
+from jaxtyping import Float64, Shaped, UInt8, UInt16
 
 from ..drawing.heat import heat_of
 from ..errors import DrSplatError, InputError
@@ -16,6 +16,7 @@ from .bare import NO_FIELD
 from .cameras import first_look
 from .naming import words_of
 from .page import MOST, MOST_WORDS, Page, PageAnswer, write_page
+from .page_parts import annotations_of_page, object_numbers, objects_of_page
 from .results import Result, result_of
 from .session import Mode, Session
 
@@ -65,24 +66,34 @@ def page_of(
 
     Raises: InputError: words that the encoder does not know. MismatchError: another encoder.
     """
-    scene, shown = session.scene, session.shown
+    scene, shown = session.scene, session.drawn
     answers = [_answer(session, text, up) for text in texts]
     session.mode = Mode.FEATURES
-    features = session.colors[shown.ids]
+    features = session.drawn_colors[shown.ids]
     words, best = _words(scene, session.words)
-    best = None if best is None else best[shown.ids]
-    return Page(title or scene.name, shown, answers, *look, up, features, words, best, path)
+    numbers = object_numbers(session)
+    return Page(
+        title or scene.name, shown, answers, *look, up, features, words,
+        None if best is None else _shown(session, best), objects_of_page(session, up), annotations_of_page(session, up),
+        None if numbers is None else _shown(session, numbers), path,
+    )  # fmt: skip
+
+
+def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
+    """Values of the scene's rows for those that are shown; 0 for what edits added."""
+    added = np.zeros(len(session.drawn_colors) - len(values), values.dtype)
+    return np.asarray(np.concatenate([values, added])[session.drawn.ids])
 
 
 def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageAnswer:
-    scene, ids = session.scene, session.shown.ids
+    scene = session.scene
     result = result_of(scene, text, scene.ask(text))
     matches = result.matches[:MOST_MATCHES]
     warm = heat_of(result.answer.values, result.threshold)
     return PageAnswer(
         text,
-        scene.field.dense(warm, fill=0.0)[ids],
-        _owners(result, scene)[ids],
+        _shown(session, scene.field.dense(warm, fill=0.0)),
+        _shown(session, _owners(result, scene)),
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
     )

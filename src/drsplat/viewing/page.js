@@ -10,6 +10,7 @@
   const state = { answer: 0, mode: header.answers.length ? "answer" : "photo", target: header.target.slice(), yaw: 0, pitch: 0, distance: 1, width: 1, height: 1 };
   const stage = $("stage"), marks = $("marks"), painted = new Uint8Array(4 * count), order = new Uint32Array(count);
   const painter = webgl($("splats")) || flat($("splats"));
+  const hooks = [];  // drawn over the picture, before boxes of answers
   let wanted = false, flying = null, interrupted = null;
   lookFrom(header.eye, header.target);
 
@@ -73,18 +74,18 @@
     return stops[low].map((x, i) => x + (stops[low + 1][i] - x) * (at - low));
   }
   function paint() {
-    const look = header.look, answer = header.answers[state.answer], mode = answer || state.mode === "features" ? state.mode : "photo";
+    const look = header.look, answer = header.answers[state.answer], mode = answer || state.mode === "features" || state.mode === "object" ? state.mode : "photo";
     const heat = answer && arrays["heat" + state.answer], owner = answer && arrays["owner" + state.answer];
     const table = Array.from({ length: 256 }, (_, i) => warm(i / 255));
     for (let i = 0; i < count; i++) {
       let r = rgb[3 * i] / 255, g = rgb[3 * i + 1] / 255, b = rgb[3 * i + 2] / 255;
       if (mode === "features") { r = features[3 * i] / 255; g = features[3 * i + 1] / 255; b = features[3 * i + 2] / 255; }
       else if (mode === "heat") [r, g, b] = table[heat[i]];
-      else if (mode === "answer" && owner[i]) {
+      else if ((mode === "answer" && owner[i]) || (mode === "object" && arrays.objects[i] === state.object)) {
         const gain = Math.max(0.001, r, g, b) ** -look.glow;
         r *= gain; g *= gain; b *= gain;
-      } else if (mode === "answer") {
-        const grey = look.floor + look.dim * (0.299 * r + 0.587 * g + 0.114 * b), w = look.warmth * Math.max(0, heat[i] / 255 - 0.25), c = table[heat[i]];
+      } else if (mode === "answer" || mode === "object") {
+        const near = mode === "answer" ? heat[i] : 0, grey = look.floor + look.dim * (0.299 * r + 0.587 * g + 0.114 * b), w = look.warmth * Math.max(0, near / 255 - 0.25), c = table[near];
         r = grey * (1 - w) + c[0] * w; g = grey * (1 - w) + c[1] * w; b = grey * (1 - w) + c[2] * w;
       }
       painted[4 * i] = 255 * r; painted[4 * i + 1] = 255 * g; painted[4 * i + 2] = 255 * b; painted[4 * i + 3] = opacity[i];
@@ -222,22 +223,28 @@
     const pen = marks.getContext("2d"), answer = header.answers[state.answer];
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, state.width, state.height);
+    for (const hook of hooks) hook(pen, cam);
     if (!answer || state.mode !== "answer") return;
-    pen.strokeStyle = `rgb(${answer.accent})`;
+    answer.matches.forEach((match, number) => boxed(pen, cam, match, answer.matches.length > 1 ? `${number + 1} ${answer.text}` : answer.text, answer.accent));
+  }
+  function boxed(pen, cam, box, label, color) {
+    const corners = [...Array(8).keys()].map((k) => project(box.axes.reduce((p, axis, a) => plus(p, axis, ((k >> a) & 1 ? 0.5 : -0.5) * box.extent[a]), box.center), cam));
+    if (corners.some((c) => c[2] < 0.05)) return;
+    pen.strokeStyle = `rgb(${color})`;
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    for (let i = 0; i < 8; i++) for (const bit of [1, 2, 4]) if (!(i & bit)) { pen.moveTo(corners[i][0], corners[i][1]); pen.lineTo(corners[i | bit][0], corners[i | bit][1]); }
+    pen.stroke();
+    const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a));
+    label && tag(pen, top[0], top[1], label, color);
+  }
+  function tag(pen, x, y, label, color) {
     pen.font = "13px system-ui, sans-serif";
-    answer.matches.forEach((match, number) => {
-      const corners = [...Array(8).keys()].map((k) => project(match.axes.reduce((p, axis, a) => plus(p, axis, ((k >> a) & 1 ? 0.5 : -0.5) * match.extent[a]), match.center), cam));
-      if (corners.some((c) => c[2] < 0.05)) return;
-      pen.lineWidth = 1.5;
-      pen.beginPath();
-      for (let i = 0; i < 8; i++) for (const bit of [1, 2, 4]) if (!(i & bit)) { pen.moveTo(corners[i][0], corners[i][1]); pen.lineTo(corners[i | bit][0], corners[i | bit][1]); }
-      pen.stroke();
-      const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a)), label = answer.matches.length > 1 ? `${number + 1} ${answer.text}` : answer.text, wide = pen.measureText(label).width;
-      pen.fillStyle = "rgba(20,22,27,.85)";
-      pen.fillRect(top[0] - wide / 2 - 6, top[1] - 26, wide + 12, 20);
-      pen.fillStyle = `rgb(${answer.accent})`;
-      pen.fillText(label, top[0] - wide / 2, top[1] - 11);
-    });
+    const wide = pen.measureText(label).width;
+    pen.fillStyle = "rgba(20,22,27,.85)";
+    pen.fillRect(x - wide / 2 - 6, y - 26, wide + 12, 20);
+    pen.fillStyle = `rgb(${color})`;
+    pen.fillText(label, x - wide / 2, y - 11);
   }
 
   // --- what a click meets ---
@@ -356,7 +363,10 @@
     addEventListener("blur", () => { keys.clear(); clearInterval(walking); walking = null; });
     new ResizeObserver(draw).observe(stage);
   }
-  window.drsplat = { frames: 0, state, header, project: (point) => project(point), pick, flyTo, fly, stand: lookFrom, draw, painter };
+  window.drsplat = {
+    frames: 0, state, header, project: (point, cam) => project(point, cam), pick, flyTo, fly, stand: lookFrom, draw, painter,
+    hooks, boxed, label: tag, paint,
+  };
   panel();
   hands();
   dispatchEvent(new Event("drsplat"));

@@ -49,7 +49,8 @@ class PageAnswer:
 class Page:
     """eye, target, up: of the first look, in the world. features: their colours, in [0, 1].
 
-    best_words: per shown Gaussian 0, or 1 for the first of `words`. path: that the page flies along.
+    best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
+    object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along.
     """
 
     title: str
@@ -61,6 +62,9 @@ class Page:
     features: Float32[np.ndarray, "m 3"] | None = None
     words: Sequence[str] = ()
     best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
+    objects: Sequence[Mapping[str, Any]] = ()
+    annotations: Sequence[Mapping[str, Any]] = ()
+    object_numbers: UInt16[np.ndarray, " m"] | None = None
     path: CameraPath | None = None
 
 
@@ -76,6 +80,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         "BLOB": base64.b64encode(zlib.compress(blob, 6)).decode(),
         "SCRIPT": _own("page.js"),
         "FILM": _own("page_film.js"),
+        "PARTS": _own("page_parts.js"),
     }
     text = filled(_own("page.html"), parts).encode()
     with replacing(path, overwrite) as file:
@@ -110,6 +115,8 @@ def _arrays(page: Page) -> dict[str, np.ndarray]:
         arrays["features"] = _bytes(page.features)
     if page.best_words is not None:
         arrays["words"] = page.best_words
+    if page.object_numbers is not None:
+        arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
         arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
     return arrays
@@ -128,6 +135,9 @@ def _header(page: Page) -> dict[str, Any]:
         "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
         "film": None if page.path is None else _film(frame, page.path, page.target),
         "words": list(page.words)[:MOST_WORDS],
+        "objects": list(page.objects),
+        "annotations": list(page.annotations),
+        "accent": painting.accent(0),
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
     }
 

@@ -12,15 +12,17 @@ import numpy as np
 from ..errors import DrSplatError
 from ..filming.looking import before
 from ..query import Match
-from . import painting, saving, texts
+from . import saving, texts
 from .actions import Actions
 from .bare import NO_FIELD
 from .choosing import ChosenControls
+from .edit_controls import EditControls
 from .film import FilmControls, save_swing
 from .finds import FindList, finds_of
 from .keyboard import add_keys, flipped, next_of
 from .legend import legend_html
 from .naming import This, photo_of
+from .object_list import ObjectList
 from .prompts import prompt
 from .saving import Saves
 from .session import Mode
@@ -98,7 +100,9 @@ class Panel:
         self._build_answer()
         self._build_show()
         self._build_this()
-        self._build_edit()
+        self.editing = EditControls(self)
+        if self.session.has_objects:
+            self.objects = ObjectList(self.session, self.gui, self._button, self._list_pressed)
         self._build_save()
         self.film = FilmControls(self.window, self._button, self._save, self.flights)
         self._build_keys()
@@ -167,15 +171,6 @@ class Panel:
             return self._prompt(label, "my mug", act)
 
         return ChosenControls(self.session, self.gui, self._button, naming, self._chose)
-
-    def _build_edit(self) -> None:
-        session = self.session
-        with self.gui.add_folder("Edit the matches", expand_by_default=False, visible=session.is_askable):
-            self._button("Keep only this", self._changing(session.keep))
-            self._button("Hide", self._changing(session.hide))
-            color = self.gui.add_rgb("Colour", painting.accent(1))
-            self._button("Recolour", self._changing(lambda: session.repaint(color.value)))
-            self._button("Show all again", self._changing(session.restore))
 
     def _build_save(self) -> None:
         with self.gui.add_folder("Save", expand_by_default=False):
@@ -337,6 +332,12 @@ class Panel:
         self._show_photo()
         if self.thing is not None:
             self._answered()
+
+    def _list_pressed(self, event: Any, number: int) -> None:
+        self.session.choose_object(number)
+        self._chose()
+        if event.client is not None:
+            self.fly(event, self.session.results[0].matches[0])
 
     def _chose(self) -> None:
         """Show another part, thing or group, or another name of it."""

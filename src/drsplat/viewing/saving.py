@@ -35,18 +35,18 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
     """
     gaussians, ids = session.edited(selected_only=selected_only)
     count = len(session.scene.gaussians)
-    columns = {
-        "relevancy": results.relevancy(session.results, count)[ids],
-        "match_id": results.match_ids(session.results, count)[ids],
-    }
+    own = ids < count  # what edits added answers nothing
+    columns = {"relevancy": np.zeros(len(ids), np.float32), "match_id": np.full(len(ids), -1, np.int32)}
+    columns["relevancy"][own] = results.relevancy(session.results, count)[ids[own]]
+    columns["match_id"][own] = results.match_ids(session.results, count)[ids[own]]
     write_gaussians(path, gaussians, columns)
     return len(gaussians)
 
 
 def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
     """What the viewer shows, from a camera in the world, by this package's own renderer."""
-    splats = session.scene.splats._replace(opacities=session.opacities)
-    drawn = render_channels(splats, view, session.colors, BACKGROUND, threads=session.scene.threads)
+    splats = session.edits.splats if session.edits.is_edited else session.scene.splats
+    drawn = render_channels(splats, view, session.drawn_colors, BACKGROUND, threads=session.scene.threads)
     return as_pixels(drawn.channels)
 
 

@@ -10,18 +10,23 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from ..drawing.heat import heat_colors
 from ..drawing.palette import class_colors
+from ..editing import Edit, Isolate, Recolour, Remove, Rows
+from ..editing.edits import Change
+from ..editing.resolving import whole
+from ..editing.targets import LONGEST
 from ..errors import InputError
 from ..query import Query, Scene, Segmentation
 from ..query.defaults import OBJECT
 from ..query.nodes import Chosen, chosen_at, name_of
 from ..query.objects import answer_of, match_of, objects_of
-from ..scene.gaussians import SH_C0, Gaussians
+from ..scene.gaussians import Gaussians
 from ..terminal import counted
 from . import painting, results
+from .edits import Edits
 from .naming import This, known_words, this_is
 from .picking import hit_by_ray
 from .results import Result
-from .shown import Shown, base_colors, shown_of
+from .shown import Shown, shown_of
 
 MOST_QUERIES = 8  # at once: as many as there are colours
 
@@ -53,18 +58,14 @@ class Session:
     segmentation: Segmentation | None = None
     clicked: This | None = None
     chosen: Chosen | None = None
-    hidden: Bool[np.ndarray, " n"] = field(init=False)
-    repainted: Bool[np.ndarray, " n"] = field(init=False)
-    _base: Float32[np.ndarray, "n 3"] = field(init=False)
+    edits: Edits = field(init=False)
     _before: Mode = Mode.SCENE
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
 
     def __post_init__(self) -> None:
-        count = len(self.scene.gaussians)
-        self.hidden, self.repainted = np.zeros(count, bool), np.zeros(count, bool)
-        self._base = base_colors(self.scene.gaussians)
+        self.edits = Edits.of(self.scene)
 
     @cached_property
     def shown(self) -> Shown:
@@ -164,7 +165,7 @@ class Session:
         visible[self.scene.field.gaussian_ids] = True
         visible &= ~self.hidden
         start = self.shown.frame.world(origin)
-        hit = hit_by_ray(self.scene.gaussians, start, direction, visible)
+        hit = hit_by_ray(self.edits.standing, start, direction, visible)
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
@@ -243,33 +244,47 @@ class Session:
     # --- changing what is there ---
 
     @property
+    def hidden(self) -> Bool[np.ndarray, " n"]:
+        """What edits have removed."""
+        return ~self.edits.present
+
+    @property
     def selection(self) -> Int64[np.ndarray, " m"]:
         """All that was found and is not hidden, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
         return np.asarray(ids[~self.hidden[ids]])
 
+    def edit(self, change: Change) -> None:
+        """Change the selection, with what hangs on to it. Raises: InputError: nothing is selected, or it cannot be."""
+        self.edits.add(Edit(self.target, change))
+        self.mode = Mode.SCENE
+
+    @property
+    def target(self) -> Rows:
+        """The selection, as edits name it. Raises: InputError: nothing is selected."""
+        ids, chosen = whole(self.scene, self._needed()), self.chosen
+        objects = self.scene.field.objects
+        number = -1 if chosen is None or objects is None else int(objects.number_of[chosen.node])
+        if number >= 0 and objects is not None and objects.thing(number) == chosen.node:  # type: ignore[union-attr]
+            return Rows.of(ids, "object", str(number))
+        return Rows.of(ids, "query", "; ".join(result.label for result in self.results)[:LONGEST])
+
     def hide(self) -> None:
         """The selection. Raises: InputError: nothing is selected."""
-        self.hidden[self._needed()] = True
+        self.edit(Remove())
 
     def keep(self) -> None:
         """Nothing but the selection. Raises: InputError: nothing is selected."""
-        ids = self._needed()
-        self.hidden[:] = True
-        self.hidden[ids] = False
+        self.edit(Isolate())
 
     def repaint(self, rgb: Sequence[int]) -> None:
         """The selection in one hue, with its own light and shade. Raises: InputError: nothing is selected."""
-        ids = self._needed()
-        light = self._base[ids] @ painting.LUMA
-        shade = np.clip(light / max(float(np.quantile(light, 0.9)), 1e-3), 0, 1.2)[:, None]
-        self._base[ids] = np.clip(np.array(rgb, np.float32) / 255 * shade, 0, 1)
-        self.repainted[ids], self.mode = True, Mode.SCENE
+        red, green, blue = (part / 255 for part in rgb)
+        self.edit(Recolour((red, green, blue)))
 
     def restore(self) -> None:
-        """Everything, in its own colours."""
-        self.hidden[:] = self.repainted[:] = False
-        self._base = base_colors(self.scene.gaussians)
+        """Everything, as it was before all edits, which can be redone."""
+        self.edits.undo(self.edits.listed.done)
 
     def _needed(self) -> Int64[np.ndarray, " m"]:
         if not len(self.selection):
@@ -286,44 +301,47 @@ class Session:
             return self._feature_colors
         if mode is Mode.CLASSES and self.segmentation is not None:
             palette = class_colors(len(self.segmentation.names))
-            return painting.class_painted(self._base, self.segmentation.labels, palette)
+            return painting.class_painted(self.edits.colors, self.segmentation.labels, palette)
         if mode is Mode.OBJECTS and self.has_objects:
             palette = class_colors(len(objects_of(self.scene.field)))
-            return painting.class_painted(self._base, self._object_ids, palette)
+            return painting.class_painted(self.edits.colors, self._object_ids, palette)
         if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
             heat = results.heat(self.results, count)
             if mode is Mode.HEAT:
                 return heat_colors(heat)
             accents = [painting.accent(number) for number in range(len(self.results))]
             owners = results.owners(self.results, count)
-            return painting.highlighted(self._base, heat, owners, accents)
-        return self._base
+            return painting.highlighted(self.edits.colors, heat, owners, accents)
+        return self.edits.colors
 
     @property
     def opacities(self) -> Float32[np.ndarray, " n"]:
         """Of every Gaussian of the scene; 0 where it is hidden."""
-        return np.where(self.hidden, np.float32(0), self.scene.gaussians.opacities)
+        return self.edits.opacities[: len(self.scene.gaussians)]
+
+    @property
+    def drawn(self) -> Shown:
+        """What a browser is given: rows of the scene as edited, those that edits added behind its own."""
+        return self.edits.shown(self.shown, self.budget)
+
+    @property
+    def drawn_colors(self) -> Float32[np.ndarray, "d 3"]:
+        """`colors`, with what edits added in its own."""
+        return np.concatenate([self.colors, self.edits.added_colors])
 
     @cached_property
     def _feature_colors(self) -> Float32[np.ndarray, "n 3"]:
         registered = np.zeros(len(self.scene.gaussians), bool)
         registered[self.scene.field.gaussian_ids] = True
-        return painting.feature_colors(self.scene.field, self._base, registered)
+        return painting.feature_colors(self.scene.field, self.edits.colors, registered)
 
     @cached_property
     def _object_ids(self) -> Int32[np.ndarray, " n"]:
         return self.scene.object_ids()
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
-        """What is not hidden, in the colours it was given, and its rows in the scene.
+        """What is there after all edits, and its rows: of the scene, and behind them of what was added.
 
         selected_only: of that, what is selected. Raises: InputError: nothing is left.
         """
-        ids = self._needed() if selected_only else np.flatnonzero(~self.hidden)
-        gaussians = self.scene.gaussians
-        if self.repainted.any():
-            sh = gaussians.sh.copy()
-            sh[self.repainted] = 0
-            sh[self.repainted, 0] = (self._base[self.repainted] - 0.5) / SH_C0
-            gaussians = replace(gaussians, sh=sh)
-        return (gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)), ids
+        return self.edits.part(self._needed() if selected_only else None)

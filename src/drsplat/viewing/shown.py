@@ -58,8 +58,8 @@ class Shown:
         return f"Shown are the {len(self):,} most significant of {total:,} Gaussians; answers are of all of them."
 
 
-def shown_of(gaussians: Gaussians, budget: int) -> Shown:
-    """The `budget` most significant Gaussians in a frame that float16 covariances can bear.
+def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> Shown:
+    """The `budget` most significant Gaussians in a frame that float16 covariances can bear, or in a given one.
 
     Raises: InputError: a budget below 1, or a scene without Gaussians.
     """
@@ -69,7 +69,7 @@ def shown_of(gaussians: Gaussians, budget: int) -> Shown:
         )
     ids = most_significant(gaussians, budget)
     part = gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)
-    frame = frame_of(gaussians)
+    frame = frame or frame_of(gaussians)
     covariances = np.empty((len(part), 6), np.float32)
     block = 1 << 16  # bounds the float64 temporaries
     for begin in range(0, len(part), block):

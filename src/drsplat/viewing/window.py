@@ -22,11 +22,13 @@ from .cameras import first_look
 from .finds import MOST_FIRST, MOST_LISTED, finds_of
 from .listening import listening_socket
 from .session import Session
+from .shown import Shown
 from .texts import printable
 
 DARK, LIGHT = "dark", "light"
 INSTALL = 'pip install "drsplat[viewer]"'
 FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
+NOTE = (255, 224, 130)
 MOST_CAMERAS, CAMERA_SIZE = 200, 0.35
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
@@ -107,7 +109,7 @@ class Window:
         self.server: Any = self.served.server
         self._marks: list[Any] = []
         self._cameras: list[Any] = []
-        self.boxes = True
+        self.boxes = self.notes = True
         self._open()
 
     def _open(self) -> None:
@@ -117,15 +119,24 @@ class Window:
         camera = self.server.initial_camera
         camera.position, camera.look_at = shown.frame.shown(eye), shown.frame.shown(target)
         camera.up, camera.fov = self.up, float(np.radians(FOV_DEGREES))
-        full = shown.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        self._splats = scene.add_gaussian_splats("/scene", shown.centers, full, shown.rgb, shown.opacities[:, None])
+        self._draw(self.session.drawn)
+
+    def _draw(self, drawn: Shown) -> None:
+        """Other Gaussians, or others places for them."""
+        full = drawn.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        self._drawn = drawn
+        self._splats = self.server.scene.add_gaussian_splats(
+            "/scene", drawn.centers, full, drawn.rgb, drawn.opacities[:, None]
+        )
 
     # --- from the session to the browser ---
 
     def repaint(self) -> None:
         """Show the session's colours, and boxes and names of what was found."""
-        session, shown = self.session, self.session.shown
-        colors, opacities = session.colors[shown.ids], session.opacities[shown.ids]
+        session, drawn = self.session, self.session.drawn
+        if drawn is not self._drawn:
+            self._draw(drawn)
+        colors, opacities = session.drawn_colors[drawn.ids], session.edits.opacities[drawn.ids]
         buffer = self._splats.buffer.copy()
         rgba = np.concatenate([colors, opacities[:, None]], axis=1)
         packed = np.round(np.clip(rgba, 0, 1) * 255).astype(np.uint8)
@@ -138,6 +149,8 @@ class Window:
         for mark in self._marks:
             mark.remove()
         self._marks.clear()
+        if self.notes:
+            self._mark_annotations()
         if not self.boxes:
             return
         for number, find in enumerate(finds_of(self.session.marked)[:MOST_LISTED]):
@@ -157,6 +170,19 @@ class Window:
             f"/found/{name}/name", printable(label, 60), position=tuple(above), anchor="bottom-center"
         )
         self._marks += [box, text]
+
+    def _mark_annotations(self) -> None:
+        for number, one in enumerate(self.session.edits.annotations[:MOST_LISTED]):
+            if one.outline is not None:
+                box = Match(one.center, one.outline.axes, one.outline.extent, 1.0, np.empty(0, np.int64))
+                self._mark_match(f"note-{number}", box, one.text, NOTE)
+                continue
+            at = self.session.shown.frame.shown(one.center)
+            spot = self.server.scene.add_icosphere(f"/found/note-{number}/spot", 0.06, NOTE, position=tuple(at))
+            text = self.server.scene.add_label(
+                f"/found/note-{number}/name", printable(one.text, 60), position=tuple(at), anchor="bottom-center"
+            )
+            self._marks += [spot, text]
 
     # --- cameras ---
 

@@ -1,0 +1,177 @@
+"""The edits and annotations of a scene on show: beside its file, or in memory where it has none."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from ..editing import Edit, EditFile, EditList
+from ..editing.draft import OBJECT_ID
+from ..editing.edits import drafted
+from ..errors import InputError
+from ..formats.annotations import AnnotationFile
+from ..formats.scenes import read_gaussians
+from ..kernels import SplatArrays, splat_arrays
+from ..query import Scene
+from ..scene.annotations import Annotation
+from ..scene.gaussians import Gaussians
+from .shown import Shown, base_colors, shown_of
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """One list of edits and what it makes. everything: all rows, those that edits added last; removed ones are not
+    present, and have opacity 0.
+    """
+
+    listed: EditList
+    everything: Gaussians
+    present: Bool[np.ndarray, " d"]
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, listed: EditList, file: EditFile | None) -> "_State":
+        """Raises: as `edited`."""
+        if not listed.active:
+            return cls(listed, gaussians, np.ones(len(gaussians), bool))
+        draft = drafted(gaussians, listed.active, read_gaussians if file is None else file.other)
+        opacities = np.where(draft.present, draft.opacities, np.float32(0))
+        columns = (draft.means, draft.quats, draft.scales, opacities, draft.sh, draft.extra, draft.origin)
+        return cls(listed, Gaussians(*columns), draft.present)
+
+    @cached_property
+    def colors(self) -> Float32[np.ndarray, "d 3"]:
+        return base_colors(self.everything)
+
+    @cached_property
+    def splats(self) -> SplatArrays:
+        return splat_arrays(self.everything)
+
+
+@dataclass(eq=False)
+class Edits:
+    """file, notes: where edits and annotations are kept, None for in memory only."""
+
+    gaussians: Gaussians
+    file: EditFile | None
+    notes: AnnotationFile | None
+    annotations: tuple[Annotation, ...]
+    _state: _State
+    _drawn: tuple[_State, Shown] | None = field(default=None, init=False)
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Edits":
+        """With those that are kept beside the scene's file.
+
+        Raises: FormatError, MismatchError: their files are damaged, or of another scene.
+        """
+        gaussians = scene.gaussians
+        if scene.field.objects:
+            gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: scene.object_ids()})
+        file = None if scene.path is None else EditFile.beside(scene.path)
+        notes = None if scene.path is None else AnnotationFile.beside(scene.path)
+        listed = EditList(gaussians.fingerprint) if file is None else file.read(gaussians)
+        first = _State.of(gaussians, listed, file)
+        return cls(gaussians, file, notes, () if notes is None else notes.read(), first)
+
+    @property
+    def listed(self) -> EditList:
+        return self._state.listed
+
+    @property
+    def is_edited(self) -> bool:
+        return self.listed.done > 0
+
+    # --- changing ---
+
+    def add(self, edit: Edit) -> None:
+        """Do one more. Raises: InputError: it cannot be done."""
+        self._change(lambda listed: listed.with_edit(edit))
+
+    def undo(self, count: int = 1) -> None:
+        """Raises: InputError: there is nothing to undo."""
+        self._change(lambda listed: _times(EditList.undone, count, listed))
+
+    def redo(self) -> None:
+        """Raises: InputError: nothing was undone."""
+        self._change(EditList.redone)
+
+    def _change(self, change: Callable[[EditList], EditList]) -> None:
+        """What somebody else did meanwhile, with `drsplat edit`, is kept."""
+        made: list[_State] = []
+
+        def tried(listed: EditList) -> EditList:
+            made.append(_State.of(self.gaussians, change(listed), self.file))
+            return made[-1].listed
+
+        if self.file is None:
+            tried(self.listed)
+        else:
+            self.file.change(self.gaussians, tried)
+        self._state = made[-1]
+
+    def annotate(self, *annotations: Annotation) -> None:
+        """Keep some more."""
+        if self.notes is None:
+            self.annotations = (*self.annotations, *annotations)
+        else:
+            self.annotations = self.notes.add(annotations)
+
+    def drop(self, number: int) -> None:
+        """An annotation, counted from 1. Raises: InputError: there is none."""
+        if not 1 <= number <= len(self.annotations):
+            raise InputError(f"there is no annotation {number} of {len(self.annotations)}")
+        kept = (*self.annotations[: number - 1], *self.annotations[number:])
+        self.annotations = kept if self.notes is None else self.notes.drop(number)
+
+    # --- what it makes ---
+
+    @property
+    def present(self) -> Bool[np.ndarray, " n"]:
+        """Of the scene's own rows."""
+        return self._state.present[: len(self.gaussians)]
+
+    @property
+    def opacities(self) -> Float32[np.ndarray, " d"]:
+        """Of all rows, added ones behind the scene's own; 0 where removed."""
+        return self._state.everything.opacities
+
+    @property
+    def colors(self) -> Float32[np.ndarray, "n 3"]:
+        """Of the scene's own rows, without what depends on the direction of view."""
+        return self._state.colors[: len(self.gaussians)]
+
+    @property
+    def added_colors(self) -> Float32[np.ndarray, "a 3"]:
+        return self._state.colors[len(self.gaussians) :]
+
+    @property
+    def splats(self) -> SplatArrays:
+        """All rows, as the renderer takes them."""
+        return self._state.splats
+
+    @property
+    def standing(self) -> Gaussians:
+        """The scene's own rows, where they are now."""
+        return self._state.everything.subset(np.arange(len(self.gaussians))) if self.is_edited else self.gaussians
+
+    def part(self, ids: Int64[np.ndarray, " m"] | None) -> tuple[Gaussians, Int64[np.ndarray, " m2"]]:
+        """Some rows as they are now, or all that are there, and their numbers."""
+        rows = np.flatnonzero(self._state.present) if ids is None else ids
+        every = self._state.everything
+        return every if len(rows) == len(every) else every.subset(rows), rows
+
+    def shown(self, before: Shown, budget: int) -> Shown:
+        """What a browser is given of it, in the frame of what it was given before."""
+        if not self.is_edited:
+            return before
+        if self._drawn is None or self._drawn[0] is not self._state:
+            self._drawn = (self._state, shown_of(self._state.everything, budget, before.frame))
+        return self._drawn[1]
+
+
+def _times(step: Callable[[EditList], EditList], count: int, listed: EditList) -> EditList:
+    for _ in range(count):
+        listed = step(listed)
+    return listed

@@ -1,0 +1,186 @@
+"""Edits, annotations and the list of objects in the viewer and in its pages, without a browser."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drsplat import export_page, open_scene, read_gaussians
+from drsplat.editing import Copies, Duplicate, Edit, EditFile, Move, Remove
+from drsplat.errors import InputError
+from drsplat.formats.annotations import AnnotationFile
+from drsplat.scene.annotations import Annotation
+from drsplat.viewing import saving
+from drsplat.viewing.page_parts import annotations_of_page, objects_of_page
+from drsplat.viewing.session import Mode, Session
+from edited_rooms import write_room
+from toy_capture import PER_THING, THINGS
+from viewer_clients import a_viewer
+from viewing_scenes import EACH, boxes_scene
+
+UP = np.array([0.0, 0, 1])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_room(tmp_path_factory.mktemp("viewed"))
+
+
+@pytest.fixture
+def room(made: Path, tmp_path: Path) -> Path:
+    shutil.copytree(made, tmp_path / "room")
+    return tmp_path / "room"
+
+
+def session_of(room: Path) -> Session:
+    return Session(open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture"))
+
+
+@pytest.fixture
+def session() -> Session:
+    """Of a scene without a file: its edits are in memory."""
+    return Session(boxes_scene())
+
+
+def test_what_is_moved_is_drawn_and_met_where_it_is_now(session: Session) -> None:
+    session.ask("red mug")
+    before = session.drawn
+    session.edit(Move((0.0, 0.0, 5.0)))
+    moved = np.arange(EACH)
+    up = session.drawn.centers[moved] - before.centers[moved]
+    np.testing.assert_allclose(up, np.broadcast_to([0, 0, 5 * before.frame.scale], up.shape), atol=1e-3)
+    np.testing.assert_array_equal(session.drawn.centers[EACH : 2 * EACH], before.centers[EACH : 2 * EACH])
+    eye = session.shown.frame.shown(np.array([-1.0, -4, 5]))
+    hit = session.click(eye, np.array([0.0, 1, 0]))
+    assert hit is not None
+    assert hit.point[2] > 4
+    session.edits.undo()
+    assert session.drawn is before
+    assert session.click(eye, np.array([0.0, 1, 0])) is None
+
+
+def test_copies_are_drawn_painted_and_saved(session: Session, tmp_path: Path) -> None:
+    session.ask("red mug")
+    count = len(session.scene.gaussians)
+    session.edit(Duplicate((0.5, 0.0, 0.5)))
+    added = session.edits.listed.edits[0].target
+    assert len(session.drawn) == count + len(added)  # type: ignore[arg-type]
+    assert session.drawn_colors.shape == (len(session.drawn), 3)
+    session.mode = Mode.ANSWER
+    assert session.colors.shape == (count, 3)
+    view = session.scene.views[0].resized(160, 112)
+    with_copy = saving.picture_of(session, view)
+    session.edits.add(Edit(Copies(1), Remove()))
+    assert not np.array_equal(saving.picture_of(session, view), with_copy)
+    session.edits.undo()
+    saving.save_scene(tmp_path / "all.ply", session)
+    saved = read_gaussians(tmp_path / "all.ply")
+    assert len(saved) == len(session.drawn)
+    assert (saved.extra["match_id"][count:] == -1).all()
+    assert (saved.extra["match_id"][:EACH] == 0).all()
+
+
+def test_the_list_is_the_one_beside_the_scene(room: Path) -> None:
+    session = session_of(room)
+    session.ask("red mug")
+    session.edit(Remove())
+    file = EditFile.beside(room / "scene.ply")
+    assert file.read(session.scene.gaussians).done == 1
+    again = session_of(room)
+    assert again.hidden.sum() == PER_THING
+    again.edits.undo()
+    assert not again.hidden.any()
+    assert file.read(session.scene.gaussians).done == 0
+    again.choose_object(1)
+    again.edit(Remove())
+    (edit,) = file.read(session.scene.gaussians).active
+    assert str(edit.target) == "object 1"
+
+
+def test_what_fails_leaves_all_as_it_was(room: Path) -> None:
+    session = session_of(room)
+    with pytest.raises(InputError, match="nothing is selected"):
+        session.edit(Remove())
+    session.ask("red mug")
+    with pytest.raises(InputError, match="beyond all numbers"):
+        session.edit(Move((1e39, 0.0, 0.0)))
+    assert not session.edits.is_edited
+    assert not (room / "scene.edits.json").exists()
+
+
+def test_annotations_are_kept(room: Path, session: Session) -> None:
+    stored = session_of(room)
+    for one in (session, stored):
+        one.edits.annotate(Annotation.at("a", (1, 2, 3)), Annotation.at("b", (1, 2, 3)))
+        one.edits.drop(1)
+        assert [note.text for note in one.edits.annotations] == ["b"]
+        with pytest.raises(InputError, match="no annotation 2"):
+            one.edits.drop(2)
+    assert [note.text for note in AnnotationFile.beside(room / "scene.ply").read()] == ["b"]
+    assert [note.text for note in session_of(room).edits.annotations] == ["b"]
+
+
+def test_the_panel_edits(tmp_path: Path) -> None:
+    with a_viewer() as panel:
+        controls, session = panel.editing, panel.session
+        session.ask("red mug")
+        for what in controls.what.options:
+            controls.what.value = what
+            controls._show_inputs()
+            if what != "fill":  # three boxes in the air
+                controls._apply(None)
+            if what == "remove":  # nothing is selected then
+                controls._did(session.edits.undo)
+        assert session.edits.listed.done == len(controls.what.options) - 2 == 8
+        assert "8. palette" in controls.told.content
+        assert controls.redo.disabled
+        for _ in range(8):
+            controls._did(session.edits.undo)
+        assert controls.undo.disabled
+        assert not controls.redo.disabled
+        controls.text.value = "mine"
+        controls._annotate(None)
+        assert [note.text for note in session.edits.annotations] == ["mine"]
+        assert "mine" in [mark.text for mark in panel.window._marks if hasattr(mark, "text")]
+        controls.marks.value = False
+        controls._show_marks(None)
+        assert "mine" not in [mark.text for mark in panel.window._marks if hasattr(mark, "text")]
+        controls._drop(None)
+        assert session.edits.annotations == ()
+
+
+def header_of(page: Path) -> dict[str, Any]:
+    found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None
+    header: dict[str, Any] = json.loads(found[1])
+    return header
+
+
+def test_a_page_has_objects_annotations_and_the_scene_as_edited(room: Path) -> None:
+    session = session_of(room)
+    session.ask("blue plate")
+    session.edit(Duplicate((0.0, 0.0, 1.0)))
+    session.edits.annotate(Annotation.at("<here>", (0.0, 0.0, 1.0)))
+    scene = open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture")
+    page = export_page(room / "page.html", scene, ["red mug"])
+    header = header_of(room / "page.html")
+    assert len(page.shown) == 3 * PER_THING
+    assert [one["name"].split(" · ")[1] for one in header["objects"]] == ["0", "1"]
+    assert all(one["picture"].startswith("data:image/jpeg;base64,") for one in header["objects"])
+    assert [one["text"] for one in header["annotations"]] == ["<here>"]
+    numbers = page.object_numbers
+    assert numbers is not None
+    assert np.bincount(numbers).tolist() == [PER_THING, PER_THING, PER_THING]
+    frame = page.shown.frame
+    middle = frame.world(np.array(header["objects"][0]["center"]))
+    assert min(np.linalg.norm(middle - np.array(at)) for at in THINGS.values()) < 0.1
+    assert "<here>" not in (room / "page.html").read_text(encoding="utf-8")  # it is JSON in a script
+
+
+def test_a_scene_without_objects_lists_none(session: Session) -> None:
+    assert objects_of_page(session, UP) == []
+    assert annotations_of_page(session, UP) == []

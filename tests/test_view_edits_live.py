@@ -1,0 +1,116 @@
+"""Edits, annotations and objects in a real browser, on a desktop and on a phone, looked at in pixels."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsing import a_browser, a_page, eventually, near, needs_chromium, pixels_of
+from drsplat import export_page, open_scene
+from drsplat.editing import Duplicate
+from drsplat.scene.annotations import Annotation
+from drsplat.viewing.session import Session
+from edited_rooms import write_room
+
+pytestmark = [needs_chromium, pytest.mark.slow]
+SIZES = {"desktop": (1000, 800), "phone": (390, 844)}
+NOTE = np.array([255, 224, 130]) / 255
+UP = np.array([0.0, 0, 1])
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with a_browser() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_room(tmp_path_factory.mktemp("live"))
+
+
+@pytest.fixture
+def session(made: Path, tmp_path: Path) -> Session:
+    shutil.copytree(made, tmp_path / "room")
+    room = tmp_path / "room"
+    return Session(open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture"))
+
+
+def is_noted(pixels: np.ndarray) -> bool:
+    """Whether the colour of annotations is there."""
+    return bool((np.abs(pixels - NOTE).max(axis=-1) < 0.06).any())
+
+
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_a_page_lists_objects_and_draws_annotations(
+    session: Session, size: tuple[int, int], chromium: Any, tmp_path: Path
+) -> None:
+    session.ask("red mug")
+    session.edit(Duplicate((0.0, 0.0, 1.0)))
+    session.edits.annotate(Annotation.at("here", (0.0, 0.0, 0.6)))
+    export_page(tmp_path / "page.html", session.scene, ["blue plate"], up=UP)
+    with a_page(chromium, *size) as page:
+        page.goto((tmp_path / "page.html").as_uri())
+        page.wait_for_function("window.drsplat && window.drsplat.frames > 0 && document.querySelector('#objects img')")
+        page.wait_for_timeout(500)
+        note = page.evaluate("drsplat.project(drsplat.header.annotations[0].center)")
+        assert is_noted(near(pixels_of(page, size[0]), note[:2], 20))
+        button = page.locator("#objects button").first
+        button.scroll_into_view_if_needed()
+        button.click()
+        eventually(lambda: button.get_attribute("aria-pressed") == "true")
+        target = page.evaluate("drsplat.header.objects[0].center")
+        eventually(lambda: np.allclose(page.evaluate("drsplat.state.target"), target, atol=1e-3))
+        page.wait_for_timeout(500)
+        x, y, depth = page.evaluate("drsplat.project(drsplat.header.objects[0].center)")
+        assert depth > 0
+        pixels = pixels_of(page, size[0])
+        assert np.ptp(near(pixels, (x, y), 8), axis=-1).mean() > 0.3  # in its own colour
+        button.click()
+        eventually(lambda: button.get_attribute("aria-pressed") == "false")
+        box = button.bounding_box()
+        assert box is not None
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= size[0]
+
+
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_the_viewer_edits_and_undoes(session: Session, size: tuple[int, int], chromium: Any) -> None:
+    pytest.importorskip("viser")
+    from drsplat.viewing.panel import Panel
+    from drsplat.viewing.window import Window
+
+    window = Window(session, UP, port=8941)
+    panel = Panel(window, None)
+    try:
+        with a_page(chromium, *size) as page:
+            page.goto(f"http://127.0.0.1:{window.server.get_port()}")
+            page.get_by_text("Query by picture").wait_for()
+            eventually(lambda: len(window.server.get_clients()) == 1)
+            panel.ask("red mug")
+            eventually(lambda: bool(session.results))
+            page.get_by_text("Edit", exact=True).click()
+            page.get_by_role("button", name="Apply").click()  # recolour is the first
+            eventually(lambda: session.edits.listed.done == 1)
+            page.get_by_text("1. recolour").wait_for()
+            page.get_by_role("button", name="Before and after").click()
+            eventually(lambda: panel.editing.split.visible)
+            before, after = np.split(panel.editing.split.image, 2, axis=1)
+            assert before.shape == after.shape
+            page.get_by_role("button", name="Undo").click()
+            eventually(lambda: session.edits.listed.done == 0)
+            page.get_by_text("(undone)").wait_for()
+            page.get_by_text("Objects", exact=True).click()
+            page.get_by_role("button", name="List them").click()
+            eventually(lambda: panel.objects.listed == 2)
+            page.get_by_role("button", name="· 1").last.click()
+            eventually(lambda: session.chosen is not None)
+            camera = next(iter(window.server.get_clients().values())).camera
+            target = session.shown.frame.shown(session.results[0].matches[0].center)
+            eventually(lambda: np.allclose(camera.look_at, target, atol=1e-3))  # it has flown there
+            page.wait_for_timeout(500)
+    finally:
+        panel.stop()
