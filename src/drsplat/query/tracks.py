@@ -152,6 +152,6 @@ def _best(scene: Scene, what: Match | str) -> Match:
     return found[0]
 
 
-def spans_said(spans: Iterable[Span]) -> str:
+def spans_said(spans: Iterable[Sequence[float | int]]) -> str:
     """For people: "0 to 0.5, 1"."""
     return ", ".join(f"{start:.4g}" if start == end else f"{start:.4g} to {end:.4g}" for start, end in spans)

@@ -45,7 +45,7 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
 
 def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
     """What the viewer shows, from a camera in the world, by this package's own renderer."""
-    splats = session.scene.splats._replace(opacities=session.opacities)
+    splats = session.here.splats._replace(opacities=session.opacities)
     drawn = render_channels(splats, view, session.colors, BACKGROUND, threads=session.scene.threads)
     return as_pixels(drawn.channels)
 

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from ..drawing.palette import class_colors
 from ..errors import InputError
+from ..field.spans import Span
 from ..query import Query, Scene, Segmentation
 from ..query.defaults import OBJECT
 from ..query.nodes import Chosen, chosen_at, name_of
@@ -41,7 +42,8 @@ class Session:
     """One scene on show. Not safe for several threads at once.
 
     words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets. chosen: the part,
-    thing or group that was clicked, None for none.
+    thing or group that was clicked, None for none. time: at which a scene that moves is shown; None: it stands still.
+    during: the span of time that queries ask of.
     """
 
     scene: Scene
@@ -52,6 +54,8 @@ class Session:
     segmentation: Segmentation | None = None
     clicked: This | None = None
     chosen: Chosen | None = None
+    time: float | None = None
+    during: Span | None = None
     hidden: Bool[np.ndarray, " n"] = field(init=False)
     repainted: Bool[np.ndarray, " n"] = field(init=False)
     _base: Float32[np.ndarray, "n 3"] = field(init=False)
@@ -68,6 +72,11 @@ class Session:
     @cached_property
     def shown(self) -> Shown:
         return shown_of(self.scene.gaussians, self.budget)
+
+    @property
+    def here(self) -> Scene:
+        """The scene as it is at the time that is shown."""
+        return self.scene if self.time is None else self.scene.at(self.time)
 
     # --- asking ---
 
@@ -101,11 +110,13 @@ class Session:
         texts = results.split_queries(text)
         if not 1 <= len(texts) <= MOST_QUERIES:
             raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
-        return self._answered([results.result_of(self.scene, one, self.scene.ask(one)) for one in texts])
+        return self._answered(
+            [results.result_of(self.scene, one, self.scene.ask(Query(one, during=self.during))) for one in texts]
+        )
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
         """To what a picture shows. Raises: InputError: an encoder that sees no images."""
-        answer = self.scene.ask(Query(image=picture))
+        answer = self.scene.ask(Query(image=picture, during=self.during))
         return self._answered([results.result_of(self.scene, name, answer)])
 
     def more_like_this(self) -> str:
@@ -163,7 +174,7 @@ class Session:
         visible[self.scene.field.gaussian_ids] = True
         visible &= ~self.hidden
         start = self.shown.frame.world(origin)
-        hit = hit_by_ray(self.scene.gaussians, start, direction, visible)
+        hit = hit_by_ray(self.here.gaussians, start, direction, visible)
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
@@ -301,7 +312,7 @@ class Session:
     @property
     def opacities(self) -> Float32[np.ndarray, " n"]:
         """Of every Gaussian of the scene; 0 where it is hidden."""
-        return np.where(self.hidden, np.float32(0), self.scene.gaussians.opacities)
+        return np.where(self.hidden, np.float32(0), self.here.gaussians.opacities)
 
     @cached_property
     def _feature_colors(self) -> Float32[np.ndarray, "n 3"]:
@@ -319,7 +330,7 @@ class Session:
         selected_only: of that, what is selected. Raises: InputError: nothing is left.
         """
         ids = self._needed() if selected_only else np.flatnonzero(~self.hidden)
-        gaussians = self.scene.gaussians
+        gaussians = self.here.gaussians
         if self.repainted.any():
             sh = gaussians.sh.copy()
             sh[self.repainted] = 0

@@ -19,6 +19,7 @@ from . import painting
 from .cameras import FOV_DEGREES, first_look, looking_at
 from .finds import MOST_FIRST, MOST_LISTED, finds_of
 from .listening import listening_socket
+from .playing import placed_now, shown_now
 from .session import Session
 from .texts import printable
 
@@ -122,6 +123,10 @@ class Window:
         rgba = np.concatenate([colors, opacities[:, None]], axis=1)
         packed = np.round(np.clip(rgba, 0, 1) * 255).astype(np.uint8)
         buffer[:, 7:8] = packed.view(np.uint32)
+        if session.time is not None:
+            moved = shown_now(session)
+            buffer[:, :3] = moved.centers.view(np.uint32)
+            buffer[:, 4:7] = np.ascontiguousarray(moved.covariances, np.float16).view(np.uint32)
         with self.server.atomic():
             self._splats.buffer = buffer  # one message for colours and opacities together
             self._mark()
@@ -134,7 +139,7 @@ class Window:
             return
         for number, find in enumerate(finds_of(self.session.marked)[:MOST_LISTED]):
             label = find.name if number < MOST_FIRST else str(number + 1)
-            self._mark_match(str(number), find.match, label, painting.accent(find.query))
+            self._mark_match(str(number), placed_now(self.session, find.match), label, painting.accent(find.query))
 
     def _mark_match(self, name: str, match: Match, label: str, color: tuple[int, int, int]) -> None:
         frame, scene = self.session.shown.frame, self.server.scene
