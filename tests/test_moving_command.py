@@ -100,6 +100,13 @@ def test_a_picture_is_of_its_time(field: Path, film: Path, tmp_path: Path) -> No
     assert (first != last).any()
 
 
+def test_films_are_described(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = run(capsys, "inspect", film / "frames")
+    assert (told["kind"], told["num_gaussians"], told["num_times"], told["times"]) == ("scene", 300, 6, [0, 5])
+    assert run(capsys, "inspect", field)["times"] == [0, 5]
+    assert run(capsys, "inspect", film / "capture")["kind"] == "capture"
+
+
 def test_films_are_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_spacetime(str(tmp_path / "film.ply"), spacetime_columns(20))
     told = run(capsys, "motion", tmp_path / "film.ply", "--output", tmp_path / "film.motion")

@@ -51,12 +51,21 @@ class TimeControls:
         self.span = gui.add_multi_slider("Query from, to", low, high, step, (low, high))
         self.span.hint = "Queries ask what photos of this span of time have shown; press enter in the query again"
         self.span.visible = session.scene.field.times is not None
-        self.slider.on_update(lambda event: event.client and do("time", event, lambda _: self._show()))
-        self.playing.on_update(lambda event: event.client and do("play", event, self._step))
-        self.span.on_update(lambda event: event.client and do("span", event, lambda _: self._ask_of()))
+        self._by_hand(self.slider, "time", self._show)
+        self._by_hand(self.playing, "play", self._step)
+        self._by_hand(self.span, "span", self._ask_of)
         session.time = low
 
-    def _show(self) -> None:
+    def _by_hand(self, control: Any, what: str, act: Act) -> None:
+        """When people change a control, not when we do."""
+
+        def changed(event: Any) -> None:
+            if event.client is not None:
+                self.do(what, event, act)
+
+        control.on_update(changed)
+
+    def _show(self, _: Any = None) -> None:
         """Of many places on the way of a hand, only the latest is shown."""
         self.session.time = float(np.clip(self.slider.value, self.times[0], self.times[-1]))
         self.moved()
@@ -71,7 +80,7 @@ class TimeControls:
         time.sleep(PAUSE)
         self.do("play", event, self._step)
 
-    def _ask_of(self) -> None:
+    def _ask_of(self, _: Any) -> None:
         start, end = self.span.value
         whole = (start, end) == (self.times[0], self.times[-1])
         self.session.during = None if whole else (float(start), float(end))
