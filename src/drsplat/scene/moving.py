@@ -56,7 +56,7 @@ class Moving:
 
         Raises: InputError: a time outside of the span: rows are not guessed. FormatError: a damaged frame.
         """
-        moved = self.motion.at(self.inside(time))
+        moved = replace(self.motion.at(self.inside(time)))  # the frame itself keeps its own fingerprint
         moved.__dict__["fingerprint"] = self.canonical.fingerprint
         return moved
 
