@@ -202,7 +202,7 @@ def field_folder(capture, tmp_path_factory) -> Path:
 
 
 def test_the_layout_of_a_field_is_as_documented(field_folder):
-    """formats.md lists each tensor as | `file` | `name` | dtype | ...; `coarse*` are of residual codes, `view_times` of films."""
+    """formats.md lists | `file` | `name` | dtype |; `coarse*` are of residual codes, `view_times` of films."""
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
     documented = {(file, name): dtype for file, name, dtype in listed}

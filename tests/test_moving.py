@@ -54,6 +54,9 @@ def test_a_frame_has_the_rows_and_the_fingerprint_of_the_canonical_scene() -> No
     assert moving.at(1.3).fingerprint == moving.canonical.fingerprint
     assert len(moving.at(1.3)) == len(moving) == 120
     assert not np.array_equal(moving.at(1.3).means, moving.canonical.means)
+    own = [replace(moving.at(time)) for time in moving.times.tolist()]
+    assert Moving(own[0], moving.times, Frames(moving.times, own.__getitem__)).at(2.0).fingerprint == own[0].fingerprint
+    assert own[-1].fingerprint != own[0].fingerprint  # what was given stays what it is
 
 
 def test_two_frames_are_held_and_no_more() -> None:

@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from drsplat import PQ, Mixture, Query, Scene, WordEncoder, register
+from drsplat import PQ, Cut, Mixture, Query, Scene, WordEncoder, open_scene, register
 from drsplat.errors import InputError
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
 from drsplat.field.spans import field_during
+from drsplat.formats.moving_scenes import write_moving
 from drsplat.objects.choosing import Tree
 from drsplat.objects.describing import describe
 from drsplat.objects.drifting import drifting
@@ -243,3 +245,40 @@ def test_only_fields_of_films_with_objects_are_looked_at() -> None:
         with pytest.raises(InputError, match="a scene that moves, with its evidence and objects"):
             drifting(other)
     assert random_evidence(np.random.default_rng(0)).masks.times is None
+
+
+def test_services_ask_of_a_span() -> None:
+    pytest.importorskip("pydantic")
+    from pydantic import ValidationError
+
+    from drsplat.serving.conversation import Conversation
+    from drsplat.serving.limits import Limits
+    from drsplat.serving.requests import Locate, Segment, cut_of, query_of
+
+    assert query_of(Locate(text="red car", during=[0.0, 0.4]), Limits()).during == (0.0, 0.4)
+    assert cut_of(Segment(classes=["red car"], during=[0.0, 0.4])).during == (0.0, 0.4)
+    with pytest.raises(ValidationError):
+        Locate(text="red car", during=[0.0])
+    talk = Conversation(named("red car", "green apple"), "film")
+    for during, found in (([0.0, 0.4], 1), ([0.6, 1.0], 0)):
+        assert talk.locate("red car", during=during).num_matches == found
+        assert talk.count("red car", during=during).count == found
+        assert (talk.where_is("red car", during=during).best is not None) == bool(found)
+
+
+def test_classes_of_a_span() -> None:
+    scene = named("red car", "green apple")
+    for during, best in (((0.0, 0.4), 0), ((0.6, 1.0), 1)):
+        found = scene.segment(["red car", "green apple"], Cut(threshold=0.3, during=during))
+        assert found.counts[best] > 50 > found.counts[1 - best]
+
+
+def test_a_folder_with_motion_is_a_scene(tmp_path: Path) -> None:
+    made = played()
+    write_moving(tmp_path / "film.motion", made.moving)
+    made.field.save(tmp_path / "film.field")
+    opened = open_scene(tmp_path)
+    assert opened.moving.canonical.fingerprint == made.moving.canonical.fingerprint
+    assert np.allclose(
+        opened.tracks(opened.locate("red car"))[0].centers, made.tracks(made.locate("red car"))[0].centers
+    )

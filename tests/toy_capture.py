@@ -4,6 +4,7 @@ Masks and the embeddings of their words are in LangSplat's files.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from PIL import Image
 import drsplat as ds
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import write_features
+from drsplat.formats.moving_scenes import write_moving
+from drsplat.scene.moving import Frames, Moving
 from scenes import look_at_view
 
 EYES = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (-3.0, -3.0, 0.5), (0.5, -4.5, 0.0))
@@ -38,6 +41,18 @@ def balls() -> ds.Gaussians:
     return ds.Gaussians(*(column.astype(np.float32) for column in columns))
 
 
+def sliding(gaussians: ds.Gaussians) -> Moving:
+    """The red ball a little further along at each of as many times as there are photos."""
+    times = np.arange(float(len(EYES)))
+
+    def frame(number: int) -> ds.Gaussians:
+        means = gaussians.means.copy()
+        means[:PER_THING, 1] += np.float32(0.02 * number)
+        return replace(gaussians, means=means)
+
+    return Moving(frame(0), times, Frames(times, frame))
+
+
 def masks(gaussians: ds.Gaussians, view: ds.View) -> np.ndarray:
     """Per pixel the thing that covers more than half of it, or -1."""
     members = np.repeat(np.eye(len(THINGS), dtype=np.float32), PER_THING, axis=0)
@@ -46,7 +61,7 @@ def masks(gaussians: ds.Gaussians, view: ds.View) -> np.ndarray:
 
 
 def write_toy_capture(folder: Path) -> Path:
-    """scene.ply, points.ply, capture/ and clip_texts.json in a folder, as the documents name them."""
+    """scene.ply, points.ply, frames/, capture/ and clip_texts.json in a folder, as the documents name them."""
     for name in ("capture/images", "capture/language_features"):
         (folder / name).mkdir(parents=True)
     gaussians, encoder = balls(), ds.WordEncoder()
@@ -61,6 +76,7 @@ def write_toy_capture(folder: Path) -> Path:
         rows = encoder.encode_texts(list(THINGS))
         write_features(folder / "capture/language_features", Path(view.name).stem, ids, rows)
     ds.write_gaussians(folder / "scene.ply", gaussians)
+    write_moving(folder / "frames", sliding(gaussians))
     ds.write_gaussians(folder / "points.ply", gaussians)  # of which the positions are read
     write_cameras_json(folder / "capture/cameras.json", views)
     texts = [*THINGS, *NEGATIVES]

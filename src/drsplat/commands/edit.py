@@ -133,12 +133,14 @@ class _Work:
     def __init__(self, arguments: argparse.Namespace) -> None:
         from .. import read_gaussians
         from ..query.opening import find_scene, registered_scene
+        from ..scene.moving import still
 
         self.arguments = arguments
         path = Path(arguments.scene)
         if arguments.field is None and path.is_dir() and any(path.glob("*.field")):
             files = find_scene(path)
-            self.path, gaussians = registered_scene(files)
+            self.path, scene = registered_scene(files)
+            gaussians = still(scene)
             arguments.field, arguments.scene = str(path), None
         else:
             self.path, gaussians = path, read_gaussians(path)
@@ -248,7 +250,7 @@ class _Work:
 
     @property
     def _up(self) -> np.ndarray | None:
-        from ..viewing.cameras import named_up
+        from ..filming.looking import named_up
 
         if self.arguments.up:
             return named_up(self.arguments.up)

@@ -13,7 +13,7 @@ from .options import add_capture_options, views_of
 if TYPE_CHECKING:
     import numpy as np
 
-SUMMARY = "describe a scene, a capture, a feature folder, a field, a codebook or a vocabulary"
+SUMMARY = "describe a scene, still or moving, a capture, a feature folder, a field, a codebook or a vocabulary"
 EXAMPLES = """\
   drsplat inspect scene.ply
   drsplat inspect capture
@@ -52,6 +52,7 @@ def kind_of(path: Path) -> str:
     """
     from ..errors import InputError
     from ..formats.langsplat import has_features
+    from ..formats.moving_scenes import is_moving
 
     if path.is_file():
         return _file_kind(path)
@@ -64,10 +65,14 @@ def kind_of(path: Path) -> str:
     if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
         return "scene"
     has_models = any((path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json"))
+    if not has_models and is_moving(path):
+        return "scene"
     return "features" if not has_models and has_features(path) else "capture"
 
 
 def _file_kind(path: Path) -> str:
+    if path.name == "motion.safetensors":
+        return "scene"
     if path.suffix == ".safetensors":
         from ..formats.tensors import map_tensors
 
@@ -91,10 +96,14 @@ def _json_kind(path: Path) -> str:
 
 
 def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import read_gaussians
+    from ..formats.moving_scenes import read_scene
+    from ..scene.moving import Moving, canonical_of
 
-    scene = read_gaussians(arguments.path)
+    given = read_scene(arguments.path)
+    scene = canonical_of(given)
+    of_time = {"num_times": len(given.times), "times": list(given.span)} if isinstance(given, Moving) else {}
     return {
+        **of_time,
         "num_gaussians": len(scene),
         "sh_degree": scene.sh_degree,
         "lowest": scene.positions.min(0) if len(scene) else None,
@@ -166,6 +175,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "aggregator": field.aggregator.name,
         "left_out": list(field.left_out),
         "num_views": None if evidence is None else len(evidence.masks.view_names),
+        "times": None if field.times is None else [field.times.min(), field.times.max()],
         "num_masks": None if evidence is None else len(evidence.masks),
         "num_weights": None if evidence is None else int(evidence.weights.nnz),
         "num_objects": None if field.objects is None else len(field.objects),

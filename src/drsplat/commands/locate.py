@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--tracks", action="store_true",
-        help="where each match listed is at all times of a scene that moves, and when photos see it",
+        help="list where each match is at all times of a scene that moves, and when photos see it",
     )  # fmt: skip
     saved = "write the scene with two more columns: relevancy, the measured values; match_id, the match's number or -1"
     add_output_options(parser, saved)

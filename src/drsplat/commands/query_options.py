@@ -93,7 +93,7 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
 def _add_during(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--during", type=finite, nargs=2, metavar=("START", "END"),
-        help="of a scene that moves: ask only what photos of this span of time have shown (default: of all times)",
+        help="span of time of a scene that moves: only what photos of it have shown is asked (default: all times)",
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ Times are those of the scene: a span is the first and the last of those that fol
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument("one", type=words, help="query in words for the one")
-    parser.add_argument("relation", choices=RELATIONS, help="how the one stands to the other")
+    parser.add_argument("relation", choices=RELATIONS, help="relation of the one to the other")
     parser.add_argument("other", type=words, help="query in words for the other")
     parser.add_argument("--scene", help="moving scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --view")

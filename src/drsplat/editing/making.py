@@ -13,6 +13,7 @@ from ..query.objects import match_of, objects_of
 from ..query.opening import find_scene, open_scene, registered_scene
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
+from ..scene.moving import still
 from .changes import Scale
 from .replacement import Replace, placed_in
 
@@ -41,7 +42,8 @@ def replaced_by(
         ids = np.arange(len(gaussians))
     else:
         scene = open_scene(path)
-        path, gaussians = registered_scene(find_scene(path), scene.field)
+        path, found = registered_scene(find_scene(path), scene.field)
+        gaussians = still(found)
         up_there = up if scene.up is None else scene.up
         ids = match_of(scene.field, objects_of(scene.field).thing(number)).gaussian_ids
         spans = spans_of(ids)

@@ -108,7 +108,7 @@ def open_scene(
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
     field = load_field(files.field)
-    file, found = registered_scene(files, field) if files.scenes else (None, None)
+    file, gaussians = registered_scene(files, field) if files.scenes else (None, None)
 
     def photos() -> Sequence[View]:
         if files.capture is None:
@@ -125,7 +125,7 @@ def open_scene(
 
     return Scene(
         field,
-        found,
+        gaussians,
         photos,
         lambda: encoder_for(field, vocabulary, encoder, device, load),
         name=files.name,

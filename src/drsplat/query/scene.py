@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
@@ -30,13 +29,11 @@ from .naming import best_names, object_names
 from .objects import answer_of, match_of, most_seen, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
-from .search import feature_at, gaussian_at, seen_at
+from .search import feature_at, feature_of, gaussian_at, row_of, seen_at
 from .support import support_in
 from .tasks import locate, segment
 from .views import view_named
 
-KEPT = 2  # scenes of a time, and of a span, that are held
-Key = TypeVar("Key", float, Span)
 Place = int | Point | tuple[str, float, float]
 
 
@@ -71,8 +68,7 @@ class Scene:
         self.motion = gaussians if isinstance(gaussians, Moving) else None
         self._gaussians, self._views = None if gaussians is None else canonical_of(gaussians), views
         self.background = Background(field, source_of(field, encoder), threads)
-        self._spans: dict[Span, Scene] = {}
-        self._times: dict[float, Scene] = {}
+        self.kept: dict[tuple[str, object], Scene] = {}  # of times and spans that were asked for last
 
     def __repr__(self) -> str:
         return f"Scene('{self.name}', {self._gaussians or 'no Gaussians'}, {self.field})"
@@ -210,7 +206,7 @@ class Scene:
         """
         from .tracks import of_span
 
-        return _kept(self._spans, (float(span[0]), float(span[1])), lambda key: of_span(self, key))
+        return of_span(self, (float(span[0]), float(span[1])))
 
     @property
     def moving(self) -> Moving:
@@ -223,7 +219,7 @@ class Scene:
         """The same scene as it is at a time: it stands still there. Raises: InputError: a time outside of its span."""
         from .tracks import at_time
 
-        return _kept(self._times, self.moving.inside(time), lambda key: at_time(self, key))
+        return at_time(self, self.moving.inside(time))
 
     def seen_by(self, view: View) -> "Scene":
         """As it was when a photo was taken; itself where it stands still, or nobody knows when that was."""
@@ -302,12 +298,12 @@ class Scene:
     def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
         """The unit feature at a Gaussian, a point or a click. Raises: InputError: nothing with a feature there."""
         if isinstance(place, int | np.integer):
-            return self._feature(int(place))
+            return feature_of(self.field, int(place))
         if isinstance(place[0], str):
             view = self.view(place[0])
             xy = (float(place[1]), float(place[2]))
             return feature_at(self.field, self.seen_by(view).gaussians, view, xy, threads=self.threads)
-        return self._feature(self.nearest(place))  # type: ignore[arg-type]
+        return feature_of(self.field, self.nearest(place))  # type: ignore[arg-type]
 
     def nearest(self, point: Point) -> int:
         """Row of the Gaussian nearest to a point of the world among those that have a feature.
@@ -372,10 +368,6 @@ class Scene:
             return self.views[0]
         return best_views(self.motion or self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
 
-    def _feature(self, gaussian_id: int) -> Float32[np.ndarray, " D"]:
-        feature: np.ndarray = self.field.feature(np.array([self._row(gaussian_id)]))[0]
-        return feature
-
     def _label_of(self, number: int | None) -> str | None:
         if number is None:
             return None
@@ -398,28 +390,13 @@ class Scene:
             return measuring.of_vector(self.field.feature(np.array([row]))[0])
         return answer_of(self.field, [objects.thing(number)], OBJECT)
 
-    def _row(self, gaussian_id: int) -> int:
-        row = int(self.field.rows_of(np.array([gaussian_id]))[0])
-        if row < 0:
-            raise InputError(f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it")
-        return row
-
     def _row_at(self, place: Place, objects: Objects) -> int:
         """Of a click that of the heaviest Gaussian of the object that is most seen there."""
         if isinstance(place, int | np.integer):
-            return self._row(int(place))
+            return row_of(self.field, int(place))
         if not isinstance(place[0], str):
-            return self._row(self.nearest(place))  # type: ignore[arg-type]
+            return row_of(self.field, self.nearest(place))  # type: ignore[arg-type]
         xy = (float(place[1]), float(place[2]))
         view = self.view(place[0])
         rows, weights = seen_at(self.field, self.seen_by(view).gaussians, view, xy, threads=self.threads)
         return most_seen(objects, rows, weights)
-
-
-def _kept(scenes: dict[Key, Scene], key: Key, make: Callable[[Key], Scene]) -> Scene:
-    """Of the two asked for last; made outside of any lock, at worst twice."""
-    made = scenes.pop(key, None) or make(key)
-    for old in list(scenes)[: -KEPT + 1]:
-        scenes.pop(old, None)
-    scenes[key] = made
-    return made

@@ -70,6 +70,20 @@ def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]
     return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
 
 
+def row_of(field: LanguageField, gaussian_id: int) -> int:
+    """The row of a Gaussian of the scene. Raises: InputError: it has no feature."""
+    row = int(field.rows_of(np.array([gaussian_id]))[0])
+    if row < 0:
+        raise InputError(f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it")
+    return row
+
+
+def feature_of(field: LanguageField, gaussian_id: int) -> Float32[np.ndarray, " D"]:
+    """The unit feature of a Gaussian of the scene. Raises: InputError: it has none."""
+    feature: np.ndarray = field.feature(np.array([row_of(field, gaussian_id)]))[0]
+    return feature
+
+
 def feature_at(
     field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
 ) -> Float32[np.ndarray, " D"]:

@@ -1,6 +1,6 @@
 """Where matches of a scene that moves are over time, when photos see them, and when they stand in a relation."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import cast
 
 import numpy as np
@@ -20,6 +20,7 @@ from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
 from .scene import Scene
 
 THERE = 0.1  # of the Gaussians that a match has where it has most: with fewer it is not there
+KEPT = 2  # scenes of a time, and of a span, that are held
 SLIVER = 0.01  # of what the best photo shows of a match: a photo with less does not see it
 
 
@@ -125,6 +126,24 @@ def when_of(
 
 def at_time(scene: Scene, time: float) -> Scene:
     """`Scene.at`."""
+    return _kept(scene, ("at", time), lambda: _still(scene, time))
+
+
+def of_span(scene: Scene, span: Span) -> Scene:
+    """`Scene.during`."""
+    return _kept(scene, ("during", span), lambda: _spanned(scene, span))
+
+
+def _kept(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) -> Scene:
+    """Of those asked for last; made outside of any lock, at worst twice."""
+    made = scene.kept.pop(key, None) or make()
+    for old in [other for other in list(scene.kept) if other[0] == key[0]][: 1 - KEPT]:
+        scene.kept.pop(old, None)
+    scene.kept[key] = made
+    return made
+
+
+def _still(scene: Scene, time: float) -> Scene:
     still = Scene(
         scene.field, scene.moving.at(time), lambda: scene.views, lambda: scene.encoder,
         name=scene.name, threads=scene.threads, labels=scene.label_file,
@@ -133,8 +152,7 @@ def at_time(scene: Scene, time: float) -> Scene:
     return still
 
 
-def of_span(scene: Scene, span: Span) -> Scene:
-    """`Scene.during`."""
+def _spanned(scene: Scene, span: Span) -> Scene:
     gaussians = scene.motion or (scene.gaussians if scene.has_gaussians else None)
     field = field_during(scene.field, span, gaussians and canonical_of(gaussians), threads=scene.threads)
     if scene.field.objects is not None:
@@ -152,6 +170,6 @@ def _best(scene: Scene, what: Match | str) -> Match:
     return found[0]
 
 
-def spans_said(spans: Iterable[Span]) -> str:
+def spans_said(spans: Iterable[Sequence[float | int]]) -> str:
     """For people: "0 to 0.5, 1"."""
     return ", ".join(f"{start:.4g}" if start == end else f"{start:.4g} to {end:.4g}" for start, end in spans)

@@ -56,7 +56,7 @@ class Moving:
 
         Raises: InputError: a time outside of the span: rows are not guessed. FormatError: a damaged frame.
         """
-        moved = self.motion.at(self.inside(time))
+        moved = replace(self.motion.at(self.inside(time)))  # the frame itself keeps its own fingerprint
         moved.__dict__["fingerprint"] = self.canonical.fingerprint
         return moved
 
@@ -73,6 +73,13 @@ class Moving:
     def nearest(self, time: float | int) -> float:
         """The time of the span that is nearest to any."""
         return float(np.clip(time, *self.span))
+
+
+def still(scene: Gaussians | Moving) -> Gaussians:
+    """A scene that does not move. Raises: InputError: this one does."""
+    if isinstance(scene, Moving):
+        raise InputError("this scene moves, and a list of edits is of one that stands still: edit a PLY of one time")
+    return scene
 
 
 def canonical_of(scene: Gaussians | Moving) -> Gaussians:

@@ -9,10 +9,11 @@ from ..encoders import Encoder, EncoderIdentity
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.captures import read_views
-from ..formats.scenes import read_gaussians
+from ..formats.moving_scenes import is_moving, read_scene
 from ..kernels.scan import GROUP
 from ..query import Scene
 from ..scene.gaussians import Gaussians
+from ..scene.moving import canonical_of
 
 NO_FIELD = "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
 CAMERAS = "cameras.json"  # of a trained model
@@ -22,7 +23,9 @@ def is_bare(path: Path) -> bool:
     """Whether a path is a scene's file, or a trained model's folder without a field."""
     if not path.is_dir():
         return path.is_file()
-    return (path / "point_cloud").is_dir() and not any(path.glob("*.field"))
+    if any(path.glob("*.field")):
+        return False
+    return (path / "point_cloud").is_dir() or is_moving(path)
 
 
 def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene:
@@ -30,14 +33,13 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene
 
     capture: its photos; None takes the cameras of the model's folder, if they are there.
 
-    Raises: as `read_gaussians` and `read_views`.
+    Raises: as `read_scene` and `read_views`.
     """
     own = path if path.is_dir() and (path / CAMERAS).is_file() else None
     cameras = capture if capture is not None else own
     views = () if cameras is None else tuple(read_views(cameras))
-    gaussians = read_gaussians(path)
-    name = path.resolve().stem
-    return Scene(_empty_field(gaussians), gaussians, views, _no_encoder, name=name, threads=threads, path=path)
+    scene, name = read_scene(path), path.resolve().stem
+    return Scene(_empty_field(canonical_of(scene)), scene, views, _no_encoder, name=name, threads=threads, path=path)
 
 
 def _empty_field(gaussians: Gaussians) -> LanguageField:

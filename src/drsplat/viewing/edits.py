@@ -17,7 +17,7 @@ from ..kernels import SplatArrays, splat_arrays
 from ..query import Scene
 from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians
-from .shown import Shown, base_colors, shown_of
+from .shown import Shown, base_colors, moved_shown, shown_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +58,8 @@ class Edits:
     notes: AnnotationFile | None
     annotations: tuple[Annotation, ...]
     _state: _State
+    _first: Gaussians
+    _standing: Gaussians
     _drawn: tuple[_State, Shown] | None = field(default=None, init=False)
 
     @classmethod
@@ -73,7 +75,7 @@ class Edits:
         notes = None if scene.path is None else AnnotationFile.beside(scene.path)
         listed = EditList(gaussians.fingerprint) if file is None else file.read(gaussians)
         first = _State.of(gaussians, listed, file)
-        return cls(gaussians, file, notes, () if notes is None else notes.read(), first)
+        return cls(gaussians, file, notes, () if notes is None else notes.read(), first, scene.gaussians, scene.gaussians)
 
     @property
     def listed(self) -> EditList:
@@ -82,6 +84,15 @@ class Edits:
     @property
     def is_edited(self) -> bool:
         return self.listed.done > 0
+
+    def stand(self, gaussians: Gaussians) -> None:
+        """Do them to the scene's rows as they are at another time."""
+        if gaussians is not self._standing:
+            self._standing = gaussians
+            self._state = self._made(self.listed)
+
+    def _made(self, listed: EditList) -> _State:
+        return _State.of(replace(self._standing, extra=self.gaussians.extra), listed, self.file)
 
     # --- changing ---
 
@@ -102,7 +113,7 @@ class Edits:
         made: list[_State] = []
 
         def tried(listed: EditList) -> EditList:
-            made.append(_State.of(self.gaussians, change(listed), self.file))
+            made.append(self._made(change(listed)))
             return made[-1].listed
 
         if self.file is None:
@@ -154,7 +165,8 @@ class Edits:
     @property
     def standing(self) -> Gaussians:
         """The scene's own rows, where they are now."""
-        return self._state.everything.subset(np.arange(len(self.gaussians))) if self.is_edited else self.gaussians
+        every = self._state.everything
+        return every.subset(np.arange(len(self.gaussians))) if len(every) > len(self.gaussians) else every
 
     def part(self, ids: Int64[np.ndarray, " m"] | None) -> tuple[Gaussians, Int64[np.ndarray, " m2"]]:
         """Some rows as they are now, or all that are there, and their numbers."""
@@ -164,10 +176,12 @@ class Edits:
 
     def shown(self, before: Shown, budget: int) -> Shown:
         """What a browser is given of it, in the frame of what it was given before."""
-        if not self.is_edited:
+        if not self.is_edited and self._standing is self._first:
             return before
         if self._drawn is None or self._drawn[0] is not self._state:
-            self._drawn = (self._state, shown_of(self._state.everything, budget, before.frame))
+            every = self._state.everything
+            shown = shown_of(every, budget, before.frame) if self.is_edited else moved_shown(before, every)
+            self._drawn = (self._state, shown)
         return self._drawn[1]
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float64, UInt16
 from PIL import Image
 
+from ..filming.looking import before
 from ..query import Match
 from ..scene.annotations import Annotation
-from .cameras import before
 from .object_list import names_of, pictures_of
 from .session import Session
 from .shown import Frame

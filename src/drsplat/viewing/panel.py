@@ -23,6 +23,7 @@ from .keyboard import add_keys, flipped, next_of
 from .legend import legend_html
 from .naming import This, photo_of
 from .object_list import ObjectList
+from .playing import TimeControls, placed_now
 from .prompts import prompt
 from .saving import Saves
 from .session import Mode
@@ -138,6 +139,9 @@ class Panel:
 
     def _build_show(self) -> None:
         askable = self.session.is_askable
+        if self.session.scene.motion is not None:
+            with self.gui.add_folder("Time"):
+                self.playing = TimeControls(self.session, self.gui, self._do, self.window.repaint)
         with self.gui.add_folder("Show"):
             names = tuple(mode.value for mode in self.session.modes)
             self.mode = self.gui.add_dropdown("Colours", names, initial_value=Mode.SCENE.value)
@@ -257,6 +261,7 @@ class Panel:
     def fly(self, event: Any, match: Match) -> None:
         """Move the camera of the browser that a press came from before a match."""
         scene = self.session.scene
+        match = placed_now(self.session, match)
         eye = before(match, scene.gaussians, scene.views, self.window.up)
         self.flights.do(event.client_id, lambda: self.window.fly(event.client, eye, match.center))
 

@@ -45,7 +45,7 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
 
 def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
     """What the viewer shows, from a camera in the world, by this package's own renderer."""
-    splats = session.edits.splats if session.edits.is_edited else session.scene.splats
+    splats = session.edits.splats if session.edits.is_edited else session.here.splats
     drawn = render_channels(splats, view, session.drawn_colors, BACKGROUND, threads=session.scene.threads)
     return as_pixels(drawn.channels)
 

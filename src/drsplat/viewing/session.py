@@ -15,6 +15,7 @@ from ..editing.edits import Change
 from ..editing.resolving import whole
 from ..editing.targets import LONGEST
 from ..errors import InputError
+from ..field.spans import Span
 from ..query import Query, Scene, Segmentation
 from ..query.defaults import OBJECT
 from ..query.nodes import Chosen, chosen_at, name_of
@@ -47,7 +48,8 @@ class Session:
     """One scene on show. Not safe for several threads at once.
 
     words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets. chosen: the part,
-    thing or group that was clicked, None for none.
+    thing or group that was clicked, None for none. time: at which a scene that moves is shown; None: it stands still.
+    during: the span of time that queries ask of.
     """
 
     scene: Scene
@@ -58,18 +60,31 @@ class Session:
     segmentation: Segmentation | None = None
     clicked: This | None = None
     chosen: Chosen | None = None
-    edits: Edits = field(init=False)
+    time: float | None = None
+    during: Span | None = None
+    _edits: Edits = field(init=False)
     _before: Mode = Mode.SCENE
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
 
     def __post_init__(self) -> None:
-        self.edits = Edits.of(self.scene)
+        self._edits = Edits.of(self.scene)
+
+    @property
+    def edits(self) -> Edits:
+        """Those of the scene, done to it as it is at the time that is shown."""
+        self._edits.stand(self.here.gaussians)
+        return self._edits
 
     @cached_property
     def shown(self) -> Shown:
         return shown_of(self.scene.gaussians, self.budget)
+
+    @property
+    def here(self) -> Scene:
+        """The scene as it is at the time that is shown."""
+        return self.scene if self.time is None else self.scene.at(self.time)
 
     # --- asking ---
 
@@ -103,11 +118,13 @@ class Session:
         texts = results.split_queries(text)
         if not 1 <= len(texts) <= MOST_QUERIES:
             raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
-        return self._answered([results.result_of(self.scene, one, self.scene.ask(one)) for one in texts])
+        return self._answered(
+            [results.result_of(self.scene, one, self.scene.ask(Query(one, during=self.during))) for one in texts]
+        )
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
         """To what a picture shows. Raises: InputError: an encoder that sees no images."""
-        answer = self.scene.ask(Query(image=picture))
+        answer = self.scene.ask(Query(image=picture, during=self.during))
         return self._answered([results.result_of(self.scene, name, answer)])
 
     def more_like_this(self) -> str:

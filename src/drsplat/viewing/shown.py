@@ -1,6 +1,6 @@
 """Which Gaussians a browser is given, and in which frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
@@ -70,16 +70,27 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     ids = most_significant(gaussians, budget)
     part = gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)
     frame = frame or frame_of(gaussians)
+    return Shown(
+        ids, frame.shown(part.positions).astype(np.float32), _shown_covariances(part, frame), base_colors(part),
+        part.opacities, frame, len(gaussians) - len(ids),
+    )  # fmt: skip
+
+
+def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
+    """The same Gaussians, in the same frame, where a state of the scene has them."""
+    part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)
+    centers = shown.frame.shown(part.positions).astype(np.float32)
+    return replace(shown, centers=centers, covariances=_shown_covariances(part, shown.frame), opacities=part.opacities)
+
+
+def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 6"]:
     covariances = np.empty((len(part), 6), np.float32)
     block = 1 << 16  # bounds the float64 temporaries
     for begin in range(0, len(part), block):
         rows = np.arange(begin, min(begin + block, len(part)))
         shown = part.subset(rows).covariances() * frame.scale**2
         covariances[rows] = np.clip(shown, -MOST_VARIANCE, MOST_VARIANCE)
-    return Shown(
-        ids, frame.shown(part.positions).astype(np.float32), covariances, base_colors(part), part.opacities, frame,
-        len(gaussians) - len(ids),
-    )  # fmt: skip
+    return covariances
 
 
 def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:

@@ -21,6 +21,7 @@ from . import painting
 from .cameras import first_look
 from .finds import MOST_FIRST, MOST_LISTED, finds_of
 from .listening import listening_socket
+from .playing import placed_now
 from .session import Session
 from .shown import Shown
 from .texts import printable
@@ -134,13 +135,17 @@ class Window:
     def repaint(self) -> None:
         """Show the session's colours, and boxes and names of what was found."""
         session, drawn = self.session, self.session.drawn
-        if drawn is not self._drawn:
+        if drawn.ids is not self._drawn.ids:
             self._draw(drawn)
         colors, opacities = session.drawn_colors[drawn.ids], session.edits.opacities[drawn.ids]
         buffer = self._splats.buffer.copy()
         rgba = np.concatenate([colors, opacities[:, None]], axis=1)
         packed = np.round(np.clip(rgba, 0, 1) * 255).astype(np.uint8)
         buffer[:, 7:8] = packed.view(np.uint32)
+        if drawn is not self._drawn:  # the same ones, elsewhere
+            buffer[:, :3] = drawn.centers.view(np.uint32)
+            buffer[:, 4:7] = np.ascontiguousarray(drawn.covariances, np.float16).view(np.uint32)
+            self._drawn = drawn
         with self.server.atomic():
             self._splats.buffer = buffer  # one message for colours and opacities together
             self._mark()
@@ -155,7 +160,7 @@ class Window:
             return
         for number, find in enumerate(finds_of(self.session.marked)[:MOST_LISTED]):
             label = find.name if number < MOST_FIRST else str(number + 1)
-            self._mark_match(str(number), find.match, label, painting.accent(find.query))
+            self._mark_match(str(number), placed_now(self.session, find.match), label, painting.accent(find.query))
 
     def _mark_match(self, name: str, match: Match, label: str, color: tuple[int, int, int]) -> None:
         frame, scene = self.session.shown.frame, self.server.scene

@@ -1,0 +1,121 @@
+"""Films on the command line, from files: convert, register, ask where and when."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from drsplat import load_field
+from drsplat.cli import main
+from drsplat.formats.langsplat import write_features
+from drsplat.formats.moving_scenes import read_moving, write_moving
+from moving_scenes import WORDS, label_masks, passing, passing_views, spacetime_columns, write_spacetime
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As others have them: numbered PLY files, photos by camera and frame, transforms.json without times."""
+    folder = tmp_path_factory.mktemp("film")
+    moving = passing()
+    write_moving(folder / "frames", moving)
+    views = passing_views(moving)
+    frames = []
+    for view in views:
+        path = folder / "capture" / "images" / view.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.zeros((view.height, view.width, 3), np.uint8)).save(path)
+        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
+    first = views[0]
+    lens = {"w": first.width, "h": first.height, "fl_x": first.K[0, 0], "fl_y": first.K[1, 1]}
+    (folder / "capture/transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    for name, one in label_masks(moving, views, np.repeat(np.arange(3), 100), WORDS).items():
+        stem = str(Path(name).with_suffix(""))
+        write_features(folder / "capture/language_features", stem, one.mask_ids, one.embeddings, form="compact")
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: object) -> dict:
+    assert main([*map(str, argv), "--json"]) == 0
+    answer: dict = json.loads(capsys.readouterr().out)
+    return answer
+
+
+@pytest.fixture(scope="module")
+def field(film: Path) -> Path:
+    """By frame numbers: those of the photos and those of the PLY files are the same."""
+    argv = ["register", film / "frames", film / "capture", "--features", film / "capture/language_features",
+            "--times", "cam*/{time}.png", "--encoder-name", "drsplat-words",
+            "--output", film / "film.field"]  # fmt: skip
+    assert main(list(map(str, argv))) == 0
+    return film / "film.field"
+
+
+def test_a_film_is_registered_with_the_times_of_names(field: Path) -> None:
+    times = load_field(field).times
+    assert times is not None
+    assert times.tolist() == [*range(6), *range(6)]
+
+
+def test_a_film_needs_times(film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["register", film / "frames", film / "capture", "--features", film / "capture/language_features"]
+    assert main([*map(str, argv), "--output", str(film / "other.field")]) == 1
+    assert "has no time, and the scene moves" in capsys.readouterr().err
+    assert not (film / "other.field").exists()
+
+
+def test_where_and_when(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = run(capsys, "locate", field, "red car", "--scene", film / "frames", "--tracks", "--during", 0, 3)
+    track = found["matches"][0]["track"]
+    assert track["times"] == list(range(6))
+    assert np.allclose(np.diff(np.array(track["centers"])[:, 1]), 0.4, atol=1e-2)
+    assert track["spans"] == [[0, 5]]
+    shared = (field, "red car", "left_of", "white vase", "--scene", film / "frames")
+    when = run(capsys, "when", *shared, "--views", film / "capture", "--view", "cam0/00")
+    assert when["spans"] == [[0, 2]]
+    assert main(["when", *map(str, shared), "--views", str(film / "capture"), "--view", "cam0/00"]) == 0
+    assert "'red car' is left of 'white vase': 0 to 2 (of 0 to 5)" in capsys.readouterr().out
+    assert main(["locate", str(field), "red car", "--scene", str(film / "frames"), "--tracks"]) == 0
+    assert "goes from (" in capsys.readouterr().out
+    assert main(["when", *map(str, shared)]) == 1
+    assert "pass --view" in capsys.readouterr().err.replace("give", "pass")
+
+
+def test_objects_tell_what_drifts(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = run(capsys, "objects", field, "--scene", film / "frames")
+    assert found["drifting"]["num_gaussians"] <= 6
+    assert main(["objects", str(field), "--scene", str(film / "frames")]) == 0
+    assert "what it belongs to over time" in capsys.readouterr().out
+
+
+def test_a_picture_is_of_its_time(field: Path, film: Path, tmp_path: Path) -> None:
+    for number in (0, 5):
+        argv = ["locate", field, "red car", "--scene", film / "frames", "--views", film / "capture", "--times",
+                "cam*/{time}.png", "--picture", tmp_path / f"{number}.png", "--view", f"cam0/{number:02d}"]  # fmt: skip
+        assert main(list(map(str, argv))) == 0
+    first, last = (np.asarray(Image.open(tmp_path / f"{number}.png")) for number in (0, 5))
+    assert first.shape == last.shape
+    assert (first != last).any()
+
+
+def test_films_are_described(field: Path, film: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = run(capsys, "inspect", film / "frames")
+    assert (told["kind"], told["num_gaussians"], told["num_times"], told["times"]) == ("scene", 300, 6, [0, 5])
+    assert run(capsys, "inspect", field)["times"] == [0, 5]
+    assert run(capsys, "inspect", film / "capture")["kind"] == "capture"
+
+
+def test_films_are_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_spacetime(str(tmp_path / "film.ply"), spacetime_columns(20))
+    told = run(capsys, "motion", tmp_path / "film.ply", "--output", tmp_path / "film.motion")
+    assert (told["num_gaussians"], told["num_times"], told["times"]) == (20, 51, [0, 1])
+    run(capsys, "motion", tmp_path / "film.motion", "--output", tmp_path / "frames")
+    told = run(capsys, "motion", tmp_path / "frames", "--times", 0, 1)
+    assert told["times"] == [0, 1]
+    assert told["output"] is None
+    assert np.allclose(read_moving(tmp_path / "frames", (0.0, 1.0)).at(0.5).means, read_moving(tmp_path / "film.ply")
+                       .at(0.5).means, atol=1e-5)  # fmt: skip
+    assert main(["motion", str(tmp_path / "film.motion"), "--output", str(tmp_path / "frames")]) == 1
+    assert "exists already" in capsys.readouterr().err

@@ -1,0 +1,54 @@
+"""The rooms of the world in which things move, and what is found in them."""
+
+from dataclasses import replace
+
+import numpy as np
+from world.moving import FIXED, KINDS, TIMES, Film, make_film
+
+from drsplat import Mixture, Scene, WordEncoder, register
+from drsplat.kernels.boxes import box_of
+from drsplat.scene.boxes import solid
+
+
+def test_the_same_seed_makes_the_same_film() -> None:
+    one, other = make_film(0), make_film(0)
+    assert one.moving.canonical.fingerprint == other.moving.canonical.fingerprint
+    assert make_film(1).moving.canonical.fingerprint != one.moving.canonical.fingerprint
+    assert len(one.moving.times) == TIMES
+    assert len(one.views) == (FIXED + 1) * TIMES
+    assert len(one.names) == len(KINDS) + 1
+
+
+def test_three_things_move_as_one_piece_each_and_the_others_do_not() -> None:
+    film = make_film(1)
+    first, later = film.moving.at(0.0), film.moving.at(float(film.moving.times[20]))
+    for label in range(len(film.names)):
+        rows = film.labels == label
+        way = np.abs(later.means[rows] - first.means[rows]).max()
+        assert (way > 0.05) == (label in film.moves), film.names[label]
+        spread = [np.linalg.norm(at.means[rows] - at.means[rows].mean(0), axis=1) for at in (first, later)]
+        assert np.allclose(*spread, atol=1e-4)  # rigid
+    still = film.still
+    assert np.array_equal(still.at(0.0).means, still.at(1.3).means)
+
+
+def test_cameras_stand_but_for_one() -> None:
+    film = make_film(0)
+    places = np.array([view.center for view in film.views]).reshape(FIXED + 1, TIMES, 3)
+    assert (np.ptp(places, axis=1).max(axis=1) < 1e-9).tolist() == [True] * FIXED + [False]
+
+
+def test_a_moving_car_is_found_where_it_is() -> None:
+    """Of every tenth time; the study has all of them."""
+    whole = make_film(0)
+    views = tuple(view for number, view in enumerate(whole.views) if number % TIMES % 10 == 0)
+    film = Film(whole.moving, whole.names, whole.labels, whole.moves, views)
+    made = replace(register(film.moving, views, film.features(film.moving)), encoder=WordEncoder.identity)
+    scene = Scene(made.to_field(Mixture()), film.moving, views)
+    track = scene.tracks(scene.locate(film.names[1], top=1))[0]
+    for time in film.moving.times[::15].tolist():
+        at, found = film.moving.at(time), track.at(time)
+        assert found is not None
+        true = box_of(at, solid(at, np.flatnonzero(film.labels == 1)), np.array([0.0, 0, 1]))
+        assert np.linalg.norm(found.center - true.center) < 0.02
+        assert np.abs(found.extent - true.extent).max() < 0.04
