@@ -80,6 +80,7 @@ ORDER = (
     "models",
     "drawing",
     "query",
+    "exchange",
     "catalogue",
     "embedding",
     "serving",
