@@ -17,5 +17,10 @@ NB_MODULE(_native, m) {
     for (auto list = available_kernels(); *list; list++) names.append((*list)->name);
     return names;
   });
+#if defined(__clang__)
+  m.attr("compiler") = "Clang " __clang_version__;
+#else
+  m.attr("compiler") = "GCC " __VERSION__;
+#endif
   m.def("default_isa", [] { return std::string(kernels_named("").name); });
 }

@@ -6,6 +6,8 @@ import numpy as np
 
 Array = np.ndarray[Any, Any]
 
+compiler: str
+
 def available_isas() -> list[str]: ...
 def default_isa() -> str: ...
 def view_weights(

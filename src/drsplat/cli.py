@@ -7,7 +7,9 @@ Each verb is a module of `drsplat.commands` with SUMMARY, EXAMPLES, add_argument
 import argparse
 import json
 import os
+import platform
 import re
+import shlex
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,8 +18,11 @@ from importlib import import_module
 from io import TextIOWrapper
 from typing import NoReturn, TextIO
 
+from .commands.configuring import configuration, configured, value_of
+from .commands.help_texts import HelpFormatter
+from .commands.log import logged
 from .commands.options import whole
-from .errors import DrSplatError, DrSplatWarning
+from .errors import DrSplatError, DrSplatWarning, MissingExtraError
 from .terminal import plain, plainly, quoted
 
 # in the order of the pipeline
@@ -27,6 +32,7 @@ VERBS = (
 )  # fmt: skip
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]+\b(?:\.\w+)?|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
+SHELLS = ("bash", "zsh", "tcsh")
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -44,8 +50,25 @@ class _Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         from . import __version__
+        from .kernels import available_isas, compiler, default_isa
 
         print(f"drsplat {__version__}")
+        print(f"Python {platform.python_version()} on {platform.system()} {platform.machine()}")
+        print(f"native code by {compiler()}, {default_isa()} of {', '.join(available_isas())}")
+        parser.exit()
+
+
+class _Completion(argparse.Action):
+    """Prints what a shell needs to complete verbs and options."""
+
+    def __call__(self, parser: argparse.ArgumentParser, _: object, shell: object, __: object = None) -> NoReturn:
+        if shell not in SHELLS:
+            parser.error(f"--print-completion: expected {', '.join(SHELLS)}, got {quoted(str(shell))}")
+        try:
+            import shtab
+        except ImportError:
+            raise MissingExtraError('shtab is not installed: pip install "drsplat[completion]"') from None
+        print(shtab.complete(parser, str(shell)))
         parser.exit()
 
 
@@ -55,6 +78,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     as_json, debug = "--json" in given, "--debug" in given
     if isinstance(sys.stdout, TextIOWrapper):  # a name that the terminal has no letters for is told all the same
         sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        with logged(value_of("--log", given), f"drsplat {shlex.join(given)}"):
+            return _told(given, as_json, debug)
+    except OSError as error:  # of the log
+        return _failed(error, type(error).__name__, FAILED, as_json)
+
+
+def _told(given: list[str], as_json: bool, debug: bool) -> int:
+    """Run, and tell what goes wrong."""
     try:
         return _run(given)
     except UsageError as error:
@@ -81,7 +113,13 @@ def make_parser() -> argparse.ArgumentParser:
         epilog="Each verb has its own help and examples: drsplat register --help",
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="print version, build and instruction set, and exit"
+    )
+    parser.add_argument(
+        "--print-completion", action=_Completion, metavar="SHELL",
+        help="print what bash, zsh or tcsh needs to complete verbs and options, and exit",
+    )  # fmt: skip
     verbs = parser.add_subparsers(metavar="VERB", required=True)
     for name in VERBS:
         _add_verb(verbs, name)
@@ -93,7 +131,7 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
     summary: str = command.SUMMARY
     parser = verbs.add_parser(
         name, aliases=getattr(command, "ALIASES", ()), help=summary, description=summary[0].upper() + summary[1:] + ".",
-        epilog=f"examples:\n{command.EXAMPLES}", formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=f"examples:\n{command.EXAMPLES}", formatter_class=HelpFormatter,
         allow_abbrev=False,
     )  # fmt: skip
     command.add_arguments(parser)
@@ -103,6 +141,13 @@ def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
         "--threads", type=whole, default=0, metavar="N",
         help="CPU threads; results are the same for any number (default: 0, all cores)",
     )  # fmt: skip
+    common.add_argument(
+        "--config",
+        metavar="FILE",
+        help="TOML with options under [VERB]; what is given here counts, not what it has there",
+    )
+    common.add_argument("--print-config", action="store_true", help="print such a file of what is given, and exit")
+    common.add_argument("--log", metavar="FILE", help="append what is said on stderr to a file, with times")
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
     parser.set_defaults(command=command, flags=_flags(parser))
 
@@ -131,8 +176,12 @@ def spelled(message: str, flags: Mapping[str, str]) -> str:
 
 
 def _run(argv: list[str]) -> int:
+    argv = configured(argv, make_parser())
     arguments = make_parser().parse_args(argv)
     _refuse_no_texts(arguments)
+    if arguments.print_config:
+        print(configuration(argv, make_parser()))
+        return 0
     if arguments.threads and "numpy" not in sys.modules:  # its BLAS reads them once
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
     with _warnings_as_lines(arguments.flags):

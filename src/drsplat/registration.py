@@ -34,7 +34,7 @@ from .scene.gaussians import Gaussians
 from .scene.moving import Moving
 from .scene.units import doubts
 from .scene.views import View
-from .terminal import counted
+from .terminal import counted, facts_html
 
 UNKNOWN_ENCODER = "unknown"
 LITTLE = 0.05  # of a span of times, that photos of all of it do not keep to
@@ -67,6 +67,17 @@ class Registration:
             f"Registration({counted(count, 'Gaussian')} x {counted(masks, 'mask')} of {views}, "
             f"{counted(self.weights.nnz, 'weight')}, {self.encoder.dim}-d by {self.encoder.name})"
         )
+
+    def _repr_html_(self) -> str:
+        count, masks = self.weights.shape
+        facts = {
+            "Gaussians": f"{self.num_registered:,} seen of {count:,}",
+            "masks": f"{masks:,} of {counted(len(self.masks.view_names), 'view')}",
+            "weights": f"{self.weights.nnz:,}",
+            "encoder": f"{self.encoder.name}, {self.encoder.dim} numbers",
+            "left out": ", ".join(self.left_out) or "none",
+        }
+        return facts_html("Registration", facts)
 
     @classmethod
     def from_field(cls, field: LanguageField) -> "Registration":

@@ -1,7 +1,8 @@
-"""Text on its way to a terminal, which obeys some characters instead of showing them."""
+"""Text on its way to a terminal or a notebook, which obey some characters instead of showing them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from pathlib import PurePath
 
 # controls but tab and newline, what turns the direction of writing, and halves of surrogate pairs
@@ -40,3 +41,27 @@ def quoted(text: str) -> str:
 def counted(number: int, thing: str, things: str | None = None) -> str:
     """1 photo; 2 photos; 1,000 entries. things: the plural where it is not `thing` and s."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
+
+
+def facts_html(title: str, facts: Mapping[str, object]) -> str:
+    """A small table for a notebook: what it is, and a row for each fact."""
+    rows = "".join(f"<tr><th>{_cell(name)}</th><td>{_cell(fact)}</td></tr>" for name, fact in facts.items())
+    return f"<table><caption><b>{_cell(title)}</b></caption>{rows}</table>"
+
+
+def rows_html(title: str, names: Sequence[str], rows: Iterable[Sequence[object]], of: int) -> str:
+    """A table for a notebook, of some of `of` rows."""
+    lines = ["".join(f"<td>{_cell(value)}</td>" for value in row) for row in rows]
+    head = "".join(f"<th>{_cell(name)}</th>" for name in names)
+    more = f"<tr><td colspan={len(names)}>and {of - len(lines):,} more</td></tr>" if of > len(lines) else ""
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><caption><b>{_cell(title)}</b></caption><tr>{head}</tr>{body}{more}</table>"
+
+
+def numbers_said(numbers: Iterable[float]) -> str:
+    """As a point or a size is written: 1.5, 0, -2.25."""
+    return ", ".join(f"{number:.4g}" for number in numbers)
+
+
+def _cell(value: object) -> str:
+    return escape(plain(str(value)))

@@ -1,5 +1,7 @@
 """Pictures of answers: a photo in which what was found keeps its colours and the rest fades to grey."""
 
+import base64
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
@@ -34,6 +36,13 @@ def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
     scaled += 0.5
     pixels: Pixels = scaled.astype(np.uint8)
     return pixels
+
+
+def picture_html(picture: Image.Image) -> str:
+    """For a notebook: the picture as a JPEG within the tag."""
+    file = io.BytesIO()
+    picture.convert("RGB").save(file, "JPEG", quality=85)
+    return f'<img src="data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
 def photo_or_rendering(gaussians: Gaussians, view: View, *, threads: int = 0) -> Pixels:

@@ -18,7 +18,7 @@ from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..scene.gaussians import Gaussians
-from ..terminal import counted
+from ..terminal import counted, facts_html
 from .growth import Growth
 from .objects import Objects
 
@@ -89,6 +89,17 @@ class LanguageField:
     def __repr__(self) -> str:
         rows = f"{len(self):,} of {counted(self.num_gaussians, 'Gaussian')}"
         return f"LanguageField({rows}, {self.encoder.dim}-d by {self.encoder.name}, code {self.code.kind})"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "Gaussians": f"{len(self):,} of {self.num_gaussians:,}",
+            "encoder": f"{self.encoder.name}, {self.encoder.dim} numbers",
+            "code": self.code.kind,
+            "evidence": "kept" if self.evidence is not None else "none",
+            "negatives": "none" if self.negatives is None else ", ".join(self.negatives.texts),
+            "objects": "none" if self.objects is None else f"{len(self.objects):,}",
+        }
+        return facts_html("LanguageField", facts)
 
     def __post_init__(self) -> None:
         ids, rows = self.gaussian_ids, len(self.gaussian_ids)

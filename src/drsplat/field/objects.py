@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 
 from ..errors import InputError
-from ..terminal import counted
+from ..terminal import counted, numbers_said, rows_html
 
 PART, THING, GROUP = 0, 1, 2
 LEVELS = ("part", "thing", "group")
 MOST_MASKS, MOST_DESCRIPTORS = 32, 4  # of a node
 OF_ONE, SQUARE = 1e-3, 1e-4  # how far lengths may be from 1, and axes from a right angle
+MOST_SHOWN = 20  # of a table in a notebook
 LARGEST = 3.4e38  # of any number: as floats of 32 bits
 
 ARRAYS = {
@@ -73,6 +74,15 @@ class Objects:
         kinds = (int(np.count_nonzero(self.levels == level)) for level in (PART, GROUP))
         parts, groups = (counted(number, LEVELS[level]) for number, level in zip(kinds, (PART, GROUP), strict=True))
         return f"Objects({len(self)}, with {parts} and {groups})"
+
+    def _repr_html_(self) -> str:
+        names = ("object", "photos", "agreement", "mass", "centre", "size")
+        rows = (
+            (number, int(self.num_views[node]), f"{self.sure[node]:.2f}", f"{self.masses[node]:.1f}",
+             numbers_said(self.centers[node]), numbers_said(self.extents[node]))
+            for number, node in enumerate(self.things[:MOST_SHOWN].tolist())
+        )  # fmt: skip
+        return rows_html(repr(self), names, rows, len(self))
 
     def __len__(self) -> int:
         """How many things there are."""

@@ -23,6 +23,7 @@ from .splatting import (
     SplatArrays,
     Triples,
     available_isas,
+    compiler,
     default_isa,
     laid_out,
     render_channels,
@@ -34,7 +35,7 @@ from .splatting import (
 
 __all__ = [
     "Contributions", "Forest", "GroupedRows", "MergeRule", "QueryTables", "Rendering", "Scanning", "SplatArrays",
-    "Triples", "agglomerate", "available_isas", "default_isa", "group_codes", "laid_out", "lookup_tables", "pq_encode",
-    "render_channels", "rows_of_groups", "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors",
+    "Triples", "agglomerate", "available_isas", "compiler", "default_isa", "group_codes", "laid_out", "lookup_tables",
+    "pq_encode", "render_channels", "rows_of_groups", "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors",
     "splat_arrays", "topk_contributions", "view_weights", "weighted_rows",
 ]  # fmt: skip

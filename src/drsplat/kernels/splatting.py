@@ -71,6 +71,11 @@ def available_isas() -> list[str]:
     return list(_native.available_isas())
 
 
+def compiler() -> str:
+    """What compiled this build, with its version."""
+    return _native.compiler
+
+
 def default_isa() -> str:
     """The instruction set taken when none is named: the best, or what DRSPLAT_ISA says.
 

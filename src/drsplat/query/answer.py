@@ -1,16 +1,20 @@
 """What comes back: values and a threshold, and the places that they make."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64, Integer
+from PIL import Image
 
+from ..drawing.pictures import picture_html
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
 from ..field.spans import Span
-from ..terminal import counted
+from ..scene.views import View
+from ..terminal import counted, facts_html
 from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY
 from .search import LOWEST
 
@@ -21,7 +25,8 @@ class Answer:
     with the threshold. scores: cosines.
 
     measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
-    encoder or default; object or label, where exactly what belongs together is meant.
+    encoder or default; object or label, where exactly what belongs together is meant. drawn: who draws it, the
+    `picture` of its scene; None: nobody.
     """
 
     field: LanguageField
@@ -31,6 +36,7 @@ class Answer:
     threshold: float
     rule: str
     scores: Float32[np.ndarray, " r"]
+    drawn: Callable[..., np.ndarray] | None = None
 
     @classmethod
     def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
@@ -49,6 +55,30 @@ class Answer:
     def __repr__(self) -> str:
         selected = f"{int((self.values > self.threshold).sum()):,} of {counted(len(self.field), 'Gaussian')}"
         return f"Answer({selected}, {self.measure} above {self.threshold:.4g}, rule '{self.rule}')"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "selected": f"{len(self.gaussian_ids):,} of {counted(len(self.field), 'Gaussian')}",
+            "above": f"{self.measure} {self.threshold:.4g}, by the rule '{self.rule}'",
+            "values": f"{self.values.min():.3f} to {self.values.max():.3f}" if len(self.values) else "none",
+        }
+        return facts_html("Answer", facts) + self._picture_html()
+
+    def show(self, view: View | str | None = None, max_side: int = 640) -> Image.Image:
+        """A picture of what is selected, the rest in grey; a notebook shows it, `.show()` opens it elsewhere.
+
+        view: as of `Scene.picture`. Raises: InputError: the answer is of no scene with Gaussians and views.
+        """
+        if self.drawn is None:
+            raise InputError("this answer is of a field alone: ask a scene that has Gaussians and views")
+        return Image.fromarray(self.drawn(view, self, max_side=max_side))
+
+    def _picture_html(self) -> str:
+        """Nothing where there is nothing to look at, or from."""
+        try:
+            return picture_html(self.show(max_side=320)) if len(self.gaussian_ids) else ""
+        except InputError:
+            return ""
 
     @property
     def lowest(self) -> float:

@@ -7,8 +7,17 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Integer
+from PIL import Image
 
-from ..drawing.pictures import OtherPixels, as_pixels, best_views, highlighted, photo_or_rendering, visible_share
+from ..drawing.pictures import (
+    OtherPixels,
+    as_pixels,
+    best_views,
+    highlighted,
+    photo_or_rendering,
+    picture_html,
+    visible_share,
+)
 from ..drawing.rendering import render
 from ..encoders import Encoder
 from ..errors import InputError, MissingExtraError
@@ -21,6 +30,7 @@ from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
+from ..terminal import facts_html
 from .answer import Answer, Match, MatchTrack, Segmentation, Word
 from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
 from .encoding import source_of
@@ -176,6 +186,17 @@ class Scene:
         """Raises: InputError: there is none of that name."""
         return view_named(self.views, name)
 
+    def _repr_html_(self) -> str:
+        facts = {
+            "Gaussians": f"{len(self.gaussians):,}" if self.has_gaussians else "none",
+            "views": f"{len(self.views):,}",
+            "field": f"{len(self.field):,} features by {self.field.encoder.name}",
+            "objects": "none" if self.field.objects is None else f"{len(self.field.objects):,}",
+        }
+        seen = self.has_gaussians and bool(self.views)
+        picture = picture_html(Image.fromarray(self.picture(max_side=320))) if seen else ""
+        return facts_html(f"Scene '{self.name}'", facts) + picture
+
     def ask(self, query: Query | str) -> Answer:
         """Values of the field for a query, and the threshold. A text stands for `Query(text)`.
 
@@ -185,6 +206,9 @@ class Scene:
         query = Query(query) if isinstance(query, str) else query
         if query.during is not None:
             return self.during(query.during).ask(replace(query, during=None))
+        return replace(self._answer(query), drawn=self.picture)
+
+    def _answer(self, query: Query) -> Answer:
         measuring = Measuring(self.background, query, query.exclude)
         if query.text is not None:
             named = self._labelled(query)

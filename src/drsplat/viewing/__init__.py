@@ -3,5 +3,5 @@
 Only `window` and `catalogue_page` start viser. Source: Dr. Splat Sec. F "Broader application".
 
 Imports `catalogue`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`,
-`query`, `filming` and `serving`.
+`query`, `editing`, `filming` and `serving`.
 """

@@ -75,7 +75,8 @@ class Edits:
         notes = None if scene.path is None else AnnotationFile.beside(scene.path)
         listed = EditList(gaussians.fingerprint) if file is None else file.read(gaussians)
         first = _State.of(gaussians, listed, file)
-        return cls(gaussians, file, notes, () if notes is None else notes.read(), first, scene.gaussians, scene.gaussians)
+        own, annotations = scene.gaussians, () if notes is None else notes.read()
+        return cls(gaussians, file, notes, annotations, first, own, own)
 
     @property
     def listed(self) -> EditList:
