@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from browsing import eventually
+from browsing import a_browser, a_page, eventually, needs_chromium, pixels_of
 from drsplat.errors import InputError
 from drsplat.filming.encoding import ffmpeg
 from drsplat.filming.path_files import read_path
@@ -148,3 +148,24 @@ def test_keys_turn_boxes_colours_and_the_look(panel: Any) -> None:
     stranger.say("CommandTriggerMessage", uuid=key(panel, "Dark or light"))
     eventually(lambda: panel.look.value == "dark")
     stranger.close()
+
+
+@needs_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desk", "hand"])
+def test_keys_in_a_real_browser(size: tuple[int, int], panel: Any) -> None:
+    """K keeps what is seen, L turns the look; on a phone the scene stays in sight beside the controls."""
+    port = panel.window.server.get_port()
+    with a_browser() as browser, a_page(browser, *size) as page:
+        page.goto(f"http://127.0.0.1:{port}")
+        page.get_by_text("Query by picture").wait_for()
+        client = only_client(panel)
+        eventually(lambda: client.camera.image_width > 0)
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        page.keyboard.press("k")
+        eventually(lambda: len(panel.film.keys) == 1)
+        here = panel.window.session.shown.frame.world(np.array(client.camera.position))
+        np.testing.assert_allclose(panel.film.keys[0].eye, here, atol=0.05)
+        page.keyboard.press("l")
+        eventually(lambda: panel.look.value == "light")
+        eventually(lambda: np.median(pixels_of(page, size[0])[-40:, -40:]) > 0.8)

@@ -1,0 +1,178 @@
+"""The page's film, looks, keys and its sheet on a phone, in a real browser, on a desk and in a hand."""
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsing import SLOW, a_browser, eventually, needs_chromium, pixels_of
+from drsplat.errors import InputError
+from drsplat.filming.path_files import write_path
+from drsplat.filming.paths import CameraPath, KeyFrame
+from drsplat.viewing.exporting import export_page
+from scenes import look_at_view
+from viewing_scenes import THINGS, boxes_scene
+
+DESK, HAND = (1280, 800), (390, 844)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two queries, and a film past two places in 2 seconds."""
+    folder = tmp_path_factory.mktemp("page")
+    eyes = ((0.0, -4.0, 1.0), (3.0, -3.0, 1.5), (3.5, 0.0, 1.0))
+    keys = [KeyFrame.of(look_at_view(eye, fov_degrees=fov)) for eye, fov in zip(eyes, (60.0, 50.0, 40.0), strict=True)]
+    write_path(folder / "path.json", CameraPath(keys, seconds=2.0))
+    queries = ["red mug", "tall lamp"]
+    export_page(folder / "page.html", boxes_scene(), queries, words=THINGS, path_name=str(folder / "path.json"))
+    return folder / "page.html"
+
+
+def header_of(page: Path) -> dict[str, Any]:
+    found = re.search(r'id="header">(.*?)</script>', page.read_text(encoding="utf-8"))
+    assert found is not None
+    header: dict[str, Any] = json.loads(found[1])
+    return header
+
+
+def test_a_page_has_the_path_in_its_own_frame(exported: Path) -> None:
+    film = header_of(exported)["film"]
+    assert film["seconds"] == 2.0
+    assert len(film["eyes"]) == len(film["targets"]) == len(film["fovs"]) == 24
+    eyes = np.array(film["eyes"])
+    ends = np.array([(0.0, -4.0, 1.0), (3.5, 0.0, 1.0)])
+    scale = np.linalg.norm(eyes[-1] - eyes[0]) / np.linalg.norm(ends[1] - ends[0])
+    origin = eyes[0] - scale * ends[0]
+    np.testing.assert_allclose(eyes[-1] - scale * ends[1], origin, atol=1e-3)
+    ahead = np.array(film["targets"]) - eyes
+    middle = eyes[0] + ahead[0] / np.linalg.norm(ahead[0]) * scale * np.linalg.norm(ends[0])
+    np.testing.assert_allclose(middle, origin, atol=0.01)  # all look at the world's zero
+
+
+def test_without_a_path_the_film_is_an_orbit(tmp_path: Path) -> None:
+    export_page(tmp_path / "page.html", boxes_scene(), ["red mug"], words=THINGS)
+    film = header_of(tmp_path / "page.html")["film"]
+    np.testing.assert_allclose(film["eyes"][0], film["eyes"][-1], atol=1e-3)
+    assert np.ptp(film["eyes"], axis=0).max() > 1
+    with pytest.raises(InputError, match="orbit, swing, photos or a file"):
+        export_page(tmp_path / "other.html", boxes_scene(), ["red mug"], words=THINGS, path_name="orbti")
+
+
+# --- in a browser ---
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with a_browser() as browser:
+        yield browser
+
+
+@contextmanager
+def opened(chromium: Any, file: Path, size: tuple[int, int], scheme: str = "dark", hand: bool = False) -> Iterator[Any]:
+    """The page as a device shows it that is set to a look; what its scripts throw fails the test."""
+    viewport = {"width": size[0], "height": size[1]}
+    context = chromium.new_context(viewport=viewport, color_scheme=scheme, has_touch=hand, is_mobile=hand)
+    errors: list[str] = []
+    page = context.new_page()
+    page.set_default_timeout(SLOW)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(file.as_uri())
+    page.wait_for_function("window.drsplat && window.drsplat.play && window.drsplat.frames > 0")
+    yield page
+    context.close()
+    assert errors == []
+
+
+def eye_of(page: Any) -> np.ndarray:
+    script = "[...drsplat.state.target, drsplat.state.distance, drsplat.state.yaw, drsplat.state.pitch]"
+    return np.array(page.evaluate(script))
+
+
+def paper_of(page: Any) -> float:
+    """How light the corner of the picture and the panel are, from 0 to 1."""
+    page.wait_for_timeout(400)
+    pixels = pixels_of(page, 10_000)
+    return float((pixels[5, 5].mean() + pixels[-5, -5].mean()) / 2)
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_film_plays_stops_and_is_pulled(exported: Path, chromium: Any) -> None:
+    with opened(chromium, exported, DESK) as page:
+        before = eye_of(page)
+        page.evaluate("document.querySelector('#play').click()")
+        eventually(lambda: not np.allclose(eye_of(page), before))
+        eventually(lambda: not page.evaluate("drsplat.isPlaying()"))
+        assert page.locator("#at").input_value() == "1000"
+        assert page.evaluate("drsplat.header.fov") == pytest.approx(header_of(exported)["film"]["fovs"][-1])
+        page.locator("#at").fill("0")
+        eventually(lambda: page.evaluate("drsplat.header.fov") == header_of(exported)["film"]["fovs"][0])
+        page.evaluate("drsplat.header.film.seconds = 1000")  # longer than a slow machine takes to press
+        page.locator("#at").blur()
+        page.keyboard.press("Space")
+        assert page.evaluate("drsplat.isPlaying()")
+        assert page.locator("#play").inner_text() == "Stop"
+        page.mouse.click(400, 20)  # a hand on the scene stops it
+        eventually(lambda: not page.evaluate("drsplat.isPlaying()"))
+        assert page.locator("#play").inner_text() == "Play"
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_look_is_the_systems_until_somebody_chooses(exported: Path, chromium: Any) -> None:
+    with opened(chromium, exported, DESK, "light") as page:
+        assert paper_of(page) > 0.8
+        page.emulate_media(color_scheme="dark")
+        assert paper_of(page) < 0.2
+        page.get_by_role("button", name="Look: system").click()
+        page.get_by_role("button", name="Look: dark").click()
+        page.get_by_role("button", name="Look: light").wait_for()
+        assert paper_of(page) > 0.8
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_keys_ask_turn_and_help(exported: Path, chromium: Any) -> None:
+    with opened(chromium, exported, DESK) as page:
+        for key, answer in (("2", 1), ("1", 0)):
+            page.keyboard.press(key)
+            assert page.evaluate("drsplat.state.answer") == answer
+        page.keyboard.press("c")
+        assert page.evaluate("drsplat.state.mode") == "heat"
+        yaw = page.evaluate("drsplat.state.yaw")
+        page.keyboard.press("ArrowLeft")
+        assert page.evaluate("drsplat.state.yaw") == pytest.approx(yaw - 0.08)
+        assert not page.locator("#keys").is_visible()
+        page.keyboard.press("?")
+        assert page.locator("#keys").is_visible()
+        page.keyboard.press("Escape")
+        assert not page.locator("#keys").is_visible()
+        page.keyboard.press("r")
+        begin = page.evaluate("drsplat.header.target")
+        eventually(lambda: np.allclose(page.evaluate("drsplat.state.target"), begin, atol=1e-3))
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_in_a_hand_the_controls_are_a_sheet(exported: Path, chromium: Any) -> None:
+    with opened(chromium, exported, HAND, hand=True) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == HAND[0]
+        assert page.evaluate("drsplat.state.height") > 0.4 * HAND[1]
+        heights = page.evaluate("[...document.querySelectorAll('aside .row button')].map((one) => one.offsetHeight)")
+        assert min(heights[:4]) >= 40  # a finger's
+        page.locator("#queries button").nth(1).tap()
+        assert page.evaluate("drsplat.state.answer") == 1
+        page.locator("#sheet").tap()
+        eventually(lambda: page.evaluate("drsplat.state.height") > 0.9 * HAND[1])
+        assert page.locator("#sheet").get_attribute("aria-expanded") == "false"
+        page.evaluate("(({ eye, center }) => drsplat.stand(eye, center))(drsplat.header.answers[1].matches[0])")
+        x, y, _ = page.evaluate("drsplat.project(drsplat.header.answers[1].matches[0].center)")
+        page.touchscreen.tap(x, y)
+        eventually(lambda: "tall lamp" in page.locator("#what b").inner_text())
+        page.locator("#sheet").tap()
+        eventually(lambda: page.evaluate("drsplat.state.height") < 0.6 * HAND[1])
