@@ -83,6 +83,10 @@ class Edits:
     def is_edited(self) -> bool:
         return self.listed.done > 0
 
+    def on(self, gaussians: Gaussians) -> "Edits":
+        """The same edits of the same rows elsewhere: of a scene that moves, at another time."""
+        return replace(self, gaussians=gaussians, _state=_State.of(gaussians, self.listed, self.file))
+
     # --- changing ---
 
     def add(self, edit: Edit) -> None:
