@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,18 @@ def test_the_list_is_the_one_beside_the_scene(room: Path) -> None:
     again.edit(Remove())
     (edit,) = file.read(session.scene.gaussians).active
     assert str(edit.target) == "object 1"
+
+
+def test_the_same_edits_of_rows_that_are_elsewhere(session: Session) -> None:
+    session.ask("red mug")
+    session.edit(Duplicate((0.5, 0.0, 0.5)))
+    scene = session.scene.gaussians
+    later = replace(scene, means=scene.means + np.float32([0, 1, 0]))
+    edits = session.edits
+    now, listed = edits.part(None)[0], edits.listed
+    edits.stand(later)
+    np.testing.assert_allclose(edits.part(None)[0].means, now.means + np.float32([0, 1, 0]), atol=1e-6)
+    assert edits.listed is listed
 
 
 def test_what_fails_leaves_all_as_it_was(room: Path) -> None:

@@ -74,8 +74,9 @@ def page_of(
     numbers = object_numbers(session)
     return Page(
         title or scene.name, shown, answers, *look, up, features, words,
-        None if best is None else _shown(session, best), objects_of_page(session, up), annotations_of_page(session, up),
-        None if numbers is None else _shown(session, numbers), path,
+        None if best is None else _shown(session, best),
+        objects=objects_of_page(session, up), annotations=annotations_of_page(session, up),
+        object_numbers=None if numbers is None else _shown(session, numbers), path=path,
     )  # fmt: skip
 
 
