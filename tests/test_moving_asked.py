@@ -266,6 +266,23 @@ def test_services_ask_of_a_span() -> None:
         assert (talk.where_is("red car", during=during).best is not None) == bool(found)
 
 
+def test_language_models_ask_when() -> None:
+    pytest.importorskip("pydantic")
+    from drsplat.serving.conversation import Conversation, When
+    from drsplat.serving.conversation import told as answered
+    from drsplat.serving.limits import Limits
+    from drsplat.serving.requests import Tool
+
+    told = Conversation(played(), "film").when("red car", "left_of", "white vase", "cam0/00")
+    assert np.allclose(told.spans, [(0, 0.4)])
+    assert told.times == [0, 1]
+    assert not told.advice
+    with pytest.raises(InputError, match="give view=NAME"):
+        Conversation(played(), "film").when("red car", "left_of", "white vase")
+    asked = {"one": "red car", "relation": "next_to", "other": "white vase"}
+    assert isinstance(answered(played(), Tool(tool="when", name="film", arguments=asked), Limits()), When)
+
+
 def test_classes_of_a_span() -> None:
     scene = named("red car", "green apple")
     for during, best in (((0.0, 0.4), 0), ((0.6, 1.0), 1)):

@@ -1,13 +1,18 @@
 """The rooms of the world in which things move, and what is found in them."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from world.moving import FIXED, KINDS, TIMES, Film, make_film
+import pytest
+from world.moving import FIXED, KINDS, TIMES, Film, make_film, write_film
 
-from drsplat import Mixture, Scene, WordEncoder, register
+from drsplat import Mixture, Scene, WordEncoder, open_scene, register
+from drsplat.cli import main
 from drsplat.kernels.boxes import box_of
 from drsplat.scene.boxes import solid
+from drsplat.scene.moving import Frames, Moving
 
 
 def test_the_same_seed_makes_the_same_film() -> None:
@@ -52,3 +57,24 @@ def test_a_moving_car_is_found_where_it_is() -> None:
         true = box_of(at, solid(at, np.flatnonzero(film.labels == 1)), np.array([0.0, 0, 1]))
         assert np.linalg.norm(found.center - true.center) < 0.02
         assert np.abs(found.extent - true.extent).max() < 0.04
+
+
+def test_a_film_in_files_is_registered_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the first and the last time."""
+    whole = make_film(0)
+    stamps = whole.moving.times[[0, -1]]
+    moving = Moving(
+        whole.moving.canonical, stamps, Frames(stamps, lambda number: whole.moving.at(float(stamps[number])))
+    )
+    views = tuple(view for number, view in enumerate(whole.views) if number % TIMES in (0, TIMES - 1))
+    write_film(tmp_path / "film", Film(moving, whole.names, whole.labels, whole.moves, views))
+    truth = json.loads((tmp_path / "film/truth.json").read_text())
+    assert np.shape(truth["centers"]) == (2, len(whole.names), 3)
+    folder = tmp_path / "film"
+    argv = ["register", folder / "film.motion", folder / "capture", "--features", folder / "capture/language_features",
+            "--encoder-name", "drsplat-words", "--output", folder / "film.field", "--json"]  # fmt: skip
+    assert main(list(map(str, argv))) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["num_views"], told["num_times"]) == (2 * (FIXED + 1), 2)
+    found = open_scene(folder).tracks(open_scene(folder).locate(whole.names[5], top=1))[0]
+    assert np.linalg.norm(found.centers - np.array(truth["centers"])[:, 5], axis=1).max() < 0.02

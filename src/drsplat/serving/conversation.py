@@ -113,6 +113,16 @@ class Related(ObjectList):
     to: list[int | None] = Field(description="the objects that they are related to; null for a place that is none")
 
 
+class When(Body):
+    one: str
+    relation: str
+    other: str
+    spans: list[list[float]] = Field(description="first and last time of each span in which it holds")
+    times: list[float] = Field(description="first and last time of the scene")
+    field: Fingerprint = ""
+    advice: str = ""
+
+
 class Shown(Body):
     view: str
     query: str | None
@@ -230,6 +240,18 @@ class Conversation:
         numbers = [one.object_id for one in (end, other) if one is not None]
         return Related(**listed.model_dump(), relation=relation, to=numbers)
 
+    def when(self, one: str, relation: str, other: str, view: str | None = None) -> When:
+        spans = self.scene.when(_text(one), relation, _text(other), view)
+        return When(
+            one=one,
+            relation=relation,
+            other=other,
+            spans=[list(span) for span in spans],
+            times=list(self.scene.moving.span),
+            field=self._field,
+            advice="" if spans else "at no time; locate says where each is",
+        )
+
     def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
         digits = decimals_of(self.scene)
@@ -313,6 +335,7 @@ _TOOLS: Mapping[str, Callable[..., Body]] = {
         Conversation.what_is_at_pixel,
         Conversation.list_objects,
         Conversation.relations,
+        Conversation.when,
         Conversation.describe_region,
         Conversation.show,
     )

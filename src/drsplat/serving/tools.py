@@ -3,7 +3,7 @@
 import asyncio
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
@@ -27,6 +27,7 @@ from .conversation import (
     Region,
     Related,
     Shown,
+    When,
 )  # fmt: skip
 from .limits import Limits
 from .models import Body, Located, ObjectList, SceneList
@@ -140,6 +141,7 @@ def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> 
     _add_matches(server, asking)
     _add_places(server, asking)
     _add_objects(server, asking)
+    _add_times(server, asking)
     _add_pictures(server, asking)
     if scene_folder.catalogue_path is not None:
         _add_catalogue(server, asking)
@@ -239,6 +241,22 @@ def _add_objects(server: MCPServer, asking: _Asking) -> None:
     ) -> Related:
         """Which objects are on, in, next to or above one, or between two: what lies on the table?"""
         return await asking.told(Related, "relations", scene, relation=relation, to=to, and_to=and_to)
+
+
+def _add_times(server: MCPServer, asking: _Asking) -> None:
+    @server.tool(title="When does it hold", annotations=READS)
+    async def when(
+        one: Text,
+        relation: Annotated[
+            Literal["on", "in", "next_to", "above", "left_of", "right_of"],
+            Field(description="relation of the one to the other; left and right as seen from view"),
+        ],
+        other: Text,
+        view: Annotated[str | None, Field(description="a photo's name, for left_of and right_of only")] = None,
+        scene: SceneName = "",
+    ) -> When:
+        """In which spans of time one match stands in a relation to another, in a scene that moves."""
+        return await asking.told(When, "when", scene, one=one, relation=relation, other=other, view=view)
 
 
 def _add_pictures(server: MCPServer, asking: _Asking) -> None:
