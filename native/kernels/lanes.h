@@ -133,6 +133,14 @@ INLINE uint32_t lanes_of(Mask m) {
   return r;
 }
 INLINE Floats square_root(Floats a) { LANES(Floats, (FloatPart)_mm_sqrt_ps((__m128)a.part[i])); }
+#elif defined(__aarch64__)  // all else above is NEON already, as the compiler makes it
+INLINE uint32_t lanes_of(Mask m) {
+  const uint32x4_t bits = {1, 2, 4, 8};
+  uint32_t r = 0;
+  EACH_PART(r |= vaddvq_u32(vandq_u32((uint32x4_t)m.part[i], bits)) << (4 * i));
+  return r;
+}
+INLINE Floats square_root(Floats a) { LANES(Floats, (FloatPart)vsqrtq_f32((float32x4_t)a.part[i])); }
 #else
 INLINE uint32_t lanes_of(Mask m) {
   uint32_t r = 0;
