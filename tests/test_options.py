@@ -73,7 +73,7 @@ def refused(action: argparse.Action, text: str) -> bool:
 
 
 def is_number(action: argparse.Action) -> bool:
-    return callable(action.type) and refused(action, "x")
+    return callable(action.type) and refused(action, "x") and not refused(action, "1")
 
 
 def values_of(action: argparse.Action) -> list[str]:
@@ -159,6 +159,9 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--words",
             "mug",
         ],
+        "motion": [str(room / "frames"), "-o", str(out / "s.motion"), "--overwrite"],
+        "when": [field, "red mug", "above", "blue plate", *asked],
+        "edit": [scene, "--field", field, "--query", "red mug", "--remove", "--overwrite"],
         "catalogue": ["ask", str(out / "none.catalogue"), "red mug"],
         "evaluate": ["voxel", str(out), "--name", "x", "--scene", scene, "--field", field, "--report", str(out / "r")],
     }[verb]
