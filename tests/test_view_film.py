@@ -150,6 +150,14 @@ def test_keys_turn_boxes_colours_and_the_look(panel: Any) -> None:
     stranger.close()
 
 
+def test_a_panel_that_is_closed_leaves_no_key_behind(panel: Any) -> None:
+    """A catalogue opens one scene after the other on the same server."""
+    commands = panel.window.server.gui._command_handle_from_uuid
+    assert len(commands) == 5
+    panel.close()
+    assert not commands
+
+
 @needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desk", "hand"])

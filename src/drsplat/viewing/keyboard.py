@@ -7,10 +7,15 @@ Act = Callable[[Any], None]
 Do = Callable[[str, Any, Act], None]
 
 
-def add_keys(gui: Any, do: Do, acts: Mapping[str, tuple[str, Act]]) -> None:
-    """acts: by what the palette calls it, the key and what it does with the press; `do` says when."""
-    for label, (key, act) in acts.items():
-        gui.add_command(label, hotkey=key).on_trigger(_later(do, label, act))
+def add_keys(gui: Any, do: Do, acts: Mapping[str, tuple[str, Act]]) -> list[Any]:
+    """acts: by what the palette calls it, the key and what it does with the press; `do` says when.
+
+    Returns what is to be removed when these keys shall do nothing any more.
+    """
+    commands = [gui.add_command(label, hotkey=key) for label, (key, _) in acts.items()]
+    for command, (label, (_, act)) in zip(commands, acts.items(), strict=True):
+        command.on_trigger(_later(do, label, act))
+    return commands
 
 
 def _later(do: Do, label: str, act: Act) -> Act:

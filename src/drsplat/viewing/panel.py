@@ -50,6 +50,9 @@ class Panel:
     def close(self) -> None:
         """Act on nothing any more; the window stays."""
         self.window.server.scene.remove_click_callback(self._on_click)
+        while self.keys:
+            self.keys.pop().remove()
+        self.film.is_playing = False
         self.actions.stop()
         self.flights.stop()
 
@@ -198,7 +201,7 @@ class Panel:
             "Next colours": ("C", next_of(self.mode, self._set_mode)),
             "Dark or light": ("L", next_of(self.look, self._set_look)),
         }
-        add_keys(self.gui, self._do, acts)
+        self.keys = add_keys(self.gui, self._do, acts)
 
     # --- asking ---
 
