@@ -2,6 +2,6 @@
 
 Only `window` and `catalogue_page` start viser. Source: Dr. Splat Sec. F "Broader application".
 
-Imports `catalogue`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`,
-`query` and `serving`.
+Imports `catalogue`, `editing`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`,
+`drawing`, `query` and `serving`.
 """
