@@ -138,6 +138,7 @@ def test_annotations(room: Path, capsys: Capture) -> None:
         (["--everything", "--remove", "--undo"], "one of them at a time"),
         (["--everything", "--fill"], "edit 1: fill: no ground and no wall"),
         (["--undo"], "no edit to undo"),
+        (["--everything", "--recolour", "bluish"], "expected a colour, e.g. #2060ff"),
         (["--at", 1, 2, 3], "--annotate"),
         (["--everything", "--replace", "none.ply", "--up", "+z"], "there is no file"),
         (["--copies", 1, "--remove"], "edit 1 added nothing"),
@@ -150,6 +151,6 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(
     assert not (room / "scene.edits.json").exists()
 
 
-@pytest.mark.parametrize("given", [["--recolour", "bluish"], ["--move", 1, 2], ["--object", 1, "--everything"]])
+@pytest.mark.parametrize("given", [["--move", 1, 2], ["--object", 1, "--everything"]])
 def test_what_is_misspelt_is_misuse(room: Path, capsys: Capture, given: list[object]) -> None:
     error_of(capsys, "edit", room / "scene.ply", *given, code=2)

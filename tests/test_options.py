@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -147,6 +148,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
         "tile": [scene, "-o", str(out / "s.tiles"), "--overwrite"],
         "locate": [field, "red mug", *asked],
         "segment": [field, "--classes", "red mug,blue plate", *asked],
+        "edit": [str(shutil.copy(scene, out / "edited.ply")), "--field", field, "--everything", "--views", capture],
         "render": [scene, "--views", capture, "--view", "photo_0", "-o", str(out), "--overwrite"],
         "view": [
             field,
@@ -161,7 +163,6 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
         ],
         "motion": [str(room / "frames"), "-o", str(out / "s.motion"), "--overwrite"],
         "when": [field, "red mug", "above", "blue plate", *asked],
-        "edit": [scene, "--field", field, "--query", "red mug", "--remove", "--overwrite"],
         "catalogue": ["ask", str(out / "none.catalogue"), "red mug"],
         "evaluate": ["voxel", str(out), "--name", "x", "--scene", scene, "--field", field, "--report", str(out / "r")],
     }[verb]

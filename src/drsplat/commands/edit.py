@@ -228,6 +228,7 @@ class _Work:
 
     def _made(self, name: str, value: Any, part: Gaussians, folder: Path) -> Change:
         from .. import editing
+        from ..editing.colouring import color_of
         from ..editing.making import replaced_by, scaled_on_its_foot
         from .query_inputs import read_picture
 
@@ -236,8 +237,8 @@ class _Work:
             "remove": editing.Remove,
             "isolate": editing.Isolate,
             "fill": editing.Fill,
-            "recolour": lambda: editing.Recolour(value, arguments.amount),
-            "palette": lambda: editing.Palette(value),
+            "recolour": lambda: editing.Recolour(color_of(value), arguments.amount),
+            "palette": lambda: editing.Palette(tuple(color_of(one) for one in value.split(","))),
             "like_photo": lambda: editing.MatchPhoto.of(read_picture(value)),
             "opacity": lambda: editing.Opacity(value),
             "move": lambda: editing.Move(tuple(value)),

@@ -18,21 +18,6 @@ class _Then(argparse.Action):
         namespace.changes = [*(namespace.changes or []), (self.dest, values)]
 
 
-def colour(text: str) -> tuple[float, float, float]:
-    """ "#2060ff", or a name such as steelblue."""
-    from PIL import ImageColor
-
-    try:
-        red, green, blue = ImageColor.getrgb(text)[:3]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected a colour, e.g. #2060ff or steelblue; got '{text}'") from None
-    return red / 255, green / 255, blue / 255
-
-
-def colours(text: str) -> tuple[tuple[float, float, float], ...]:
-    return tuple(colour(one.strip()) for one in text.split(","))
-
-
 def add_target_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("what is edited (one of these)")
     which = group.add_mutually_exclusive_group()
@@ -57,8 +42,8 @@ def add_change_options(parser: argparse.ArgumentParser) -> None:
     then("--remove", nargs=0, help="remove it")
     then("--isolate", nargs=0, help="remove everything else")
     then("--fill", nargs=0, help="close the hole where it stood at first, with clones of the ground or wall beside it")
-    then("--recolour", type=colour, metavar="COLOUR", help="one hue with its own light and shade, e.g. #2060ff")
-    then("--palette", type=colours, metavar="COLOURS", help="colours in place of its own, e.g. '#203040,#d0c0a0'")
+    then("--recolour", type=words, metavar="COLOUR", help="one hue with its own light and shade, e.g. #2060ff")
+    then("--palette", type=words, metavar="COLOURS", help="colours in place of its own, e.g. '#203040,#d0c0a0'")
     then("--like-photo", metavar="PICTURE", help="colours with the mean and the spread of those in a picture")
     then("--opacity", type=finite, metavar="FACTOR", help="opacity times this; 0.3 makes it faint")
     then("--move", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="move it by this, in scene units")

@@ -111,6 +111,17 @@ class MatchPhoto:
         _map(draft, ids, matrix, self.mean - matrix @ mean)
 
 
+def color_of(text: str) -> Color:
+    """Of "#2060ff", or of a name such as steelblue. Raises: InputError: no colour."""
+    from PIL import ImageColor
+
+    try:
+        red, green, blue = ImageColor.getrgb(text.strip())[:3]
+    except ValueError:
+        raise InputError(f"expected a colour, e.g. #2060ff or steelblue; got {text!a:.60}") from None
+    return red / 255, green / 255, blue / 255
+
+
 def check_color(color: Color) -> None:
     """Raises: InputError: not three numbers from 0 to 1."""
     if len(color) != 3 or not all(0 <= part <= 1 for part in color):

@@ -8,6 +8,7 @@ import numpy as np
 from ..drawing.pictures import as_pixels
 from ..drawing.rendering import render
 from ..editing import Duplicate, Fill, Isolate, Move, Opacity, Palette, Recolour, Remove, Turn
+from ..editing.colouring import color_of
 from ..editing.edits import Change
 from ..editing.making import scaled_on_its_foot
 from ..editing.stored import NAMES
@@ -139,7 +140,7 @@ class EditControls:
         made: dict[str, Callable[[], Change]] = {
             REMOVE: Remove, KEEP: Isolate, FILL: Fill,
             RECOLOUR: lambda: Recolour(_share(self.color.value)),
-            PALETTE: lambda: Palette(_palette(self.palette.value)),
+            PALETTE: lambda: Palette(tuple(color_of(one) for one in self.palette.value.split(","))),
             OPACITY: lambda: Opacity(number),
             MOVE: lambda: Move((x, y, z)), DUPLICATE: lambda: Duplicate((x, y, z)),
             TURN: lambda: Turn(number, tuple(up.tolist())),
@@ -210,13 +211,3 @@ class EditControls:
 def _share(rgb: tuple[int, int, int]) -> tuple[float, float, float]:
     red, green, blue = (part / 255 for part in rgb)
     return red, green, blue
-
-
-def _palette(text: str) -> tuple[tuple[float, float, float], ...]:
-    """Of "#203040, gold". Raises: InputError: no colours."""
-    from PIL import ImageColor
-
-    try:
-        return tuple(_share(ImageColor.getrgb(one.strip())[:3]) for one in text.split(","))
-    except ValueError as error:
-        raise InputError(f"colours: expected some such as #203040, #d0c0a0; {error}") from error
