@@ -151,7 +151,7 @@ def _value_of(flag: str, argv: Sequence[str]) -> str | None:
 
 
 def _pairs(argv: Sequence[str]) -> Iterator[tuple[str, str | None]]:
-    return zip(argv, [*argv[1:], None], strict=True)
+    return zip(argv, [*argv[1:], None], strict=False)
 
 
 def _plain(value: object) -> bool:
