@@ -18,7 +18,7 @@ from importlib import import_module
 from io import TextIOWrapper
 from typing import NoReturn, TextIO
 
-from .commands.configuring import configuration, configured, value_of
+from .commands.configuring import can_be_a_path, configuration, configured, path_of
 from .commands.help_texts import HelpFormatter
 from .commands.log import logged
 from .commands.options import whole
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, TextIOWrapper):  # a name that the terminal has no letters for is told all the same
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        with logged(value_of("--log", given), f"drsplat {shlex.join(given)}"):
+        with logged(path_of("--log", given), f"drsplat {shlex.join(given)}"):
             return _told(given, as_json, debug)
     except OSError as error:  # of the log
         return _failed(error, type(error).__name__, FAILED, as_json)
@@ -205,16 +205,8 @@ def _refuse_no_texts(arguments: argparse.Namespace) -> None:
         for text in value if isinstance(value, list) else [value]:
             if text == "" and name != "ask":  # which asks nothing by default
                 raise UsageError(f"{flag} is empty: give a value, or leave it out")
-            if isinstance(text, str) and not _can_be_a_path(text):
+            if isinstance(text, str) and not can_be_a_path(text):
                 raise UsageError(f"{flag}: expected text in UTF-8, got {quoted(text)}")
-
-
-def _can_be_a_path(text: str) -> bool:
-    try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _as_json(value: object) -> object:

@@ -10,6 +10,7 @@ level = "large"
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -29,7 +30,7 @@ def configured(argv: Sequence[str], parser: argparse.ArgumentParser) -> list[str
     Raises: InputError: the file is no TOML, or names what the verb does not have.
     """
     verb = verb_of(parser, argv)
-    path = value_of("--config", argv)
+    path = path_of("--config", argv)
     if verb is None or path is None:
         return list(argv)
     name, options = argv[0], _options(verb)
@@ -126,8 +127,21 @@ def _is_given(flag: str, argv: Sequence[str]) -> bool:
     return any(text == flag or (text.startswith(f"{flag}=") and flag.startswith("--")) for text in argv)
 
 
-def value_of(flag: str, argv: Sequence[str]) -> str | None:
-    """What the arguments have for an option of one value."""
+def path_of(flag: str, argv: Sequence[str]) -> str | None:
+    """The path that the arguments have for an option. None also where it is no path, which is told with the others."""
+    path = _value_of(flag, argv)
+    return path if path and can_be_a_path(path) else None
+
+
+def can_be_a_path(text: str) -> bool:
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _value_of(flag: str, argv: Sequence[str]) -> str | None:
     for text, after in _pairs(argv):
         if text == flag:
             return after
@@ -137,7 +151,7 @@ def value_of(flag: str, argv: Sequence[str]) -> str | None:
 
 
 def _pairs(argv: Sequence[str]) -> Iterator[tuple[str, str | None]]:
-    return zip(argv, [*argv[1:], None], strict=True)
+    return zip(argv, [*argv[1:], None], strict=False)
 
 
 def _plain(value: object) -> bool:
