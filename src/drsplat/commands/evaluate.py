@@ -41,7 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     each.add_argument(
         "--features", action="append", metavar="FILE.npy",
         help="features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros where "
-        "there is none; with --vocabulary or --encoder for the texts",
+        "there is none (.npy, .safetensors), OpenGaussian's cluster_lang.npz, or a checkpoint of PyTorch's with one "
+        "such tensor; with --vocabulary or --encoder for the texts",
+    )  # fmt: skip
+    each.add_argument(
+        "--decoder", action="append", metavar="FILE.pth",
+        help="LangSplat's autoencoder, where --features is its checkpoint: three numbers per Gaussian, decoded to 512",
     )  # fmt: skip
     parser.add_argument("--report", required=True, metavar="DIR", help="folder for the report and the predictions")
     parser.add_argument(
@@ -131,10 +136,12 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError("give --field or --features for each scene, and not both")
     if arguments.without and arguments.protocol != "lerf-ovs":
         raise InputError("--without is for lerf-ovs: the truth of the others is not in photos")
-    for option in ("name", "field", "features"):
+    for option in ("name", "field", "features", "decoder"):
         given = getattr(arguments, option)
         if given and len(given) != count:
             raise InputError(f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
+    if arguments.decoder and not arguments.features:
+        raise InputError("--decoder is of --features: give the checkpoint that it decodes")
     if arguments.features and not (arguments.vocabulary or arguments.encoder):
         raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
 
@@ -155,7 +162,7 @@ def _names(arguments: argparse.Namespace) -> list[str]:
 
 def _judged(arguments: argparse.Namespace, index: int) -> Judged:
     from .. import load_encoder, read_gaussians, read_vocabulary
-    from ..evaluation.scorers import read_features
+    from ..formats.peer_features import read_peer_features
 
     if arguments.field:
         return open_scene(
@@ -166,4 +173,5 @@ def _judged(arguments: argparse.Namespace, index: int) -> Judged:
         return gaussians  # with --score-only
     words = arguments.vocabulary
     encoder = read_vocabulary(words) if words else load_encoder(arguments.encoder, arguments.device)
-    return gaussians, read_features(Path(arguments.features[index])), encoder
+    decoder = None if arguments.decoder is None else Path(arguments.decoder[index])
+    return gaussians, read_peer_features(Path(arguments.features[index]), decoder), encoder

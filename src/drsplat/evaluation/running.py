@@ -6,14 +6,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from ..codes import Track, untracked
 from ..encoders import Encoder
 from ..errors import InputError
 from ..formats.captures import read_views
 from ..formats.checksums import hash_file
+from ..formats.peer_features import Rows
 from ..query import Scene
 from ..scene.gaussians import Gaussians
 from . import lerf_ovs, scannet_points, scannet_volume, voxel
@@ -28,7 +26,7 @@ from .scorers import Scorer, cosine_scorer, feature_scorer, relevant
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
 _SCANNET = {"scannet-points": scannet_points, "scannet-volume": scannet_volume, "voxel": voxel}
 
-Judged = Scene | Gaussians | tuple[Gaussians, Float[np.ndarray, "n d"], Encoder]
+Judged = Scene | Gaussians | tuple[Gaussians, Rows, Encoder]
 Names = Callable[[Sequence[str]], Collection[str]]
 
 

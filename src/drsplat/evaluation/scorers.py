@@ -4,15 +4,14 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from ..encoders import Encoder
-from ..errors import InputError, MismatchError
+from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
-from ..formats.npy import map_npy
+from ..formats.peer_features import Rows
 from ..query import Scene
 from ..query.search import CHUNK, NEGATIVES, embed_query
 from ..query.thresholds import CUT
@@ -101,10 +100,10 @@ def _answer(known: LanguageField, encoder: Encoder, threads: int) -> Callable[[s
     return answer
 
 
-def feature_scorer(features: Float[np.ndarray, "N D"], encoder: Encoder, name: str = "features") -> Scorer:
+def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> Scorer:
     """Cosines with features made by any system; rows without direction are absent.
 
-    features: float16 or float32, of any length, may be a memory map: read a block at a time.
+    features: (N, D) of float16 or float32, of any length, may be a memory map: read a block at a time.
 
     Raises: MismatchError: features and texts of different dimensions.
     """
@@ -147,20 +146,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
     )  # fmt: skip
 
 
-def read_features(path: Path) -> Float[np.ndarray, "N D"]:
-    """Features of another system: .npy of (N, D) float16 or float32, mapped and not loaded.
-
-    Raises: InputError: there is no such file. FormatError: damaged. InputError: another shape or type.
-    """
-    features = map_npy(path)
-    if features.ndim != 2 or features.dtype not in (np.float16, np.float32):
-        raise InputError(
-            f"{path}: expected float16 or float32 (N, D), one row per Gaussian; got {features.dtype} {features.shape}"
-        )
-    return features
-
-
-def hashed(array: np.ndarray) -> str:
+def hashed(array: Rows) -> str:
     """Of type, shape and content."""
     digest = hashlib.blake2b(f"{array.dtype.str} {array.shape}".encode(), digest_size=16)
     for start in range(0, len(array), BLOCK):
@@ -168,7 +154,7 @@ def hashed(array: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def _cosines(features: Float[np.ndarray, "N D"], unit: Float32[np.ndarray, " D"]) -> Scores:
+def _cosines(features: Rows, unit: Float32[np.ndarray, " D"]) -> Scores:
     scores = np.empty(len(features), np.float32)
     for start in range(0, len(features), BLOCK):
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
