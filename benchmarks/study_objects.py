@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.bench_boxes import owners
 from benchmarks.suite.instances import LEAST, Compared, Region, compare, numbers
 from benchmarks.suite.masks import MASKS, features_of
-from benchmarks.suite.rivals import Agreement, Alike, light_splat, mask_clustering, sureness
+from benchmarks.suite.rivals.things import Agreement, Alike, light_splat, mask_clustering, sureness
 from benchmarks.suite.scenes import read_scene
 from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, read_gaussians, read_views, register
 from drsplat.codes.code import Code

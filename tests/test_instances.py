@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmarks.study_objects import Room, regions_of, with_wrong
 from benchmarks.suite.instances import Compared, Region, average_precision, compare, numbers, panoptic_quality
-from benchmarks.suite.rivals import Agreement, Alike, dominant, in_space, light_splat, mask_clustering, sureness
+from benchmarks.suite.rivals.things import Agreement, Alike, dominant, in_space, light_splat, mask_clustering, sureness
 from scipy.sparse import csr_array
 
 from drsplat.evidence.evidence import Evidence, MaskIds

@@ -9,7 +9,8 @@ import time
 from pathlib import Path
 
 from .masks import MASKS
-from .running import METHODS, Task, results_of, run, threads_for, write_results
+from .rivals import FITTED
+from .running import ALL, METHODS, Task, results_of, run, threads_for, write_results
 
 SCENES = Path(__file__).resolve().parents[2] / "world" / "scenes"
 
@@ -20,17 +21,20 @@ def main() -> None:
     parser.add_argument("--output", type=Path, required=True, metavar="FILE.json")
     parser.add_argument("--masks", nargs="+", choices=tuple(MASKS), default=list(MASKS))
     parser.add_argument(
-        "--methods", "--aggregators", nargs="+", choices=METHODS, default=list(METHODS),
-        metavar="NAME", help=f"of {', '.join(METHODS)} (default: all)",
+        "--methods", "--aggregators", nargs="+", choices=ALL, default=list(METHODS),
+        metavar="NAME", help=f"of {', '.join(ALL)} (default: all but the last {len(FITTED)}, which take hours)",
     )  # fmt: skip
+    parser.add_argument("--rivals", action="store_true", help="the methods, and the rivals that are fitted")
+    parser.add_argument("--effort", type=float, default=1.0, help="share of the steps of a rival's paper (default: 1)")
     parser.add_argument("--jobs", type=int, default=1, help="scenes at a time (default: 1)")
     parser.add_argument("--every", type=int, default=1, help="take one in so many views")
     parser.add_argument("--work", type=Path, help="folder of what is finished (default: FILE.json.parts)")
     arguments = parser.parse_args()
     start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
     work = arguments.work or Path(f"{arguments.output}.parts")
+    methods = (*arguments.methods, *(FITTED if arguments.rivals else ()))
     tasks = [
-        Task(folder, masks, tuple(arguments.methods), work, arguments.every, threads_for(arguments.jobs))
+        Task(folder, masks, methods, work, arguments.every, threads_for(arguments.jobs), arguments.effort)
         for folder in scenes
         for masks in arguments.masks
     ]

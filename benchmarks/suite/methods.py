@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from drsplat import (
     PQ,
@@ -17,15 +18,19 @@ from drsplat import (
     register,
 )
 from drsplat.codes import CodeSpecification
-from drsplat.evaluation.scorers import Scorer, cosine_scorer
+from drsplat.evaluation.scorers import Scorer, cosine_scorer, feature_scorer
 from drsplat.evidence.aggregation import Sampling
 from drsplat.objects.finding import find_objects
 
 from .aggregators import MEASURED
 from .masks import features_of
 from .rendered import STEPS, rendered_scorer
+from .rivals import FITTED
 from .scenes import BenchScene
 from .scoring import Methods
+
+if TYPE_CHECKING:
+    from .rivals.rasterising import Photos
 
 DEFAULT = Sampling()
 OBJECTS = "objects"
@@ -41,6 +46,10 @@ class Registered:
         self.gaussians, self.views, self.features = gaussians, views, features
         self.encoder = encoder
         self.registrations: dict[Sampling, Registration] = {}
+
+    @property
+    def seen(self) -> dict[View, ViewFeatures]:
+        return {view: self.features[view.name] for view in self.views}
 
     def registration(self, sampling: Sampling, threads: int) -> Registration:
         if sampling not in self.registrations:
@@ -60,11 +69,12 @@ class Workshop:
     All aggregators have one codebook, that of the mean: differences between them are then not those of k-means.
     """
 
-    def __init__(self, scene: BenchScene, masks: str, encoder: MiniEncoder, threads: int) -> None:
-        self.scene, self.encoder, self.threads = scene, encoder, threads
+    def __init__(self, scene: BenchScene, masks: str, encoder: MiniEncoder, threads: int, effort: float = 1.0) -> None:
+        self.scene, self.encoder, self.threads, self.effort = scene, encoder, threads, effort
         features = features_of(scene, masks, encoder)
         self.num_masks = sum(len(found.embeddings) for found in features.values())
         frozen = scene.points.gaussians
+        self._photos: dict[Registered, Photos] = {}
         self.volume = Registered(scene.gaussians, scene.views, features, encoder.identity)
         self.points = Registered(frozen, scene.views, features, encoder.identity)
 
@@ -77,12 +87,21 @@ class Workshop:
 
     def _scorer(self, registered: Registered, name: str) -> Scorer:
         if name in STEPS:
-            seen = {view: registered.features[view.name] for view in registered.views}
-            gaussians = registered.gaussians
-            return rendered_scorer(name, gaussians, seen, self.encoder, self.threads)
+            return rendered_scorer(name, registered.gaussians, registered.seen, self.encoder, self.threads)
+        if name in FITTED:
+            return self._fitted(registered, name)
         if name == OBJECTS:
             field = registered.field("mean", self.codebook, self.threads)
             field = field.with_objects(find_objects(field, registered.gaussians, threads=self.threads))
         else:
             field = registered.field(name, self.codebook, self.threads)
         return cosine_scorer(field, self.encoder, name, threads=self.threads)
+
+    def _fitted(self, registered: Registered, name: str) -> Scorer:
+        from .rivals.fitting import make
+        from .rivals.rasterising import photos_of
+
+        if registered not in self._photos:  # of one set of Gaussians at a time: they are large
+            self._photos = {registered: photos_of(registered.gaussians, registered.seen, threads=self.threads)}
+        made = make(name, registered.gaussians, self._photos[registered], self.effort)
+        return feature_scorer(made.features, self.encoder, name)

@@ -20,17 +20,19 @@ from drsplat.models.graph import GraphSegmenter
 from .aggregators import MEASURED
 from .methods import OBJECTS, Workshop
 from .rendered import STEPS
+from .rivals import FITTED
 from .scenes import LABEL_SET, BenchScene, about, read_scene
 from .scoring import SWEEP, scored
 
 FORMAT, VERSION = "drsplat benchmark", 2
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 METHODS = (*MEASURED, OBJECTS, *STEPS)
+ALL = (*METHODS, *FITTED)
 
 
 @dataclass(frozen=True)
 class Task:
-    """One scene and one kind of masks. every: takes one in so many of the views."""
+    """One scene and one kind of masks. every: takes one in so many of the views. effort: share of a rival's steps."""
 
     folder: Path
     masks: str
@@ -38,6 +40,7 @@ class Task:
     work: Path
     every: int
     threads: int
+    effort: float = 1.0
 
 
 def run(tasks: Sequence[Task], jobs: int) -> list[dict[str, Any]]:
@@ -54,7 +57,7 @@ def run_task(task: Task) -> list[dict[str, Any]]:
     """Those that are on disk already and are of the same inputs are not made again."""
     scene, encoder = read_scene(task.folder, task.every), MiniEncoder()
     key = _key(scene, task, encoder)
-    found = {method: _finished(_path(task, method), key) for method in task.methods}
+    found = {method: _finished(_path(task, method), _for(method, key, task)) for method in task.methods}
     missing = [method for method, record in found.items() if record is None]
     found.update(_made(task, scene, encoder, missing))
     return [dict(record) for record in found.values() if record is not None]
@@ -66,7 +69,7 @@ def _made(
     if not methods:
         return
     key, start = _key(scene, task, encoder), time.perf_counter()
-    workshop = Workshop(scene, task.masks, encoder, task.threads)
+    workshop = Workshop(scene, task.masks, encoder, task.threads, task.effort)
     print(f"{scene.name}, {task.masks}: {workshop.num_masks} masks", flush=True)
     for method in methods:
         numbers, seconds = scored(scene, workshop.methods(method), task.threads)
@@ -74,7 +77,9 @@ def _made(
         start = time.perf_counter()
         record: dict[str, Any] = {"scene": scene.name, "masks": task.masks, "method": method}
         record |= {"num_masks": workshop.num_masks, **numbers}
-        document = {"key": key, "seconds": seconds, "record": record}
+        if method in FITTED:
+            record["effort"] = task.effort
+        document = {"key": _for(method, key, task), "seconds": seconds, "record": record}
         with replacing(_path(task, method), overwrite=True) as file:
             file.write(json.dumps(document, indent=1).encode() + b"\n")
         print(f"{scene.name}, {task.masks}, {method}: {seconds['all']:.1f} s", flush=True)
@@ -107,6 +112,10 @@ def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
     }
     copied: dict[str, Any] = json.loads(json.dumps(known))
     return copied
+
+
+def _for(method: str, key: dict[str, Any], task: Task) -> dict[str, Any]:
+    return key | {"effort": task.effort} if method in FITTED else key
 
 
 def results_of(folders: Sequence[Path], every: int, records: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -1,0 +1,111 @@
+"""LEGaussians-m: a few numbers per Gaussian that a small network turns into one of the atoms of a codebook.
+
+The embeddings of the photos are quantised, each to an atom; features and an uncertainty per Gaussian are fitted so that
+the network reads the atom of each pixel in their rendering, and features are held near those of a network of the place.
+"-m": the atom of each Gaussian is read from its own features and looked up in 3D.
+
+Source: Shi et al., LEGaussians (CVPR 2024) Sec. 3: 128 atoms, 8 numbers, load balancing of the codebook, uncertainty
+that weighs the cross entropy, smoothing by a network of encoded positions. Departures: embeddings are those of the
+masks, which all methods here are given, and not CLIP's of patches beside DINO's; geometry and colours are frozen, as
+those of all others here; rates, weights of the last two terms and the network's width are ours, where we found none.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64
+from torch import nn
+
+from .rasterising import Photo, Photos, blended, fitted
+
+
+@dataclass(frozen=True)
+class Settings:
+    atoms: int = 128
+    dims: int = 8
+    hidden: int = 128
+    frequencies: int = 6
+    quantise_steps: int = 3_000
+    quantise_rate: float = 1e-2
+    balance: float = 0.5
+    temperature: float = 0.1
+    steps: int = 30_000
+    rate: float = 2.5e-3
+    network_rate: float = 1e-3
+    certain: float = 0.1  # weight of the mean uncertainty
+    smooth: float = 0.1
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """features: (N, D) unit. losses: of rendering. quantised: of the codebook; cosine: of embeddings and atoms."""
+
+    features: Float32[np.ndarray, "n d"]
+    losses: list[float]
+    quantised: list[float]
+    cosine: float
+
+
+def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Settings = Settings()) -> Fitted:
+    torch.manual_seed(settings.seed)
+    embeddings = torch.from_numpy(photos.embeddings)
+    atoms, quantised = codebook(embeddings, settings)
+    labels = (embeddings @ atoms.T).argmax(1)
+    values = nn.Parameter(0.01 * torch.randn(photos.num_gaussians, settings.dims))
+    doubts = nn.Parameter(torch.full((photos.num_gaussians, 1), -3.0))
+    reader = _network(settings.dims, settings.hidden, settings.atoms)
+    places = _encoded(positions, settings.frequencies)
+    smoother = _network(places.shape[1], settings.hidden, settings.dims)
+
+    def loss(photo: Photo) -> torch.Tensor:
+        rendered = blended(photo, torch.cat([values, torch.sigmoid(doubts)], 1))
+        doubt = rendered[:, -1].clamp(0, 1)
+        wrong = nn.functional.cross_entropy(reader(rendered[:, :-1]), labels[photo.masks], reduction="none")
+        some = torch.randint(len(values), (4096,))
+        by_place, own = smoother(places[some]), values[some]
+        uncertain = torch.sigmoid(doubts[some]).detach()
+        held = ((by_place - own.detach()).square() + uncertain * (by_place.detach() - own).square()).mean()
+        return (wrong * (1 - doubt)).mean() + settings.certain * doubt.mean() + settings.smooth * held
+
+    networks = [*reader.parameters(), *smoother.parameters()]
+    groups = [{"params": [values, doubts], "lr": settings.rate}, {"params": networks, "lr": settings.network_rate}]
+    losses = fitted(photos.photos, loss, groups, settings.steps, settings.seed)
+    with torch.no_grad():
+        chosen = torch.cat([reader(part).argmax(1) for part in values.split(65536)])
+        cosine = float((embeddings * atoms[labels]).sum(1).mean())
+    return Fitted(atoms[chosen].numpy(), losses, quantised, cosine)
+
+
+def codebook(embeddings: torch.Tensor, settings: Settings) -> tuple[torch.Tensor, list[float]]:
+    """Unit atoms that embeddings are near to, all of them used: the paper's cosine loss and load balancing."""
+    start = torch.randint(len(embeddings), (settings.atoms,))
+    atoms = nn.Parameter(embeddings[start] + 0.01 * torch.randn(settings.atoms, embeddings.shape[1]))
+    optimizer = torch.optim.Adam([atoms], lr=settings.quantise_rate)
+    losses = []
+    for _ in range(settings.quantise_steps):
+        some = embeddings[torch.randint(len(embeddings), (min(1024, len(embeddings)),))]
+        cosines = some @ nn.functional.normalize(atoms).T
+        nearest = cosines.argmax(1)
+        used = torch.bincount(nearest, minlength=settings.atoms) / len(some)
+        likely = (cosines / settings.temperature).softmax(1).mean(0)
+        away = 1 - cosines[torch.arange(len(some)), nearest].mean()
+        loss = away + settings.balance * (used * likely).sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    return nn.functional.normalize(atoms.detach()), losses[:: max(len(losses) // 50, 1)]
+
+
+def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
+
+
+def _encoded(positions: Float64[np.ndarray, "n 3"], frequencies: int) -> torch.Tensor:
+    """Sines and cosines of positions in a unit cube."""
+    low, high = np.quantile(positions, (0.01, 0.99), axis=0)
+    unit = torch.from_numpy(np.clip((positions - low) / np.maximum(high - low, 1e-9), -1, 2).astype(np.float32))
+    waves = [unit * (2**k * torch.pi) for k in range(frequencies)]
+    return torch.cat([unit, *(wave.sin() for wave in waves), *(wave.cos() for wave in waves)], 1)
