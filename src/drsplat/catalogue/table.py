@@ -29,7 +29,7 @@ MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
 LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
 MOST_PARTITIONS, LEAST_PROBES = 512, 64  # of an index; of these half are looked into, as words are far from all
-REFINED = 10  # candidates compared exactly, for each wanted
+REFINED = 2  # candidates compared exactly, for each wanted
 FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
 PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
