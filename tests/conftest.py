@@ -1,5 +1,6 @@
 """Fixtures that are costly enough to be made once."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from drsplat.demo import story as household
 from furnished.story import Setup, Story, tell
 
+collect_ignore = [] if find_spec("msgspec") else ["test_view.py"]  # whose imports need the extra drsplat[viewer]
 COSTLY = "household_story"
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
 
