@@ -1,6 +1,7 @@
 """The pictures of a film, what is drawn over them, and `drsplat render --path` as people call it."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -11,14 +12,17 @@ import pytest
 from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat import Gaussians, Query, render
+from drsplat import Gaussians, Query, cli, render
 from drsplat.drawing.labels import Mark, lines_of, marked
 from drsplat.drawing.pictures import as_pixels
 from drsplat.errors import InputError
-from drsplat.filming.frames import Film, Moving
+from drsplat.filming.frames import Film
 from drsplat.filming.highlights import Highlight
 from drsplat.filming.looking import looking_at
+from drsplat.formats.annotations import AnnotationFile
 from drsplat.query.sheets import attribute_row
+from drsplat.scene.annotations import Annotation
+from drsplat.scene.moving import Moving
 from drsplat.scene.views import View
 from scenes import random_gaussians
 from test_film_paths import nerfstudio_file
@@ -156,7 +160,6 @@ class Sliding:
     """Moves along x by its time."""
 
     canonical: Gaussians
-    times: np.ndarray
 
     def at(self, time: float) -> Gaussians:
         return replace(self.canonical, means=self.canonical.means + np.float32([time, 0, 0]))
@@ -165,9 +168,7 @@ class Sliding:
 def test_time_runs_and_boxes_go_with_what_moves() -> None:
     scene = boxes_scene()
     only = Highlight.of(scene, Query("blue mug"), boxes=True)
-    moving = Sliding(scene.gaussians, np.array([0.0, 0.5, 1.0]))
-    assert isinstance(moving, Moving)
-    assert not isinstance(scene.gaussians, Moving)
+    moving = Moving(scene.gaussians, np.array([0.0, 0.5, 1.0]), Sliding(scene.gaussians))
     view = front(6.0, (320, 240))
     film = Film(moving, [view] * 12, 1.0, only, threads=1)
     seen = list(film.pictures())
@@ -327,3 +328,34 @@ def test_stills_can_have_boxes_too(room: Path, tmp_path: Path, capsys: Capture) 
 
 def test_pictures_of_one_view_need_poses(room: Path, capsys: Capture) -> None:
     assert "expected --views CAPTURE" in error_of(capsys, "render", room / "scene.ply", "--view", "photo_0")
+
+
+def first_of(path: Path) -> np.ndarray:
+    with Image.open(path) as pictures:
+        return np.asarray(pictures.convert("RGB"))
+
+
+def test_annotations_are_in_pictures_and_films(room: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.ply"
+    shutil.copy(room / "scene.ply", scene)
+    AnnotationFile.beside(scene).add([Annotation.at("the mug", (-0.7, 0.0, 0.0))])
+    views = ["--views", str(room / "capture")]
+    for name, more in (("plain", []), ("noted", ["--annotations"])):
+        out = tmp_path / name
+        assert cli.main(["render", str(scene), *views, "--view", "photo_0", "-o", str(out), *more]) == 0
+        film = ["--path", "orbit", "--seconds", "0.5", "--fps", "4", "--size", "64x48", "-o", str(out / "a.gif")]
+        assert cli.main(["render", str(scene), *views, *film, *more]) == 0
+    for file in ("photo_0.png", "a.gif"):
+        plain, noted = (first_of(tmp_path / name / file) for name in ("plain", "noted"))
+        assert plain.shape == noted.shape
+        assert (plain != noted).any()
+
+
+def test_a_scene_that_moves_is_filmed_and_drawn(room: Path, tmp_path: Path) -> None:
+    """The toy's frames: what moves is elsewhere in the last picture."""
+    film = ["--path", "orbit", "--seconds", "1", "--fps", "3", "--size", "64x48", "-o", str(tmp_path / "a.gif")]
+    assert cli.main(["render", str(room / "frames"), "--views", str(room / "capture"), *film]) == 0
+    with Image.open(tmp_path / "a.gif") as pictures:
+        assert pictures.n_frames == 3
+    argv = ["render", str(room / "frames"), "--views", str(room / "capture"), "--view", "photo_0", "-o", str(tmp_path)]
+    assert cli.main(argv) == 1  # photos without a time

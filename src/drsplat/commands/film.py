@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 from .options import finite, length, new_output, tracker, whole
 
 if TYPE_CHECKING:
+    from ..drawing.labels import Mark
     from ..filming.highlights import Highlight
     from ..query import Match
     from ..query import Scene as OpenedScene
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
     from ..scene.views import View
 
 SCENE, MATCH = "scene", "match"
@@ -58,21 +60,23 @@ def add_film_options(parser: argparse.ArgumentParser) -> None:
 
 
 def film(
-    arguments: argparse.Namespace, scene: Gaussians, views: list[View], answer: Highlight | None,
+    arguments: argparse.Namespace, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
     opened: OpenedScene | None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write --output; returns what is in it. answer: of --query, and the scene that gave it."""
-    from .. import read_gaussians
     from ..filming.frames import Film
     from ..filming.looking import named_up
     from ..filming.planning import path_named, planned
     from ..filming.writing import check_film, write_film
+    from ..formats.moving_scenes import read_scene
     from ..progress import Stopwatch
+    from ..scene.moving import canonical_of
     from .render import BACKGROUNDS
 
     watch = Stopwatch()
     up = None if arguments.up is None else named_up(arguments.up)
-    path = path_named(arguments.path, scene, views, _target(arguments, answer, opened), up, arguments.seconds)
+    rows = canonical_of(scene)
+    path = path_named(arguments.path, rows, views, _target(arguments, answer, opened), up, arguments.seconds)
     sides = 1 if arguments.side_by_side is None else 2
     plan = planned(
         path, views=views, fps=arguments.fps, seconds=arguments.seconds, size=arguments.size, sides=sides
@@ -80,10 +84,10 @@ def film(
     output = new_output(arguments.output_dir, arguments.overwrite)
     check_film(output, plan.size, plan.fps)
     other = arguments.side_by_side
-    beside = scene if other == SAME else None if other is None else read_gaussians(other)
+    beside = scene if other == SAME else None if other is None else read_scene(other)
     filmed = Film(
         scene, plan.views, plan.fps, answer, beside, BACKGROUNDS[arguments.background], arguments.near,
-        arguments.threads,
+        arguments.threads, notes_of(arguments),
     )  # fmt: skip
     pictures = filmed.pictures(tracker(arguments)(plan.views, "filming"))
     write_film(output, pictures, plan.fps, arguments.overwrite)
@@ -97,6 +101,21 @@ def film(
         "bytes": output.stat().st_size,
         "frames_per_second": len(plan.views) / watch.seconds["film"],
     }
+
+
+def notes_of(arguments: argparse.Namespace) -> list[Mark]:
+    """Of --annotations: those that are kept beside the scene."""
+    from ..drawing.labels import Mark
+    from ..formats.annotations import AnnotationFile
+
+    if not arguments.annotations:
+        return []
+    kept = AnnotationFile.beside(arguments.scene).read()
+    outlines = [(one, one.outline) for one in kept]
+    return [
+        Mark(one.text, one.center) if box is None else Mark(one.text, one.center, box.extent, box.axes)
+        for one, box in outlines
+    ]
 
 
 def _target(arguments: argparse.Namespace, answer: Highlight | None, opened: OpenedScene | None) -> Match | None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .film import SCENE, add_film_options, film
+from .film import SCENE, add_film_options, film, notes_of
 from .options import (
     add_capture_options,
     add_near,
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..kernels import SplatArrays
     from ..query import Scene as OpenedScene
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
     from ..scene.views import View
 
 SUMMARY = "render a scene as pictures or as a film, optionally with the matches of a query highlighted"
@@ -83,6 +84,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show how well everything fits --query in colours, yellow-green at the threshold, instead of its matches",
     )  # fmt: skip
     parser.add_argument(
+        "--annotations", action="store_true", help="draw the annotations that `drsplat edit` keeps beside the scene"
+    )
+    parser.add_argument(
         "--attributes", type=words, nargs="+", metavar="WORDS",
         help="one row of pictures of the best match of --query: as it is, and a heat map for each of these words",
     )  # fmt: skip
@@ -92,12 +96,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from .. import read_gaussians
+    from ..formats.moving_scenes import read_scene
     from ..progress import Stopwatch
 
     watch = Stopwatch()
     _check(arguments)
-    scene = read_gaussians(arguments.scene)
+    scene = read_scene(arguments.scene)
     views = [] if arguments.views is None else views_of(arguments, arguments.views)
     opened, answer = _answer(arguments)
     watch.lap("read")
@@ -189,19 +193,20 @@ def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: High
 
 
 def _stills(
-    arguments: argparse.Namespace, scene: Gaussians, views: list[View], answer: Highlight | None
+    arguments: argparse.Namespace, scene: Gaussians | Moving, views: list[View], answer: Highlight | None
 ) -> dict[str, Any]:
+    from ..evidence.columns import time_of
     from ..kernels import splat_arrays
     from ..query import view_named
+    from ..scene.moving import Moving
 
     arguments.output_dir = arguments.output_dir or PICTURES
     views = views if arguments.all else [view_named(views, arguments.view)]
-    splats = splat_arrays(scene, arguments.near)
-    written = [
-        path
-        for view in tracker(arguments)(views, "rendering")
-        for path in _render(arguments, scene, view, splats, answer)
-    ]
+    splats = None if isinstance(scene, Moving) else splat_arrays(scene, arguments.near)
+    written = []
+    for view in tracker(arguments)(views, "rendering"):
+        here = scene.at(time_of(view)) if isinstance(scene, Moving) else scene
+        written += _render(arguments, here, view, splats or splat_arrays(here, arguments.near), answer)
     return {"files": [str(path) for path in written], "num_views": len(views)}
 
 
@@ -211,6 +216,7 @@ def _render(
     import numpy as np
 
     from .. import render
+    from ..drawing.labels import marked
     from ..drawing.pictures import as_pixels, write_picture
     from ..formats.npy import write_npy
 
@@ -225,6 +231,7 @@ def _render(
     pixels = as_pixels(drawn.rgb)
     stem.parent.mkdir(parents=True, exist_ok=True)
     picture = pixels if answer is None else answer.over(drawn, pixels, view, 1.0)
+    picture = marked(picture, view, notes_of(arguments))
     write_picture(paths["rgb"], picture, arguments.overwrite)
     if arguments.alpha:
         write_picture(paths["alpha"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), arguments.overwrite)

@@ -2,16 +2,16 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..drawing.labels import Mark, marked
 from ..drawing.pictures import PAPER, OtherPixels, as_pixels
 from ..drawing.rendering import render
 from ..errors import InputError
 from ..kernels import SplatArrays, splat_arrays
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving
 from ..scene.views import View
 from .highlights import Highlight
 
@@ -20,21 +20,13 @@ EARLIEST = 6  # these take no more than so small a part of the film each
 BORDER = 2  # pixels between two sides
 
 
-@runtime_checkable
-class Moving(Protocol):
-    """Gaussians that have a place for each time; rows stay the same."""
-
-    times: Float64[np.ndarray, " t"]
-
-    def at(self, time: float) -> Gaussians: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Film:
     """What is filmed. views: of each picture, all of one size.
 
     Of a moving scene the film lasts from its first time to its last. answer: fades in. beside: another scene, or the
-    same, in the left half, without the answer; the views are of one half. near: as of `splat_arrays`.
+    same, in the left half, without the answer; the views are of one half. near: as of `splat_arrays`. notes: drawn
+    from the first picture to the last, on both sides.
 
     Raises: InputError: no views; an answer of another scene.
     """
@@ -47,6 +39,7 @@ class Film:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     near: float | None = None
     threads: int = 0
+    notes: Sequence[Mark] = ()
 
     def __post_init__(self) -> None:
         if not self.views:
@@ -99,9 +92,11 @@ class _Side:
             background=self.film.background, threads=self.film.threads, splats=splats,
         )  # fmt: skip
         plain = as_pixels(drawn.rgb)
+        noted = marked(plain, view, self.film.notes)
         if answer is None or share <= 0:
-            return plain, plain
-        return plain, answer.over(drawn, plain, view, share, gaussians if self.splats is None else None)
+            return noted, noted
+        over = answer.over(drawn, plain, view, share, gaussians if self.splats is None else None)
+        return noted, marked(over, view, self.film.notes)
 
 
 def _at(scene: Gaussians | Moving, share: float) -> Gaussians:
