@@ -16,7 +16,8 @@ from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import published, report, svg, tables, thresholds
 from drsplat.evaluation.choosers import automatic_choosers
 from drsplat.evaluation.report import Figure, write_report
-from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, read_features, relevant
+from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, relevant
+from drsplat.formats.peer_features import read_peer_features
 from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 from test_lerf_ovs import PER_THING, THINGS, balls, data  # noqa: F401
@@ -58,7 +59,7 @@ def test_features_of_others_are_scored_without_codes(dtype, tmp_path: Path) -> N
     features = (3 * unit_rows(rng, 50, TOY.dim)).astype(dtype)
     features[7] = 0
     np.save(tmp_path / "f.npy", features)
-    scorer = feature_scorer(read_features(tmp_path / "f.npy"), ToyEncoder())
+    scorer = feature_scorer(read_peer_features(tmp_path / "f.npy"), ToyEncoder())
     scores = scorer.scores("red mug")
     unit = ToyEncoder().encode_texts(["red mug"])[0]
     exact = features.astype(np.float64)
@@ -78,12 +79,12 @@ def test_features_that_no_length_can_be_told_of_have_no_score() -> None:
 def test_features_of_another_kind_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros((3, 4), np.float64))
     with pytest.raises(InputError, match="float16 or float32"):
-        read_features(tmp_path / "a.npy")
+        read_peer_features(tmp_path / "a.npy")
     with pytest.raises(MismatchError, match=r"expected \(N, 32\)"):
         feature_scorer(np.zeros((3, 4), np.float32), ToyEncoder())
     (tmp_path / "a.npy").write_bytes(b"nothing")
     with pytest.raises(FormatError):
-        read_features(tmp_path / "a.npy")
+        read_peer_features(tmp_path / "a.npy")
 
 
 def test_choosers_let_absent_gaussians_have_no_say() -> None:

@@ -42,6 +42,7 @@ TOOLS = {
     "what_is_at_pixel",
     "list_objects",
     "relations",
+    "when",
     "describe_region",
     "show",
 }

@@ -127,6 +127,8 @@ def test_every_line_runs(place: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     monkeypatch.setattr(sam, "load_segmenter", lambda *_: ColorSegmenter())
     for line in tour():
         command = ["30" if word == "7000" else word for word in line]  # iterations: they take minutes
+        if command[0] in ("when", "edit"):  # which need a match: a toy's encoder knows no mug from a plate
+            command += ["--threshold", "-1"]
         if command[0] in LASTING and "--export" not in command:
             started_asked_and_stopped(command, place)
         else:

@@ -165,7 +165,7 @@ def test_a_click_selects_the_object_and_buttons_go_up_down_and_colour_all(
     assert np.median(colorfulness(live.pixels())) < 0.05
     button("Everything").click()
     eventually(lambda: np.median(colorfulness(live.pixels())) > GREY)
-    live.page.locator("textarea:not([aria-hidden])").last.fill("my vase")
+    live.page.locator("textarea:not([aria-hidden]):visible").last.fill("my vase")
     button("Name it").click()
     live.page.locator("b", has_text="my vase").wait_for()
     button("Everything").click()

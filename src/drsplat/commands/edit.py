@@ -41,6 +41,7 @@ QUERIES = ("text", "vector", "image", "click", "point")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.usage = f"{parser.prog} scene [--field FIELD] [what] [change ...] [options]"
     parser.add_argument("scene", help="scene to edit, or a folder with a field, its scene and photos")
     parser.add_argument("--field", help="field of the scene, for queries, objects and labels")
     add_target_options(parser)

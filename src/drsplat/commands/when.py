@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .options import add_capture_options, add_query_encoders, words
+from .options import add_capture_options, add_query_encoders, finite, words
 from .query_options import FIELD_HELP, open_scene
 
 RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
@@ -28,13 +28,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view", type=words, metavar="NAME", help="photo whose camera left_of and right_of are meant from"
     )
+    parser.add_argument(
+        "--threshold", type=finite, metavar="T", help="of both queries (default: that of `drsplat locate`)"
+    )
     add_query_encoders(parser)
     add_capture_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..query import Query
+
     scene = open_scene(arguments)
-    spans = scene.when(arguments.one, arguments.relation, arguments.other, arguments.view)
+    one, other = (Query(text, threshold=arguments.threshold) for text in (arguments.one, arguments.other))
+    spans = scene.when(one, arguments.relation, other, arguments.view)
     return {
         "field": arguments.field,
         "one": arguments.one,

@@ -109,7 +109,7 @@ def time_of(view: View) -> float:
     if view.time is None:
         raise InputError(
             f"view '{view.name}' has no time, and the scene moves: give times=TABLE.csv or a pattern of names such as "
-            "cam*/frame_{time}.png (--times), or a transforms.json with the time of each frame"
+            "cam*/frame_{time}.png, or a transforms.json with the time of each frame"
         )
     return view.time
 

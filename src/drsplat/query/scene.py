@@ -256,14 +256,14 @@ class Scene:
         return tracks(self.moving, self.field, matches, self.up if box == "upright" else None)
 
     def when(
-        self, one: Match | str, relation: str, other: Match | str, view: View | str | None = None
+        self, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None = None
     ) -> tuple[Span, ...]:
-        """Spans of time in which one match, or the best of a text, stands in a relation to another: on, in, next_to,
+        """Spans of time in which one match, or the best of a query, stands in a relation to another: on, in, next_to,
         above, left_of, right_of.
 
         view: the camera, or a photo's name, that left_of and right_of are meant from.
 
-        Raises: InputError: no match for a text, no such view, a scene that stands still; an unknown relation.
+        Raises: InputError: no match for a query, no such view, a scene that stands still; an unknown relation.
         """
         from .tracks import when_of
 

@@ -16,6 +16,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
 from .answer import Match, MatchTrack
+from .query import Query
 from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
 from .scene import Scene
 
@@ -113,7 +114,7 @@ def _holds(
 
 
 def when_of(
-    scene: Scene, one: Match | str, relation: str, other: Match | str, view: View | str | None
+    scene: Scene, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None
 ) -> tuple[Span, ...]:
     """`Scene.when`."""
     known: dict[str, Relation | Side] = {name: name for name in (*RELATIONS, *SIDES)}
@@ -163,10 +164,11 @@ def _spanned(scene: Scene, span: Span) -> Scene:
     )  # fmt: skip
 
 
-def _best(scene: Scene, what: Match | str) -> Match:
+def _best(scene: Scene, what: Match | Query | str) -> Match:
     found = [what] if isinstance(what, Match) else scene.locate(what, top=1)
     if not found:
-        raise InputError(f"no match for '{str(what)[:60]}': ask for other words, or lower the threshold")
+        asked = what.text if isinstance(what, Query) else what
+        raise InputError(f"no match for '{str(asked)[:60]}': ask for other words, or lower the threshold")
     return found[0]
 
 

@@ -5,7 +5,7 @@ addEventListener("drsplat", () => {
   const rows = document.getElementById("objects"), notes = document.getElementById("notes");
   const button = (label, picture, act) => {
     const one = document.createElement("button");
-    if (picture) { const image = document.createElement("img"); image.src = picture; image.alt = ""; one.append(image); }
+    if (picture) { const image = document.createElement("img"); image.setAttribute("src", picture); image.alt = ""; one.append(image); }
     one.append(label);
     one.addEventListener("click", act);
     return one;
