@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--view", type=words, metavar="NAME", help="photo whose camera left_of and right_of are meant from"
     )
     parser.add_argument(
-        "--threshold", type=finite, metavar="T", help="of both queries (default: that of `drsplat locate`)"
+        "--threshold", type=finite, metavar="T", help="threshold of both queries (default: that of `drsplat locate`)"
     )
     add_query_encoders(parser)
     add_capture_options(parser)
