@@ -7,7 +7,8 @@ the network reads the atom of each pixel in their rendering, and features are he
 Source: Shi et al., LEGaussians (CVPR 2024) Sec. 3: 128 atoms, 8 numbers, load balancing of the codebook, uncertainty
 that weighs the cross entropy, smoothing by a network of encoded positions. Departures: embeddings are those of the
 masks, which all methods here are given, and not CLIP's of patches beside DINO's; geometry and colours are frozen, as
-those of all others here; rates, weights of the last two terms and the network's width are ours, where we found none.
+those of all others here; a step reads the atoms of some pixels, drawn anew; rates, weights of the last two terms and
+the network's width are ours, where we found none.
 """
 
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ class Settings:
     quantise_rate: float = 1e-2
     balance: float = 0.5
     temperature: float = 0.1
+    pixels: int = 8192  # of a photo that a step looks at
     steps: int = 30_000
     rate: float = 2.5e-3
     network_rate: float = 1e-3
@@ -61,8 +63,10 @@ def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Setting
 
     def loss(photo: Photo) -> torch.Tensor:
         rendered = blended(photo, torch.cat([values, torch.sigmoid(doubts)], 1))
-        doubt = rendered[:, -1].clamp(0, 1)
-        wrong = nn.functional.cross_entropy(reader(rendered[:, :-1]), labels[photo.masks], reduction="none")
+        drawn = torch.randint(len(rendered), (min(settings.pixels, len(rendered)),))
+        doubt = rendered[drawn, -1].clamp(0, 1)
+        read, meant = reader(rendered[drawn, :-1]), labels[photo.masks[drawn.numpy()]]
+        wrong = nn.functional.cross_entropy(read, meant, reduction="none")
         some = torch.randint(len(values), (4096,))
         by_place, own = smoother(places[some]), values[some]
         uncertain = torch.sigmoid(doubts[some]).detach()
