@@ -154,3 +154,12 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(
 @pytest.mark.parametrize("given", [["--move", 1, 2], ["--object", 1, "--everything"]])
 def test_what_is_misspelt_is_misuse(room: Path, capsys: Capture, given: list[object]) -> None:
     error_of(capsys, "edit", room / "scene.ply", *given, code=2)
+
+
+def test_what_was_saved_of_a_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:
+    """The rows are in the same places, and its name comes first."""
+    words = ["--query", "red mug", "--recolour", "#2060ff", "--save", room / "answer.ply"]
+    assert answer_of(capsys, "edit", room, *words)["num_edits"] == 1
+    listed = answer_of(capsys, "edit", room, "--list")
+    assert (listed["scene"], listed["num_edits"]) == (str(room / "scene.ply"), 1)
+    assert answer_of(capsys, "edit", room, "--undo")["num_undone"] == 1

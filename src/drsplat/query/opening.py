@@ -22,6 +22,7 @@ from .scene import Scene
 
 FIELD_SUFFIX = ".field"
 SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
+EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
 CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
 
@@ -57,6 +58,8 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     scenes = [path for path in entries if (path / MOTION).is_file()] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
+    edited = {path.name.removesuffix(EDITS) for path in entries if path.name.endswith(EDITS)}
+    scenes.sort(key=lambda path: path.stem not in edited)  # what was saved of it lies beside it with the same rows
     if not scenes:
         raise InputError(f"{folder}: expected a scene ({', '.join(SCENE_SUFFIXES)}) beside the field")
     has_capture = any((folder / name).exists() for name in CAMERAS)
