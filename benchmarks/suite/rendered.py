@@ -11,7 +11,6 @@ control that tells what the fitting does from what the coarseness does.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -19,7 +18,9 @@ from scipy.sparse import csr_array, vstack
 
 from drsplat import Gaussians, MiniEncoder, View, ViewFeatures
 from drsplat.evaluation.scorers import COSINES, Scorer
-from drsplat.kernels import SplatArrays, splat_arrays, topk_contributions
+from drsplat.kernels import splat_arrays
+
+from .blending import blending_of
 
 RENDERED, ONE_STEP = "rendered", "rendered-one-step"
 WIDTH = 128  # pixels of what is rendered
@@ -29,13 +30,6 @@ STEPS = {RENDERED: 30, ONE_STEP: 1}
 """Of conjugate gradients, by method."""
 
 
-class _Part(NamedTuple):
-    """One view: blending weights of its pixels that a mask covers, and the row of each one's embedding."""
-
-    weights: csr_array
-    masks: np.ndarray
-
-
 def rendered_scorer(
     name: str, gaussians: Gaussians, seen: Mapping[View, ViewFeatures], encoder: MiniEncoder, threads: int
 ) -> Scorer:
@@ -43,7 +37,7 @@ def rendered_scorer(
     splats, embeddings = splat_arrays(gaussians), []
     parts = []
     for view, features in seen.items():
-        parts.append(_part(splats, view, features, threads))
+        parts.append(blending_of(splats, view, features, WIDTH, CONTRIBUTORS, threads))
         embeddings.append(features.embeddings[parts[-1].masks])
     weights = csr_array(vstack([part.weights for part in parts], format="csr"))
     targets, basis = _leading(np.concatenate(embeddings))
@@ -83,19 +77,6 @@ def least_squares(weights: csr_array, targets: Float32[np.ndarray, "p r"], steps
         before, size = size, _square(gradient)
         direction = gradient + direction * np.float32(size / before)
     return found
-
-
-def _part(splats: SplatArrays, view: View, features: ViewFeatures, threads: int) -> _Part:
-    small = view.resized(WIDTH, round(WIDTH * view.height / view.width))
-    masks = features.resized(small.width, small.height).mask_ids.ravel()
-    found = topk_contributions(splats, small, CONTRIBUTORS, threads=threads)
-    ids, values = (array.reshape(-1, CONTRIBUTORS) for array in found)
-    covered = masks >= 0
-    ids, values = ids[covered], values[covered]
-    starts = np.append(0, np.cumsum((ids >= 0).sum(1)))
-    shape = (len(ids), len(splats.opacities))
-    weights = csr_array((values[ids >= 0], ids[ids >= 0], starts), shape=shape)
-    return _Part(weights, masks[covered])
 
 
 def _leading(embeddings: Float32[np.ndarray, "p d"]) -> tuple[Float32[np.ndarray, "p r"], Float32[np.ndarray, "r d"]]:

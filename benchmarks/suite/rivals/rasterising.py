@@ -14,7 +14,9 @@ from jaxtyping import Float32, Int64
 from scipy.sparse import csr_array
 
 from drsplat import Gaussians, View, ViewFeatures
-from drsplat.kernels import SplatArrays, splat_arrays, topk_contributions
+from drsplat.kernels import splat_arrays
+
+from ..blending import blending_of
 
 WIDTH = 320  # pixels of a photo that is fitted; the papers fit whole ones
 CONTRIBUTORS = 32  # of a pixel, the largest; what is left out is the dimmest tail
@@ -50,23 +52,11 @@ class Photos(NamedTuple):
 def photos_of(gaussians: Gaussians, seen: Mapping[View, ViewFeatures], width: int = WIDTH, threads: int = 0) -> Photos:
     splats, photos, first = splat_arrays(gaussians), [], 0
     for view, features in seen.items():
-        photos.append(_photo(splats, view, features, width, first, threads))
+        weights, masks = blending_of(splats, view, features, width, CONTRIBUTORS, threads)
+        photos.append(Photo(weights, csr_array(weights.T), masks.astype(np.int64) + first))
         first += len(features.embeddings)
     embeddings = np.concatenate([features.embeddings for features in seen.values()])
     return Photos(tuple(photos), np.asarray(embeddings, np.float32), len(gaussians))
-
-
-def _photo(splats: SplatArrays, view: View, features: ViewFeatures, width: int, first: int, threads: int) -> Photo:
-    small = view.resized(width, round(width * view.height / view.width)) if view.width > width else view
-    masks = features.resized(small.width, small.height).mask_ids.ravel()
-    found = topk_contributions(splats, small, CONTRIBUTORS, threads=threads)
-    ids, values = (array.reshape(-1, CONTRIBUTORS) for array in found)
-    covered = masks >= 0
-    ids, values = ids[covered], values[covered]
-    starts = np.append(0, np.cumsum((ids >= 0).sum(1)))
-    shape = (len(ids), len(splats.opacities))
-    weights = csr_array((values[ids >= 0], ids[ids >= 0], starts), shape=shape)
-    return Photo(weights, csr_array(weights.T), masks[covered].astype(np.int64) + first)
 
 
 class _Blend(torch.autograd.Function):

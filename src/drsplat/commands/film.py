@@ -61,9 +61,9 @@ def add_film_options(parser: argparse.ArgumentParser) -> None:
 
 def film(
     arguments: argparse.Namespace, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
-    opened: OpenedScene | None,
+    opened: OpenedScene | None, notes: list[Mark],
 ) -> dict[str, Any]:  # fmt: skip
-    """Write --output; returns what is in it. answer: of --query, and the scene that gave it."""
+    """Write --output; returns what is in it. answer: of --query, and the scene that gave it. notes: drawn over it."""
     from ..filming.frames import Film
     from ..filming.looking import named_up
     from ..filming.planning import path_named, planned
@@ -87,7 +87,7 @@ def film(
     beside = scene if other == SAME else None if other is None else read_scene(other)
     filmed = Film(
         scene, plan.views, plan.fps, answer, beside, BACKGROUNDS[arguments.background], arguments.near,
-        arguments.threads, notes_of(arguments),
+        arguments.threads, notes,
     )  # fmt: skip
     pictures = filmed.pictures(tracker(arguments)(plan.views, "filming"))
     write_film(output, pictures, plan.fps, arguments.overwrite)
@@ -101,21 +101,6 @@ def film(
         "bytes": output.stat().st_size,
         "frames_per_second": len(plan.views) / watch.seconds["film"],
     }
-
-
-def notes_of(arguments: argparse.Namespace) -> list[Mark]:
-    """Of --annotations: those that are kept beside the scene."""
-    from ..drawing.labels import Mark
-    from ..formats.annotations import AnnotationFile
-
-    if not arguments.annotations:
-        return []
-    kept = AnnotationFile.beside(arguments.scene).read()
-    outlines = [(one, one.outline) for one in kept]
-    return [
-        Mark(one.text, one.center) if box is None else Mark(one.text, one.center, box.extent, box.axes)
-        for one, box in outlines
-    ]
 
 
 def _target(arguments: argparse.Namespace, answer: Highlight | None, opened: OpenedScene | None) -> Match | None:

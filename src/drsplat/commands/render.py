@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .film import SCENE, add_film_options, film, notes_of
+from .film import SCENE, add_film_options, film
 from .options import (
     add_capture_options,
     add_near,
@@ -21,6 +21,7 @@ from .options import (
 from .query_options import open_scene
 
 if TYPE_CHECKING:
+    from ..drawing.labels import Mark
     from ..filming.highlights import Highlight
     from ..kernels import SplatArrays
     from ..query import Scene as OpenedScene
@@ -59,6 +60,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the picture",
     )  # fmt: skip
     add_overwrite(parser)
+    _add_picture_options(parser)
+    _add_answer_options(parser)
+    add_film_options(parser)
+    add_query_encoders(parser)
+    add_capture_options(parser)
+
+
+def _add_picture_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--background", choices=sorted(BACKGROUNDS), default="black",
         help="colour behind the Gaussians (default: black)",
@@ -71,6 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--alpha", action="store_true", help="write NAME.alpha.png as well: opacity, 255 where nothing shines through"
     )
     add_near(parser)
+
+
+def _add_answer_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--query", type=words, nargs=2, metavar=("FIELD", "TEXT"),
         help="query whose matches stay in colour, the rest grey",
@@ -90,9 +102,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--attributes", type=words, nargs="+", metavar="WORDS",
         help="one row of pictures of the best match of --query: as it is, and a heat map for each of these words",
     )  # fmt: skip
-    add_film_options(parser)
-    add_query_encoders(parser)
-    add_capture_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -104,14 +113,15 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene = read_scene(arguments.scene)
     views = [] if arguments.views is None else views_of(arguments, arguments.views)
     opened, answer = _answer(arguments)
+    notes = _notes(arguments)
     watch.lap("read")
     if arguments.path is not None:
-        answered = film(arguments, scene, views, answer, opened)
+        answered = film(arguments, scene, views, answer, opened, notes)
     elif arguments.attributes is not None:
         assert opened is not None
         answered = _attributes(arguments, opened, answer)
     else:
-        answered = _stills(arguments, scene, views, answer)
+        answered = _stills(arguments, scene, views, answer, notes)
     watch.lap("render")
     return answered | {
         "num_selected": None if answer is None or answer.is_heat else answer.num_selected,
@@ -179,6 +189,14 @@ def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highligh
     return opened, Highlight.of(opened, query, heat=arguments.heat_map, boxes=arguments.boxes)
 
 
+def _notes(arguments: argparse.Namespace) -> list[Mark]:
+    """Of --annotations: those that are kept beside the scene."""
+    from ..drawing.labels import notes_of
+    from ..formats.annotations import AnnotationFile
+
+    return notes_of(AnnotationFile.beside(arguments.scene).read()) if arguments.annotations else []
+
+
 def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
     from ..drawing.pictures import write_picture
     from ..errors import InputError
@@ -193,8 +211,9 @@ def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: High
 
 
 def _stills(
-    arguments: argparse.Namespace, scene: Gaussians | Moving, views: list[View], answer: Highlight | None
-) -> dict[str, Any]:
+    arguments: argparse.Namespace, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
+    notes: list[Mark],
+) -> dict[str, Any]:  # fmt: skip
     from ..evidence.columns import time_of
     from ..kernels import splat_arrays
     from ..query import view_named
@@ -206,13 +225,14 @@ def _stills(
     written = []
     for view in tracker(arguments)(views, "rendering"):
         here = scene.at(time_of(view)) if isinstance(scene, Moving) else scene
-        written += _render(arguments, here, view, splats or splat_arrays(here, arguments.near), answer)
+        written += _render(arguments, here, view, splats or splat_arrays(here, arguments.near), answer, notes)
     return {"files": [str(path) for path in written], "num_views": len(views)}
 
 
 def _render(
-    arguments: argparse.Namespace, scene: Gaussians, view: View, splats: SplatArrays, answer: Highlight | None
-) -> list[Path]:
+    arguments: argparse.Namespace, scene: Gaussians, view: View, splats: SplatArrays, answer: Highlight | None,
+    notes: list[Mark],
+) -> list[Path]:  # fmt: skip
     import numpy as np
 
     from .. import render
@@ -231,7 +251,7 @@ def _render(
     pixels = as_pixels(drawn.rgb)
     stem.parent.mkdir(parents=True, exist_ok=True)
     picture = pixels if answer is None else answer.over(drawn, pixels, view, 1.0)
-    picture = marked(picture, view, notes_of(arguments))
+    picture = marked(picture, view, notes)
     write_picture(paths["rgb"], picture, arguments.overwrite)
     if arguments.alpha:
         write_picture(paths["alpha"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), arguments.overwrite)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from PIL import Image, ImageDraw, ImageFont
 
+from ..scene.annotations import Annotation, Outline
 from ..scene.views import View
 from .pictures import OUTLINE, Pixels
 
@@ -39,6 +40,15 @@ class Mark:
         extent = np.zeros(3) if self.extent is None else self.extent
         axes = np.eye(3) if self.axes is None else self.axes
         return np.asarray(self.center + (CORNERS * extent) @ axes)
+
+
+def notes_of(annotations: Sequence[Annotation]) -> list[Mark]:
+    """What people wrote at places of the scene."""
+    return [_note(one.text, one.center, one.outline) for one in annotations]
+
+
+def _note(text: str, center: Float64[np.ndarray, " 3"], outline: Outline | None) -> Mark:
+    return Mark(text, center) if outline is None else Mark(text, center, outline.extent, outline.axes)
 
 
 def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.0) -> Pixels:
