@@ -7,9 +7,9 @@
    cluster, times one minus the distance of their features; the mean over photos is what its Gaussians are looked up by.
 
 Source: Wu et al., OpenGaussian (NeurIPS 2024) Sec. 3: losses, 6 numbers, 64 coarse and 5 fine clusters, 10,000 steps
-for features and for the coarse level, 20,000 for the fine one. Departures: the weight of positions beside features is
-ours; clusters come from k-means of 20 rounds before each stage of fitting; what a photo shows of a cluster is what it
-shows most of at a pixel, in place of a rendering of the cluster alone.
+for features and for the coarse level, 20,000 for the fine one. Departures: the weight of positions beside features,
+and that features begin nearly alike, are ours; clusters come from k-means of 20 rounds before each stage of fitting;
+what a photo shows of a cluster is what it shows most of at a pixel, in place of a rendering of the cluster alone.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from torch import nn
 from .rasterising import Photo, Photos, blended, fitted
 
 DIMS = 6
+SPREAD = 0.1  # of the features at first: what photos blend away of a wider one stays in the Gaussians as noise
 LEAST_PIXELS = 4  # of a cluster, for a photo to count
 ROUNDS = 20
 
@@ -52,7 +53,7 @@ class Fitted:
 
 def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Settings = Settings()) -> Fitted:
     torch.manual_seed(settings.seed)
-    values = nn.Parameter(nn.functional.normalize(torch.randn(photos.num_gaussians, DIMS)))
+    values = nn.Parameter(nn.functional.normalize(1 + SPREAD * torch.randn(photos.num_gaussians, DIMS)))
     groups = [{"params": [values], "lr": settings.rate}]
     losses = fitted(photos.photos, lambda photo: contrastive(photo, values), groups, settings.steps, settings.seed)
     low, high = np.quantile(positions, (0.01, 0.99), axis=0)
@@ -140,7 +141,7 @@ def named(
         shared = np.zeros((count, len(areas)))
         np.add.at(shared, (shown, masks), 1)
         ious = shared / np.maximum(pixels[:, None] + areas - shared, 1)
-        distances = np.abs(own[:, None] - means[None]).mean(2)
+        distances = np.abs(own[:, None] - means[None]).sum(2)
         like = ious * np.maximum(1 - distances, 0)
         best = like.argmax(1)
         counted = (pixels >= LEAST_PIXELS) & (like[np.arange(count), best] > 0)
