@@ -1,7 +1,7 @@
 """Whether the rivals are no straw men: what they optimise, and how good they get, against the share of their steps.
 
     python benchmarks/study_rivals.py world/scenes/table_1 [--masks true] [--efforts 0.003 0.01 0.03 0.1 0.3 1]
-        [--rivals langsplat-m legaussians-m opengaussian] [--width 320]
+        [--rivals langsplat-m legaussians-m opengaussian] [--width 320] [--device cuda]
 
 Each row is a fit from the start with that share of the paper's steps: seconds, the loss of each stage at its first and
 its last fiftieth, and mIoU of selection over the categories of the truth, in Gaussians, each at the threshold that is
@@ -62,7 +62,7 @@ def _best(scores: np.ndarray, mine: np.ndarray, known: np.ndarray) -> float:
     return float(ious[last].max())
 
 
-def rows(folder: Path, kind: str, rivals: list[str], efforts: list[float], width: int) -> Iterator[str]:
+def rows(folder: Path, kind: str, rivals: list[str], efforts: list[float], width: int, device: str) -> Iterator[str]:
     scene, encoder = read_scene(folder), MiniEncoder()
     features = features_of(scene, kind, encoder)
     truth, start = Truth(scene), time.perf_counter()
@@ -72,7 +72,7 @@ def rows(folder: Path, kind: str, rivals: list[str], efforts: list[float], width
     mean[seen] = registration.evidence.rows(seen).features(0, len(seen))
     seconds = time.perf_counter() - start
     yield f"| {scene.name} | {kind} | {OWN} | | {seconds:.0f} | | {100 * truth.miou(mean, encoder):.1f} |"
-    photos = photos_of(scene.gaussians, {view: features[view.name] for view in scene.views}, width)
+    photos = photos_of(scene.gaussians, {view: features[view.name] for view in scene.views}, width, device=device)
     for name in rivals:
         for effort in efforts:
             start = time.perf_counter()
@@ -90,11 +90,12 @@ def main() -> None:
     parser.add_argument("--rivals", nargs="+", choices=RIVALS, default=list(RIVALS))
     parser.add_argument("--efforts", nargs="+", type=float, default=list(EFFORTS))
     parser.add_argument("--width", type=int, default=WIDTH)
+    parser.add_argument("--device", default="cpu", help="of PyTorch (default: cpu)")
     arguments = parser.parse_args()
     print("| scene | masks | method | effort | s | losses | mIoU at best |\n|---|---|---|--:|--:|---|--:|")
     for folder in arguments.scenes:
         for kind in arguments.masks:
-            for row in rows(folder, kind, arguments.rivals, arguments.efforts, arguments.width):
+            for row in rows(folder, kind, arguments.rivals, arguments.efforts, arguments.width, arguments.device):
                 print(row, flush=True)
 
 

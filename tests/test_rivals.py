@@ -41,7 +41,7 @@ def test_what_is_blended_is_what_is_rendered() -> None:
     values = np.random.default_rng(0).normal(size=(40, 5)).astype(np.float32)
     image, _, _ = render_channels(splat_arrays(gaussians), view, values)
     found = blended(photos.photos[0], torch.from_numpy(values)).numpy()
-    assert (np.diff(photos.photos[0].weights.indptr) < CONTRIBUTORS).all(), "nothing is cut off"
+    assert (photos.photos[0].weights.crow_indices().diff() < CONTRIBUTORS).all(), "nothing is cut off"
     np.testing.assert_allclose(found, image.reshape(-1, 5), atol=2e-5)
 
 
@@ -68,7 +68,7 @@ def test_a_rival_fits_what_it_says_and_tells_two_balls_apart(name: str, two_ball
     first, last = (made.losses[next(iter(made.losses))][at] for at in (0, -1))
     assert last < 0.7 * first
     known = np.isfinite(made.features).all(axis=1)
-    np.testing.assert_array_equal(known, photos.seen())
+    np.testing.assert_array_equal(known, photos.seen)
     named = known & (np.nan_to_num(made.features) != 0).any(axis=1)  # leaves of few pixels take no mask's embedding
     assert named.sum() > 0.3 * known.sum()
     cosines = made.features[named] @ ds.WordEncoder().encode_texts(list(THINGS)).T

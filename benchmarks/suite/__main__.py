@@ -26,6 +26,7 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument("--rivals", action="store_true", help="the methods, and the rivals that are fitted")
     parser.add_argument("--effort", type=float, default=1.0, help="share of the steps of a rival's paper (default: 1)")
+    parser.add_argument("--device", default="cpu", help="of PyTorch, that rivals are fitted on (default: cpu)")
     parser.add_argument("--jobs", type=int, default=1, help="scenes at a time (default: 1)")
     parser.add_argument("--every", type=int, default=1, help="take one in so many views")
     parser.add_argument("--work", type=Path, help="folder of what is finished (default: FILE.json.parts)")
@@ -33,8 +34,9 @@ def main() -> None:
     start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
     work = arguments.work or Path(f"{arguments.output}.parts")
     methods = (*arguments.methods, *(FITTED if arguments.rivals else ()))
+    threads, device = threads_for(arguments.jobs), arguments.device
     tasks = [
-        Task(folder, masks, methods, work, arguments.every, threads_for(arguments.jobs), arguments.effort)
+        Task(folder, masks, methods, work, arguments.every, threads, arguments.effort, device)
         for folder in scenes
         for masks in arguments.masks
     ]

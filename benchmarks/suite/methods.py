@@ -69,8 +69,16 @@ class Workshop:
     All aggregators have one codebook, that of the mean: differences between them are then not those of k-means.
     """
 
-    def __init__(self, scene: BenchScene, masks: str, encoder: MiniEncoder, threads: int, effort: float = 1.0) -> None:
-        self.scene, self.encoder, self.threads, self.effort = scene, encoder, threads, effort
+    def __init__(
+        self,
+        scene: BenchScene,
+        masks: str,
+        encoder: MiniEncoder,
+        threads: int,
+        effort: float = 1.0,
+        device: str = "cpu",
+    ) -> None:
+        self.scene, self.encoder, self.threads, self.effort, self.device = scene, encoder, threads, effort, device
         features = features_of(scene, masks, encoder)
         self.num_masks = sum(len(found.embeddings) for found in features.values())
         frozen = scene.points.gaussians
@@ -102,6 +110,7 @@ class Workshop:
         from .rivals.rasterising import photos_of
 
         if registered not in self._photos:  # of one set of Gaussians at a time: they are large
-            self._photos = {registered: photos_of(registered.gaussians, registered.seen, threads=self.threads)}
+            found = photos_of(registered.gaussians, registered.seen, threads=self.threads, device=self.device)
+            self._photos = {registered: found}
         made = make(name, registered.gaussians, self._photos[registered], self.effort)
         return feature_scorer(made.features, self.encoder, name)

@@ -32,7 +32,10 @@ ALL = (*METHODS, *FITTED)
 
 @dataclass(frozen=True)
 class Task:
-    """One scene and one kind of masks. every: takes one in so many of the views. effort: share of a rival's steps."""
+    """One scene and one kind of masks. every: takes one in so many of the views.
+
+    effort: share of a rival's steps. device: of PyTorch, that rivals are fitted on.
+    """
 
     folder: Path
     masks: str
@@ -41,6 +44,7 @@ class Task:
     every: int
     threads: int
     effort: float = 1.0
+    device: str = "cpu"
 
 
 def run(tasks: Sequence[Task], jobs: int) -> list[dict[str, Any]]:
@@ -69,7 +73,7 @@ def _made(
     if not methods:
         return
     key, start = _key(scene, task, encoder), time.perf_counter()
-    workshop = Workshop(scene, task.masks, encoder, task.threads, task.effort)
+    workshop = Workshop(scene, task.masks, encoder, task.threads, task.effort, task.device)
     print(f"{scene.name}, {task.masks}: {workshop.num_masks} masks", flush=True)
     for method in methods:
         numbers, seconds = scored(scene, workshop.methods(method), task.threads)

@@ -33,7 +33,7 @@ def make(name: str, gaussians: Gaussians, photos: Photos, effort: float = 1.0) -
     """
     torch.set_num_threads(1)
     made = RIVALS[name](gaussians, photos, effort)
-    features = np.where(photos.seen()[:, None], made.features, np.nan).astype(np.float32)
+    features = np.where(photos.seen[:, None], made.features, np.nan).astype(np.float32)
     return replace(made, features=features)
 
 

@@ -61,31 +61,31 @@ class Autoencoder(nn.Module):
 
 def fit(photos: Photos, settings: Settings = Settings()) -> Fitted:
     torch.manual_seed(settings.seed)
-    model = Autoencoder(photos.embeddings.shape[1])
-    first = _train(model, torch.from_numpy(photos.embeddings), settings)
+    model = Autoencoder(photos.embeddings.shape[1]).to(photos.device)
+    first = _train(model, photos.embeddings, settings)
     with torch.no_grad():
-        targets = model.encode(torch.from_numpy(photos.embeddings))
-    values = nn.Parameter(torch.full((photos.num_gaussians, ENCODER[-1]), 1e-3))
+        targets = model.encode(photos.embeddings)
+    values = nn.Parameter(torch.full((photos.num_gaussians, ENCODER[-1]), 1e-3, device=photos.device))
 
     def loss(photo: Photo) -> torch.Tensor:
         rendered = blended(photo, nn.functional.normalize(values))
-        return (rendered - targets[photo.masks]).abs().mean()
+        return (rendered - targets[photo.numbers][photo.masks]).abs().mean()
 
     losses = fitted(photos.photos, loss, [{"params": [values], "lr": settings.rate}], settings.steps, settings.seed)
     with torch.no_grad():
-        features = model.decode(nn.functional.normalize(values)).numpy()
+        features = model.decode(nn.functional.normalize(values)).cpu().numpy()
     return Fitted(features, losses, first)
 
 
 def _train(model: Autoencoder, embeddings: torch.Tensor, settings: Settings) -> list[float]:
     """The mean loss of every hundredth part."""
-    optimizer = torch.optim.Adam(model.parameters(), lr=settings.autoencoder_rate)
+    optimizer = torch.optim.Adam(model.parameters(), lr=settings.autoencoder_rate, fused=True)
     batch = min(settings.batch, len(embeddings))
     each = max(len(embeddings) // batch, 1)
     epochs = max(settings.epochs, -(-settings.autoencoder_steps // each))
     losses = []
     for _ in range(epochs):
-        order = torch.randperm(len(embeddings))
+        order = torch.randperm(len(embeddings)).to(embeddings.device)
         for at in range(each):
             some = embeddings[order[at * batch : (at + 1) * batch]]
             again = model.decode(model.encode(some))
@@ -94,6 +94,6 @@ def _train(model: Autoencoder, embeddings: torch.Tensor, settings: Settings) -> 
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-            losses.append(float(loss.detach()))
+            losses.append(loss.detach())
     model.eval()
-    return [float(part.mean()) for part in np.array_split(losses, min(100, len(losses)))]
+    return [float(part.mean()) for part in torch.stack(losses).tensor_split(min(100, len(losses)))]

@@ -52,22 +52,22 @@ class Fitted:
 
 def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Settings = Settings()) -> Fitted:
     torch.manual_seed(settings.seed)
-    embeddings = torch.from_numpy(photos.embeddings)
+    embeddings, device = photos.embeddings, photos.device
     atoms, quantised = codebook(embeddings, settings)
     labels = (embeddings @ atoms.T).argmax(1)
-    values = nn.Parameter(0.01 * torch.randn(photos.num_gaussians, settings.dims))
-    doubts = nn.Parameter(torch.full((photos.num_gaussians, 1), -3.0))
-    reader = _network(settings.dims, settings.hidden, settings.atoms)
-    places = _encoded(positions, settings.frequencies)
-    smoother = _network(places.shape[1], settings.hidden, settings.dims)
+    values = nn.Parameter((0.01 * torch.randn(photos.num_gaussians, settings.dims)).to(device))
+    doubts = nn.Parameter(torch.full((photos.num_gaussians, 1), -3.0, device=device))
+    reader = _network(settings.dims, settings.hidden, settings.atoms).to(device)
+    places = _encoded(positions, settings.frequencies).to(device)
+    smoother = _network(places.shape[1], settings.hidden, settings.dims).to(device)
 
     def loss(photo: Photo) -> torch.Tensor:
         rendered = blended(photo, torch.cat([values, torch.sigmoid(doubts)], 1))
-        drawn = torch.randint(len(rendered), (min(settings.pixels, len(rendered)),))
+        drawn = torch.randint(len(rendered), (min(settings.pixels, len(rendered)),), device=device)
         doubt = rendered[drawn, -1].clamp(0, 1)
-        read, meant = reader(rendered[drawn, :-1]), labels[photo.masks[drawn.numpy()]]
+        read, meant = reader(rendered[drawn, :-1]), labels[photo.numbers[photo.masks[drawn]]]
         wrong = nn.functional.cross_entropy(read, meant, reduction="none")
-        some = torch.randint(len(values), (4096,))
+        some = torch.randint(len(values), (4096,), device=device)
         by_place, own = smoother(places[some]), values[some]
         uncertain = torch.sigmoid(doubts[some]).detach()
         held = ((by_place - own.detach()).square() + uncertain * (by_place.detach() - own).square()).mean()
@@ -79,28 +79,29 @@ def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Setting
     with torch.no_grad():
         chosen = torch.cat([reader(part).argmax(1) for part in values.split(65536)])
         cosine = float((embeddings * atoms[labels]).sum(1).mean())
-    return Fitted(atoms[chosen].numpy(), losses, quantised, cosine)
+    return Fitted(atoms[chosen].cpu().numpy(), losses, quantised, cosine)
 
 
 def codebook(embeddings: torch.Tensor, settings: Settings) -> tuple[torch.Tensor, list[float]]:
     """Unit atoms that embeddings are near to, all of them used: the paper's cosine loss and load balancing."""
-    start = torch.randint(len(embeddings), (settings.atoms,))
-    atoms = nn.Parameter(embeddings[start] + 0.01 * torch.randn(settings.atoms, embeddings.shape[1]))
-    optimizer = torch.optim.Adam([atoms], lr=settings.quantise_rate)
+    device, near = embeddings.device, 0.01 * torch.randn(settings.atoms, embeddings.shape[1])
+    start = torch.randint(len(embeddings), (settings.atoms,), device=device)
+    atoms = nn.Parameter(embeddings[start] + near.to(device))
+    optimizer = torch.optim.Adam([atoms], lr=settings.quantise_rate, fused=True)
     losses = []
     for _ in range(settings.quantise_steps):
-        some = embeddings[torch.randint(len(embeddings), (min(1024, len(embeddings)),))]
+        some = embeddings[torch.randint(len(embeddings), (min(1024, len(embeddings)),), device=device)]
         cosines = some @ nn.functional.normalize(atoms).T
         nearest = cosines.argmax(1)
         used = torch.bincount(nearest, minlength=settings.atoms) / len(some)
         likely = (cosines / settings.temperature).softmax(1).mean(0)
-        away = 1 - cosines[torch.arange(len(some)), nearest].mean()
+        away = 1 - cosines.amax(1).mean()
         loss = away + settings.balance * (used * likely).sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        losses.append(float(loss.detach()))
-    return nn.functional.normalize(atoms.detach()), losses[:: max(len(losses) // 50, 1)]
+        losses.append(loss.detach())
+    return nn.functional.normalize(atoms.detach()), torch.stack(losses)[:: max(len(losses) // 50, 1)].tolist()
 
 
 def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int64
-from scipy.sparse import csr_array
 from torch import nn
 
 from .rasterising import Photo, Photos, blended, fitted
@@ -53,19 +52,20 @@ class Fitted:
 
 def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Settings = Settings()) -> Fitted:
     torch.manual_seed(settings.seed)
-    values = nn.Parameter(nn.functional.normalize(1 + SPREAD * torch.randn(photos.num_gaussians, DIMS)))
+    start = nn.functional.normalize(1 + SPREAD * torch.randn(photos.num_gaussians, DIMS))
+    values = nn.Parameter(start.to(photos.device))
     groups = [{"params": [values], "lr": settings.rate}]
     losses = fitted(photos.photos, lambda photo: contrastive(photo, values), groups, settings.steps, settings.seed)
     low, high = np.quantile(positions, (0.01, 0.99), axis=0)
-    places = torch.from_numpy(((positions - low) / np.maximum(high - low, 1e-9)).astype(np.float32))
+    places = torch.from_numpy(((positions - low) / np.maximum(high - low, 1e-9)).astype(np.float32)).to(photos.device)
     with torch.no_grad():
         both = torch.cat([nn.functional.normalize(values), settings.positions * places], 1)
     roots = clusters(both, settings.coarse, settings.seed)
     coarse = _to_clusters(photos, values, roots, settings.coarse_steps, settings)
     leaves = _leaves(nn.functional.normalize(values.detach()), roots, settings)
     fine = _to_clusters(photos, values, leaves, settings.fine_steps, settings)
-    own = nn.functional.normalize(values.detach()).numpy()
-    return Fitted(named(photos, own, leaves.numpy()), leaves.numpy(), losses, coarse, fine)
+    features = named(photos, nn.functional.normalize(values.detach()), leaves)
+    return Fitted(features.cpu().numpy(), leaves.cpu().numpy(), losses, coarse, fine)
 
 
 def contrastive(photo: Photo, values: torch.Tensor) -> torch.Tensor:
@@ -74,11 +74,9 @@ def contrastive(photo: Photo, values: torch.Tensor) -> torch.Tensor:
     Source: OpenGaussian Eq. 1 and 2.
     """
     rendered = blended(photo, nn.functional.normalize(values))
-    _, masks, counts = np.unique(photo.masks, return_inverse=True, return_counts=True)
-    index, sizes = torch.from_numpy(masks), torch.from_numpy(counts.astype(np.float32))[:, None]
-    means = torch.zeros(len(counts), rendered.shape[1]).index_add(0, index, rendered) / sizes
-    within = torch.zeros(len(counts)).index_add(0, index, (rendered - means[index]).square().sum(1)) / sizes[:, 0]
-    if len(counts) < 2:
+    means = _means(rendered, photo.masks, photo.areas)
+    within = _means((rendered - means[photo.masks]).square().sum(1, keepdim=True), photo.masks, photo.areas)
+    if len(means) < 2:
         return within.mean()
     apart = torch.pdist(means).square() + 1e-2
     return within.mean() + (1 / apart).mean()
@@ -87,8 +85,7 @@ def contrastive(photo: Photo, values: torch.Tensor) -> torch.Tensor:
 def clusters(points: torch.Tensor, count: int, seed: int) -> torch.Tensor:
     """k-means: per point its cluster; starts drawn far apart with the seed. Fewer where there are fewer points."""
     generator = torch.Generator().manual_seed(seed)
-    centers = points[torch.randperm(len(points), generator=generator)[:count]]
-    labels = torch.zeros(len(points), dtype=torch.int64)
+    centers = points[torch.randperm(len(points), generator=generator)[:count].to(points.device)]
     for _ in range(ROUNDS):
         labels = torch.cat([torch.cdist(part, centers).argmin(1) for part in points.split(65536)])
         counts = torch.bincount(labels, minlength=len(centers))[:, None]
@@ -110,41 +107,36 @@ def _to_clusters(
 ) -> list[float]:
     """Let features render as the means of their clusters do. Source: OpenGaussian Eq. 4."""
     count = int(labels.max()) + 1
-    sizes = torch.bincount(labels, minlength=count).clamp(min=1)[:, None]
+    sizes = torch.bincount(labels, minlength=count).clamp(min=1)
 
     def loss(photo: Photo) -> torch.Tensor:
         unit = nn.functional.normalize(values)
-        means = torch.zeros(count, DIMS).index_add(0, labels, unit) / sizes
+        means = _means(unit, labels, sizes)
         return (blended(photo, unit) - blended(photo, means.detach()[labels])).abs().mean()
 
     return fitted(photos.photos, loss, [{"params": [values], "lr": settings.rate}], steps, settings.seed)
 
 
-def named(
-    photos: Photos, values: Float32[np.ndarray, "n 6"], leaves: Int64[np.ndarray, " n"]
-) -> Float32[np.ndarray, "n d"]:
-    """Per Gaussian the mean embedding of the masks that its leaf is most like, photo by photo."""
+def named(photos: Photos, values: torch.Tensor, leaves: torch.Tensor) -> torch.Tensor:
+    """(N, d): per Gaussian the mean embedding of the masks that its leaf is most like, photo by photo."""
     count = int(leaves.max()) + 1
-    own = np.zeros((count, DIMS), np.float32)
-    np.add.at(own, leaves, values)
-    own /= np.maximum(np.bincount(leaves, minlength=count)[:, None], 1)
-    one_hot = csr_array(
-        (np.ones(len(leaves), np.float32), (np.arange(len(leaves)), leaves)), shape=(len(leaves), count)
-    )
-    total = np.zeros((count, photos.embeddings.shape[1]), np.float32)
+    own = _means(values, leaves, torch.bincount(leaves, minlength=count).clamp(min=1))
+    one_hot = nn.functional.one_hot(leaves, count).float()
+    total = torch.zeros(count, photos.embeddings.shape[1], device=photos.device)
     for photo in photos.photos:
-        rendered = photo.weights @ values
-        numbers, masks, areas = np.unique(photo.masks, return_inverse=True, return_counts=True)
-        means = np.stack([np.bincount(masks, rendered[:, k], len(areas)) for k in range(DIMS)], 1) / areas[:, None]
-        shown = (photo.weights @ one_hot).toarray().argmax(1)  # the leaf that a pixel shows most of
-        pixels = np.bincount(shown, minlength=count)
-        shared = np.zeros((count, len(areas)))
-        np.add.at(shared, (shown, masks), 1)
-        ious = shared / np.maximum(pixels[:, None] + areas - shared, 1)
-        distances = np.abs(own[:, None] - means[None]).sum(2)
-        like = ious * np.maximum(1 - distances, 0)
-        best = like.argmax(1)
-        counted = (pixels >= LEAST_PIXELS) & (like[np.arange(count), best] > 0)
-        total[counted] += photos.embeddings[numbers[best[counted]]]
-    lengths = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.asarray((total / np.maximum(lengths, 1e-12))[leaves])
+        means = _means(photo.weights @ values, photo.masks, photo.areas)
+        shown = (photo.weights @ one_hot).argmax(1)  # the leaf that a pixel shows most of
+        pixels = torch.bincount(shown, minlength=count)
+        shared = torch.bincount(shown * len(means) + photo.masks, minlength=count * len(means)).reshape(count, -1)
+        ious = shared / (pixels[:, None] + photo.areas - shared).clamp(min=1)
+        distances = torch.cdist(own, means, p=1)
+        like, best = (ious * (1 - distances).clamp(min=0)).max(1)
+        counted = (pixels >= LEAST_PIXELS) & (like > 0)
+        total[counted] += photos.embeddings[photo.numbers[best[counted]]]
+    return nn.functional.normalize(total)[leaves]
+
+
+def _means(values: torch.Tensor, labels: torch.Tensor, sizes: torch.Tensor) -> torch.Tensor:
+    """(k, c): of the rows of each label, of which there are `sizes`."""
+    sums = torch.zeros(len(sizes), values.shape[1], device=values.device).index_add(0, labels, values)
+    return sums / sizes[:, None]

@@ -5,18 +5,18 @@ blending weights, made once, and rendering and its gradient are products with it
 rasteriser's own numbers, forward and backward, for any number of channels.
 """
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
 from scipy.sparse import csr_array
 
 from drsplat import Gaussians, View, ViewFeatures
 from drsplat.kernels import splat_arrays
 
-from ..blending import blending_of
+from ..blending import Blending, blending_of
 
 WIDTH = 320  # pixels of a photo that is fitted; the papers fit whole ones
 CONTRIBUTORS = 32  # of a pixel, the largest; what is left out is the dimmest tail
@@ -24,50 +24,71 @@ TRACE = 50  # numbers that are kept of a loss
 
 
 class Photo(NamedTuple):
-    """A photo's pixels that a mask covers.
+    """A photo's pixels that a mask covers, on the device that fits.
 
-    weights: blending weights, pixels x Gaussians; back: transposed. masks: per pixel the row of its mask's embedding.
+    weights: blending weights, pixels x Gaussians, sparse; back: transposed. masks: (p,) per pixel its mask among those
+    that the photo shows. numbers: (k,) of these, the rows of their embeddings. areas: (k,) their pixels.
     """
 
-    weights: csr_array
-    back: csr_array
-    masks: Int64[np.ndarray, " p"]
+    weights: torch.Tensor
+    back: torch.Tensor
+    masks: torch.Tensor
+    numbers: torch.Tensor
+    areas: torch.Tensor
 
 
 class Photos(NamedTuple):
-    """embeddings: of all masks, which the photos count through."""
+    """embeddings: (m, d) of all masks, which the photos count through. seen: (N,) whether a pixel shows a Gaussian."""
 
     photos: tuple[Photo, ...]
-    embeddings: Float32[np.ndarray, "m d"]
-    num_gaussians: int
+    embeddings: torch.Tensor
+    seen: np.ndarray
 
-    def seen(self) -> np.ndarray:
-        """Per Gaussian whether any pixel shows it."""
-        found = np.zeros(self.num_gaussians, bool)
-        for photo in self.photos:
-            found[photo.weights.indices] = True
-        return found
+    @property
+    def num_gaussians(self) -> int:
+        return len(self.seen)
+
+    @property
+    def device(self) -> torch.device:
+        return self.embeddings.device
 
 
-def photos_of(gaussians: Gaussians, seen: Mapping[View, ViewFeatures], width: int = WIDTH, threads: int = 0) -> Photos:
-    splats, photos, first = splat_arrays(gaussians), [], 0
-    for view, features in seen.items():
-        weights, masks = blending_of(splats, view, features, width, CONTRIBUTORS, threads)
-        photos.append(Photo(weights, csr_array(weights.T), masks.astype(np.int64) + first))
+def photos_of(
+    gaussians: Gaussians, views: Mapping[View, ViewFeatures], width: int = WIDTH, threads: int = 0, device: str = "cpu"
+) -> Photos:
+    splats, seen = splat_arrays(gaussians), np.zeros(len(gaussians), bool)
+    photos, first = [], 0
+    for view, features in views.items():
+        found = blending_of(splats, view, features, width, CONTRIBUTORS, threads)
+        seen[found.weights.indices] = True
+        photos.append(_photo(found, first, device))
         first += len(features.embeddings)
-    embeddings = np.concatenate([features.embeddings for features in seen.values()])
-    return Photos(tuple(photos), np.asarray(embeddings, np.float32), len(gaussians))
+    embeddings = np.concatenate([features.embeddings for features in views.values()])
+    return Photos(tuple(photos), torch.from_numpy(np.asarray(embeddings, np.float32)).to(device), seen)
+
+
+def _photo(found: Blending, first: int, device: str) -> Photo:
+    numbers, masks, areas = np.unique(found.masks.astype(np.int64), return_inverse=True, return_counts=True)
+    parts = (torch.from_numpy(part).to(device) for part in (masks, numbers + first, areas))
+    return Photo(_sparse(found.weights, device), _sparse(csr_array(found.weights.T), device), *parts)
+
+
+def _sparse(matrix: csr_array, device: str) -> torch.Tensor:
+    starts, columns = (torch.from_numpy(part.astype(np.int64)) for part in (matrix.indptr, matrix.indices))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that the layout is in beta
+        return torch.sparse_csr_tensor(starts, columns, torch.from_numpy(matrix.data), matrix.shape, device=device)
 
 
 class _Blend(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, photo: Photo) -> torch.Tensor:
         ctx.photo = photo
-        return torch.from_numpy(photo.weights @ values.detach().numpy())
+        return photo.weights @ values
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None]:
-        return torch.from_numpy(ctx.photo.back @ gradients[0].numpy()), None
+        return ctx.photo.back @ gradients[0], None
 
 
 def blended(photo: Photo, values: torch.Tensor) -> torch.Tensor:
@@ -87,15 +108,15 @@ def fitted(
 
     groups: of parameters with their rates, as torch takes them.
     """
-    optimizer = torch.optim.Adam(list(groups), eps=1e-15)
-    losses = np.zeros(steps)
+    optimizer = torch.optim.Adam(list(groups), eps=1e-15, fused=True)
+    losses = torch.zeros(steps, device=groups[0]["params"][0].device)
     for step, photo in enumerate(_in_turn(photos, steps, seed)):
         found = loss(photo)
         optimizer.zero_grad()
         found.backward()
         optimizer.step()
-        losses[step] = float(found.detach())
-    return [float(part.mean()) for part in np.array_split(losses, min(TRACE, steps)) if len(part)]
+        losses[step] = found.detach()
+    return [float(part.mean()) for part in losses.tensor_split(min(TRACE, steps)) if len(part)]
 
 
 def _in_turn(photos: Sequence[Photo], steps: int, seed: int) -> Iterator[Photo]:
