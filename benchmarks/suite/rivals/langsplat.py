@@ -15,7 +15,8 @@ import torch
 from jaxtyping import Float32
 from torch import nn
 
-from .rasterising import Photo, Photos, blended, fitted
+from .rasterising import TRACE, Photo, Photos, blended, fitted
+from .stepping import adam, means_of, stepping
 
 ENCODER, DECODER = (256, 128, 64, 32, 3), (16, 32, 64, 128, 256, 256)
 COSINE = 0.001  # of the autoencoder's loss
@@ -78,22 +79,25 @@ def fit(photos: Photos, settings: Settings = Settings()) -> Fitted:
 
 
 def _train(model: Autoencoder, embeddings: torch.Tensor, settings: Settings) -> list[float]:
-    """The mean loss of every hundredth part."""
-    optimizer = torch.optim.Adam(model.parameters(), lr=settings.autoencoder_rate, fused=True)
+    """The mean losses of up to `TRACE` stretches of steps."""
+    device = embeddings.device
     batch = min(settings.batch, len(embeddings))
     each = max(len(embeddings) // batch, 1)
     epochs = max(settings.epochs, -(-settings.autoencoder_steps // each))
-    losses = []
-    for _ in range(epochs):
-        order = torch.randperm(len(embeddings)).to(embeddings.device)
+    chosen = torch.zeros(batch, dtype=torch.int64, device=device)
+
+    def loss() -> torch.Tensor:
+        some = embeddings[chosen]
+        again = model.decode(model.encode(some))
+        cosine = 1 - nn.functional.cosine_similarity(again, some).mean()
+        return (again - some).square().mean() + COSINE * cosine
+
+    group = {"params": list(model.parameters()), "lr": settings.autoencoder_rate}
+    step, losses = stepping(adam([group], device), loss, device), torch.zeros(epochs * each, device=device)
+    for epoch in range(epochs):
+        order = torch.randperm(len(embeddings)).to(device)
         for at in range(each):
-            some = embeddings[order[at * batch : (at + 1) * batch]]
-            again = model.decode(model.encode(some))
-            cosine = 1 - nn.functional.cosine_similarity(again, some).mean()
-            loss = (again - some).square().mean() + COSINE * cosine
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            losses.append(loss.detach())
+            chosen.copy_(order[at * batch : (at + 1) * batch])
+            losses[epoch * each + at] = step()
     model.eval()
-    return [float(part.mean()) for part in torch.stack(losses).tensor_split(min(100, len(losses)))]
+    return means_of(losses, TRACE)

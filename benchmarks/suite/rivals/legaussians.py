@@ -18,7 +18,8 @@ import torch
 from jaxtyping import Float32, Float64
 from torch import nn
 
-from .rasterising import Photo, Photos, blended, fitted
+from .rasterising import TRACE, Photo, Photos, blended, fitted
+from .stepping import adam, means_of, stepping
 
 
 @dataclass(frozen=True)
@@ -87,21 +88,20 @@ def codebook(embeddings: torch.Tensor, settings: Settings) -> tuple[torch.Tensor
     device, near = embeddings.device, 0.01 * torch.randn(settings.atoms, embeddings.shape[1])
     start = torch.randint(len(embeddings), (settings.atoms,), device=device)
     atoms = nn.Parameter(embeddings[start] + near.to(device))
-    optimizer = torch.optim.Adam([atoms], lr=settings.quantise_rate, fused=True)
-    losses = []
-    for _ in range(settings.quantise_steps):
+
+    def loss() -> torch.Tensor:
         some = embeddings[torch.randint(len(embeddings), (min(1024, len(embeddings)),), device=device)]
         cosines = some @ nn.functional.normalize(atoms).T
-        nearest = cosines.argmax(1)
-        used = torch.bincount(nearest, minlength=settings.atoms) / len(some)
+        used = torch.zeros(settings.atoms, device=device)
+        used = used.index_add(0, cosines.argmax(1), torch.ones(len(some), device=device)) / len(some)
         likely = (cosines / settings.temperature).softmax(1).mean(0)
-        away = 1 - cosines.amax(1).mean()
-        loss = away + settings.balance * (used * likely).sum()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        losses.append(loss.detach())
-    return nn.functional.normalize(atoms.detach()), torch.stack(losses)[:: max(len(losses) // 50, 1)].tolist()
+        return 1 - cosines.amax(1).mean() + settings.balance * (used * likely).sum()
+
+    step = stepping(adam([{"params": [atoms], "lr": settings.quantise_rate}], device), loss, device)
+    losses = torch.zeros(settings.quantise_steps, device=device)
+    for number in range(settings.quantise_steps):
+        losses[number] = step()
+    return nn.functional.normalize(atoms.detach()), means_of(losses, TRACE)
 
 
 def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:

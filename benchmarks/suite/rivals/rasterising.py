@@ -7,6 +7,7 @@ rasteriser's own numbers, forward and backward, for any number of channels.
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from drsplat import Gaussians, View, ViewFeatures
 from drsplat.kernels import splat_arrays
 
 from ..blending import Blending, blending_of
+from .stepping import adam, means_of, stepping
 
 WIDTH = 320  # pixels of a photo that is fitted; the papers fit whole ones
 CONTRIBUTORS = 32  # of a pixel, the largest; what is left out is the dimmest tail
@@ -108,19 +110,17 @@ def fitted(
 
     groups: of parameters with their rates, as torch takes them.
     """
-    optimizer = torch.optim.Adam(list(groups), eps=1e-15, fused=True)
-    losses = torch.zeros(steps, device=groups[0]["params"][0].device)
-    for step, photo in enumerate(_in_turn(photos, steps, seed)):
-        found = loss(photo)
-        optimizer.zero_grad()
-        found.backward()
-        optimizer.step()
-        losses[step] = found.detach()
-    return [float(part.mean()) for part in losses.tensor_split(min(TRACE, steps)) if len(part)]
+    device = groups[0]["params"][0].device
+    optimizer = adam(groups, device, eps=1e-15)
+    steppers = [stepping(optimizer, partial(loss, photo), device) for photo in photos]
+    losses = torch.zeros(steps, device=device)
+    for step, number in enumerate(_in_turn(len(photos), steps, seed)):
+        losses[step] = steppers[number]()
+    return means_of(losses, TRACE)
 
 
-def _in_turn(photos: Sequence[Photo], steps: int, seed: int) -> Iterator[Photo]:
+def _in_turn(count: int, steps: int, seed: int) -> Iterator[int]:
     rng, left = np.random.default_rng(seed), []
     for _ in range(steps):
-        left = left or rng.permutation(len(photos)).tolist()
-        yield photos[left.pop()]
+        left = left or rng.permutation(count).tolist()
+        yield left.pop()
