@@ -65,11 +65,12 @@ def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Setting
     def loss(photo: Photo) -> torch.Tensor:
         rendered = blended(photo, torch.cat([values, torch.sigmoid(doubts)], 1))
         drawn = torch.randint(len(rendered), (min(settings.pixels, len(rendered)),), device=device)
-        doubt = rendered[drawn, -1].clamp(0, 1)
-        read, meant = reader(rendered[drawn, :-1]), labels[photo.numbers[photo.masks[drawn]]]
+        looked_at = rendered.index_select(0, drawn)
+        doubt = looked_at[:, -1].clamp(0, 1)
+        read, meant = reader(looked_at[:, :-1]), labels[photo.numbers[photo.masks[drawn]]]
         wrong = nn.functional.cross_entropy(read, meant, reduction="none")
         some = torch.randint(len(values), (4096,), device=device)
-        by_place, own = smoother(places[some]), values[some]
+        by_place, own = smoother(places[some]), values.index_select(0, some)
         uncertain = torch.sigmoid(doubts[some]).detach()
         held = ((by_place - own.detach()).square() + uncertain * (by_place.detach() - own).square()).mean()
         return (wrong * (1 - doubt)).mean() + settings.certain * doubt.mean() + settings.smooth * held

@@ -75,7 +75,8 @@ def contrastive(photo: Photo, values: torch.Tensor) -> torch.Tensor:
     """
     rendered = blended(photo, nn.functional.normalize(values))
     means = _means(rendered, photo.masks, photo.areas)
-    within = _means((rendered - means[photo.masks]).square().sum(1, keepdim=True), photo.masks, photo.areas)
+    away = (rendered - means.index_select(0, photo.masks)).square().sum(1, keepdim=True)
+    within = _means(away, photo.masks, photo.areas)
     if len(means) < 2:
         return within.mean()
     apart = torch.pdist(means).square() + 1e-2
@@ -112,7 +113,7 @@ def _to_clusters(
     def loss(photo: Photo) -> torch.Tensor:
         unit = nn.functional.normalize(values)
         means = _means(unit, labels, sizes)
-        return (blended(photo, unit) - blended(photo, means.detach()[labels])).abs().mean()
+        return blended(photo, unit - means.detach()[labels]).abs().mean()
 
     return fitted(photos.photos, loss, [{"params": [values], "lr": settings.rate}], steps, settings.seed)
 
