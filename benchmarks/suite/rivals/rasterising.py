@@ -76,7 +76,7 @@ def _photo(found: Blending, first: int, device: str) -> Photo:
 
 
 def _sparse(matrix: csr_array, device: str) -> torch.Tensor:
-    starts, columns = (torch.from_numpy(part.astype(np.int64)) for part in (matrix.indptr, matrix.indices))
+    starts, columns = (torch.from_numpy(part.astype(np.int32)) for part in (matrix.indptr, matrix.indices))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that the layout is in beta
         return torch.sparse_csr_tensor(starts, columns, torch.from_numpy(matrix.data), matrix.shape, device=device)
