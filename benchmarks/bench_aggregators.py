@@ -6,15 +6,13 @@ The room and its masks are synthetic and have no meaning: this measures cost, no
 resident memory that an aggregator adds to that of the registration, which is there before (Linux only).
 """
 
-import gc
-import re
 import sys
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from machine import arguments
+from machine import arguments, forget_peak, resident_mib
 from rooms import SyntheticFeatures, room, room_views
 
 from benchmarks.suite.aggregators import MEASURED
@@ -23,17 +21,6 @@ from drsplat.evidence.aggregation import Aggregator, Sampling
 from drsplat.evidence.evidence import Evidence
 
 BLOCK = 8192
-
-
-def resident_mib(peak: bool) -> float:
-    field = "VmHWM" if peak else "VmRSS"
-    found = re.search(rf"{field}:\s+(\d+) kB", Path("/proc/self/status").read_text())
-    return int(found[1]) / 1024 if found else float("nan")
-
-
-def forget_peak() -> None:
-    gc.collect()
-    Path("/proc/self/clear_refs").write_text("5")
 
 
 def measure(how: Aggregator, evidence: Evidence, gaussians: Gaussians, threads: int) -> str:

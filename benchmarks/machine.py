@@ -1,8 +1,10 @@
 """What a benchmark is told, what it ran on, and how long something took."""
 
 import argparse
+import gc
 import os
 import platform
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -59,3 +61,18 @@ def interleaved(rivals: dict[str, Callable[[], object]], rounds: int) -> dict[st
             run()
             seconds[name][i] = time.perf_counter() - start
     return seconds
+
+
+def resident_mib(peak: bool) -> float:
+    """MiB of memory that this process holds, or has held at most since `forget_peak`. NaN where Linux does not say."""
+    field = "VmHWM" if peak else "VmRSS"
+    try:
+        found = re.search(rf"{field}:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"))
+    except OSError:
+        found = None
+    return int(found[1]) / 1024 if found else float("nan")
+
+
+def forget_peak() -> None:
+    gc.collect()
+    Path("/proc/self/clear_refs").write_text("5")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Int64
 
 from drsplat import Gaussians
 
@@ -15,15 +15,27 @@ from .rasterising import Photos
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """features: (N, D), NaN for Gaussians that no photo shows, zero where the rival gives none. losses: by stage.
+    """What a rival answers with: the feature of a Gaussian is its row of a table.
 
-    bytes: of what a Gaussian keeps; shared: of what all keep together.
+    table: (K, D), zero where the rival gives none. rows: per Gaussian. seen: whether a photo shows it. losses: by
+    stage. bytes: of what a Gaussian keeps; shared: of what all keep together.
     """
 
-    features: Float32[np.ndarray, "n d"]
+    table: Float32[np.ndarray, "k d"]
+    rows: Int64[np.ndarray, " n"]
+    seen: Bool[np.ndarray, " n"]
     losses: Mapping[str, list[float]]
-    bytes: float
+    bytes: int
     shared: int
+
+    @property
+    def features(self) -> Float32[np.ndarray, "n d"]:
+        """NaN for Gaussians that no photo shows."""
+        return np.where(self.seen[:, None], self.table[self.rows], np.float32(np.nan))
+
+    def scores(self, query: Float32[np.ndarray, " d"]) -> Float32[np.ndarray, " n"]:
+        """Cosines with a unit vector."""
+        return np.where(self.seen, (self.table @ query)[self.rows], np.float32(np.nan))
 
 
 def make(name: str, gaussians: Gaussians, photos: Photos, effort: float = 1.0) -> Made:
@@ -32,9 +44,7 @@ def make(name: str, gaussians: Gaussians, photos: Photos, effort: float = 1.0) -
     One thread, for the same numbers wherever it runs: products of this size gain nothing from more.
     """
     torch.set_num_threads(1)
-    made = RIVALS[name](gaussians, photos, effort)
-    features = np.where(photos.seen[:, None], made.features, np.nan).astype(np.float32)
-    return replace(made, features=features)
+    return RIVALS[name](gaussians, photos, effort)
 
 
 def _langsplat(gaussians: Gaussians, photos: Photos, effort: float) -> Made:
@@ -44,7 +54,8 @@ def _langsplat(gaussians: Gaussians, photos: Photos, effort: float) -> Made:
     found = langsplat.fit(photos, settings)
     dim = photos.embeddings.shape[1]
     decoder = sum(a * b + b for a, b in zip((3, *langsplat.DECODER), (*langsplat.DECODER, dim), strict=True))
-    return Made(found.features, {"rendering": found.losses, "autoencoder": found.autoencoder}, 12, 4 * decoder)
+    losses = {"rendering": found.losses, "autoencoder": found.autoencoder}
+    return Made(found.features, np.arange(len(photos.seen)), photos.seen, losses, 12, 4 * decoder)
 
 
 def _legaussians(gaussians: Gaussians, photos: Photos, effort: float) -> Made:
@@ -52,17 +63,16 @@ def _legaussians(gaussians: Gaussians, photos: Photos, effort: float) -> Made:
     steps, first = _share(usual.steps, effort), _share(usual.quantise_steps, effort)
     found = legaussians.fit(photos, gaussians.positions, replace(usual, steps=steps, quantise_steps=first))
     reader = (usual.dims + 1) * usual.hidden + (usual.hidden + 1) * usual.atoms
-    shared = 4 * (reader + usual.atoms * photos.embeddings.shape[1])
-    return Made(found.features, {"rendering": found.losses, "codebook": found.quantised}, 4 * usual.dims, shared)
+    losses = {"rendering": found.losses, "codebook": found.quantised}
+    return Made(found.atoms, found.chosen, photos.seen, losses, 4 * usual.dims, 4 * reader + found.atoms.nbytes)
 
 
 def _opengaussian(gaussians: Gaussians, photos: Photos, effort: float) -> Made:
     usual = opengaussian.Settings()
     steps = {name: _share(getattr(usual, name), effort) for name in ("steps", "coarse_steps", "fine_steps")}
     found = opengaussian.fit(photos, gaussians.positions, replace(usual, **steps))
-    leaves = usual.coarse * usual.fine
     losses = {"contrast": found.losses, "coarse": found.coarse, "fine": found.fine}
-    return Made(found.features, losses, 2, 4 * leaves * photos.embeddings.shape[1])
+    return Made(found.features, found.leaves, photos.seen, losses, 2, found.features.nbytes)
 
 
 def _share(steps: int, effort: float) -> int:

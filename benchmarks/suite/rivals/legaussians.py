@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int64
 from torch import nn
 
 from .rasterising import TRACE, Photo, Photos, blended, fitted
@@ -43,9 +43,13 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """features: (N, D) unit. losses: of rendering. quantised: of the codebook; cosine: of embeddings and atoms."""
+    """atoms: unit. chosen: per Gaussian one. losses: of rendering. quantised: of the codebook.
 
-    features: Float32[np.ndarray, "n d"]
+    cosine: of embeddings and their atoms.
+    """
+
+    atoms: Float32[np.ndarray, "k d"]
+    chosen: Int64[np.ndarray, " n"]
     losses: list[float]
     quantised: list[float]
     cosine: float
@@ -81,7 +85,7 @@ def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Setting
     with torch.no_grad():
         chosen = torch.cat([reader(part).argmax(1) for part in values.split(65536)])
         cosine = float((embeddings * atoms[labels]).sum(1).mean())
-    return Fitted(atoms[chosen].cpu().numpy(), losses, quantised, cosine)
+    return Fitted(atoms.cpu().numpy(), chosen.cpu().numpy(), losses, quantised, cosine)
 
 
 def codebook(embeddings: torch.Tensor, settings: Settings) -> tuple[torch.Tensor, list[float]]:

@@ -41,9 +41,9 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """features: (N, D) unit, zero where no mask was found. leaves: per Gaussian its cluster. losses: of step 1."""
+    """features: of leaves, unit, zero where no mask was found. leaves: per Gaussian its own. losses: of step 1."""
 
-    features: Float32[np.ndarray, "n d"]
+    features: Float32[np.ndarray, "k d"]
     leaves: Int64[np.ndarray, " n"]
     losses: list[float]
     coarse: list[float]
@@ -119,7 +119,7 @@ def _to_clusters(
 
 
 def named(photos: Photos, values: torch.Tensor, leaves: torch.Tensor) -> torch.Tensor:
-    """(N, d): per Gaussian the mean embedding of the masks that its leaf is most like, photo by photo."""
+    """(k, d): per leaf the mean embedding of the masks that it is most like, photo by photo."""
     count = int(leaves.max()) + 1
     own = _means(values, leaves, torch.bincount(leaves, minlength=count).clamp(min=1))
     one_hot = nn.functional.one_hot(leaves, count).float()
@@ -134,7 +134,7 @@ def named(photos: Photos, values: torch.Tensor, leaves: torch.Tensor) -> torch.T
         like, best = (ious * (1 - distances).clamp(min=0)).max(1)
         counted = (pixels >= LEAST_PIXELS) & (like > 0)
         total[counted] += photos.embeddings[photo.numbers[best[counted]]]
-    return nn.functional.normalize(total)[leaves]
+    return nn.functional.normalize(total)
 
 
 def _means(values: torch.Tensor, labels: torch.Tensor, sizes: torch.Tensor) -> torch.Tensor:
