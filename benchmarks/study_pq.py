@@ -1,15 +1,16 @@
 """The paper's studies of product quantisation (Sec. D) and what reconstruction cosine does not show.
 
     python benchmarks/study_pq.py [--points 1000000] [--repeats 100] [--output study_pq.json]
-        [--scene world/scenes/room_5] [--skip search|codes] [--chart search.svg]
+        [--scenes world/scenes/room_5 ...] [--skip search|codes] [--chart search.svg]
 
 D.1: milliseconds for one query over all points, for 128, 64 and 32 sub-vectors: raw cosine (NumPy, float32),
 FAISS IndexPQ (top 100) and ours (every score). Codes are random: time does not depend on them.
 D.2: codes of 1/32, 1/16 and 1/8 of float32 by LSH (random projection), an autoencoder and PQ, all learnt on one
 half of the features and measured on the other: mean cosine of reconstruction (Table S2), and for searches the
 rms error of scores, the IoU of the best 2 % and how often the best of all queries is the same one.
-Features: those of a packed scene, registered with the masks of `graph` and the embeddings of `mini`; queries are its
-words. More codes on more features, without the paper's rivals: study_codes.py.
+Features: those of packed scenes, registered with the masks of `graph` and the embeddings of `mini`; queries are their
+words. Of several scenes, codes are learnt and measured on each by itself, and means are printed with their intervals.
+More codes on more features, without the paper's rivals: study_codes.py.
 """
 
 import json
@@ -23,12 +24,14 @@ from study_codes import mini_words, quality, scene_case
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
 from drsplat.codes import Codes, pq_code
+from drsplat.evaluation.metrics import mean, mean_interval
 from drsplat.evaluation.svg import bars
 
 SUBVECTORS = (128, 64, 32)
 RATIOS = (32, 16, 8)
 SCENE = Path(__file__).resolve().parent.parent / "world/scenes/room_5"
 ROWS = 1 << 16
+NUMBERS = ("cosine", "score_rms", "selection_iou", "argmax_agreement")
 PAPER_SEARCH = {128: 2.0, 64: 6.6, 32: 14.1}
 PAPER_COSINE = {
     "LSH": {32: 79.71, 16: 88.35, 8: 93.69},
@@ -150,19 +153,31 @@ def show_search(times: dict[str, dict[str, float]]) -> None:
         print(f"{name:<12} {ms:8.2f} ms (median), {raw / ms:5.1f} x raw cosine{paper}")
 
 
-def show_codes(rows: list[dict[str, object]]) -> None:
-    print("code          size  bytes  cosine  (paper)   score rms  top-2% IoU  argmax agreement")
-    for row in rows:
+def show_codes(studies: list[list[dict[str, object]]]) -> None:
+    """Means over scenes, the cosine with its interval."""
+    print("| code | size | bytes | cosine % | paper | score rms | top-2 % IoU | argmax |")
+    print("|---|---|--:|--:|--:|--:|--:|--:|")
+    for rows in zip(*studies, strict=True):
+        row = rows[0]
         paper = PAPER_COSINE[str(row["code"])][int(str(row["ratio"]))]
+        means = {key: mean([float(str(row[key])) for row in rows]) for key in NUMBERS}
+        low, high = mean_interval([float(str(row["cosine"])) for row in rows])
         print(
-            f"{row['code']:<12} 1/{row['ratio']:<4} {row['bytes']:>4}  {row['cosine']:6.2f}  ({paper:5.2f})   "
-            f"{row['score_rms']:.5f}     {row['selection_iou']:.3f}       {row['argmax_agreement']:.3f}"
+            f"| {row['code']} | 1/{row['ratio']} | {row['bytes']} | {means['cosine']:.2f} [{low:.2f}, {high:.2f}] "
+            f"| {paper:.2f} | {means['score_rms']:.5f} | {means['selection_iou']:.3f} "
+            f"| {means['argmax_agreement']:.3f} |"
         )
+
+
+def codes_of(folder: Path, threads: int) -> list[dict[str, object]]:
+    case = scene_case(folder, "graph", ROWS, threads)
+    features = case.evidence.features(0, len(case.evidence))
+    return code_study(features, mini_words(features).queries)
 
 
 def main() -> None:
     args = arguments(
-        __doc__, points=1_000_000, dim=512, repeats=100, threads=0, scene=SCENE, skip=("search", "codes"),
+        __doc__, points=1_000_000, dim=512, repeats=100, threads=0, scenes=[str(SCENE)], skip=("search", "codes"),
         output="study_pq.json", chart=str,
     )  # fmt: skip
     report: dict[str, object] = {"machine": describe(), "points": args.points, "repeats": args.repeats}
@@ -175,12 +190,9 @@ def main() -> None:
             title = f"One query over {args.points:,} points"
             Path(args.chart).write_text(bars(rows, "ms", title), encoding="utf-8")
     if args.skip != "codes":
-        case = scene_case(args.scene, "graph", ROWS, args.threads)
-        features = case.evidence.features(0, len(case.evidence))
-        queries = mini_words(features).queries
-        report["features"] = {"source": case.name, "shape": list(features.shape)}
-        report["codes"] = code_study(features, queries)
-        show_codes(report["codes"])  # type: ignore[arg-type]
+        studies = {folder: codes_of(Path(folder), args.threads) for folder in args.scenes}
+        report["codes"] = studies
+        show_codes(list(studies.values()))
     Path(args.output).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.suite import masks, numbers, page, reading, rendered, running, scenes
+from benchmarks.suite.rivals import FITTED
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
@@ -220,6 +221,17 @@ def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypa
     path = tmp_path / "results.json"
     running.write_results(path, running.results_of([SHIPPED[0]], 5, first))
     assert "| `mean` |" in page.page(json.loads(path.read_text(encoding="utf-8")))
+
+
+@shipped
+def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    task = running.Task(SHIPPED[0], "true", FITTED, tmp_path, 14, 0, dict.fromkeys(FITTED, 0.0003))
+    found = running.run([task], 1)
+    assert [record["effort"] for record in found] == [0.0003] * len(FITTED)
+    written = page.page(running.results_of([SHIPPED[0]], 14, found))
+    assert f"`{FITTED[0]}` 0.03 %" in written
+    assert "## What the papers report" in written
 
 
 def test_prose_of_the_page_is_at_most_120_wide() -> None:

@@ -25,7 +25,10 @@ def main() -> None:
         metavar="NAME", help=f"of {', '.join(ALL)} (default: all but the last {len(FITTED)}, which take hours)",
     )  # fmt: skip
     parser.add_argument("--rivals", action="store_true", help="the methods, and the rivals that are fitted")
-    parser.add_argument("--effort", type=float, default=1.0, help="share of the steps of a rival's paper (default: 1)")
+    parser.add_argument(
+        "--effort", type=effort, nargs="+", action="extend", default=[], metavar="NAME=SHARE",
+        help="rivals that take only a share of their papers' steps",
+    )  # fmt: skip
     parser.add_argument("--device", default="cpu", help="of PyTorch, that rivals are fitted on (default: cpu)")
     parser.add_argument("--jobs", type=int, default=1, help="scenes at a time (default: 1)")
     parser.add_argument("--every", type=int, default=1, help="take one in so many views")
@@ -36,13 +39,20 @@ def main() -> None:
     methods = (*arguments.methods, *(FITTED if arguments.rivals else ()))
     threads, device = threads_for(arguments.jobs), arguments.device
     tasks = [
-        Task(folder, masks, methods, work, arguments.every, threads, arguments.effort, device)
+        Task(folder, masks, methods, work, arguments.every, threads, dict(arguments.effort), device)
         for folder in scenes
         for masks in arguments.masks
     ]
     records = run(tasks, arguments.jobs)
     write_results(arguments.output, results_of(scenes, arguments.every, records))
     print(f"{arguments.output}: {len(records)} records in {time.perf_counter() - start:.0f} s")
+
+
+def effort(text: str) -> tuple[str, float]:
+    name, _, share = text.partition("=")
+    if name not in FITTED:
+        raise argparse.ArgumentTypeError(f"expected one of {', '.join(FITTED)}, and =SHARE, got {text!r}")
+    return name, float(share)
 
 
 def packed_scenes(folder: Path) -> list[Path]:

@@ -75,10 +75,10 @@ class Workshop:
         masks: str,
         encoder: MiniEncoder,
         threads: int,
-        effort: float = 1.0,
+        efforts: Mapping[str, float],
         device: str = "cpu",
     ) -> None:
-        self.scene, self.encoder, self.threads, self.effort, self.device = scene, encoder, threads, effort, device
+        self.scene, self.encoder, self.threads, self.efforts, self.device = scene, encoder, threads, efforts, device
         features = features_of(scene, masks, encoder)
         self.num_masks = sum(len(found.embeddings) for found in features.values())
         frozen = scene.points.gaussians
@@ -112,5 +112,5 @@ class Workshop:
         if registered not in self._photos:  # of one set of Gaussians at a time: they are large
             found = photos_of(registered.gaussians, registered.seen, threads=self.threads, device=self.device)
             self._photos = {registered: found}
-        made = make(name, registered.gaussians, self._photos[registered], self.effort)
+        made = make(name, registered.gaussians, self._photos[registered], self.efforts.get(name, 1.0))
         return feature_scorer(made.features, self.encoder, name)

@@ -11,6 +11,7 @@ from drsplat.formats.replacing import replacing
 from drsplat.query.thresholds import CUT
 
 from .numbers import Results, masks_of, measured, methods_of
+from .papers import SOURCES, papers_table
 from .reading import reading
 from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
 from .tables import (
@@ -41,6 +42,9 @@ our own least-squares form of that idea ({directions} directions, {steps} steps 
 pixels wide, {contributors} Gaussians a pixel), not their code. `{one_step}` is its control: one step from zero is the
 mean on the same coarse pixels and directions. So `mean` minus `{one_step}` is what the coarseness costs, and
 `{one_step}` minus `{name}` what the fitting does."""
+_FITTED = """\
+Rivals that are fitted from their papers ([rivals](rivals.md), where their costs are) took of their papers' steps:
+{taken}. `centre-pixel` is Occam's LGS, `vala` and `vala-scannet` are VALA."""
 _PROTOCOLS = """\
 - **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means
   over pairs of photo and category, then over scenes. *Seen* is the same of where the selection is more than half of
@@ -89,24 +93,13 @@ def _sections(results: Results) -> Iterator[str]:
     yield _HEAD
     yield "## What the numbers say"
     yield "\n".join(f"- {sentence}" for sentence in reading(results))
-    yield "## What is measured"
-    yield f"{len(scenes)} scenes of the [household world](../world/README.md), held out from all that was learned."
-    yield scenes_table(results)
-    yield _METHODS
-    if RENDERED in methods_of(results, masks[0]):
-        yield _RENDERED.format(
-            name=RENDERED, directions=DIRECTIONS, steps=STEPS[RENDERED], width=WIDTH,
-            contributors=CONTRIBUTORS, one_step=ONE_STEP,
-        )  # fmt: skip
-    yield _PROTOCOLS.format(
-        side=results["voxel_side"],
-        missing="" if measured(results, "seen") else _MISSING,
-        threshold=results["encoder"]["threshold"],
-        cut=CUT,
-        sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),
-    )
+    yield from _what_is_measured(results)
     for kind in masks:
         yield from _of_masks(results, kind)
+    if _efforts(results):
+        yield "## What the papers report"
+        yield SOURCES
+        yield papers_table()
     yield "## Thresholds that were tuned on the test"
     yield thresholds_table(results, masks)
     yield "## Does significance stand in for volume?"
@@ -119,6 +112,34 @@ def _sections(results: Results) -> Iterator[str]:
     yield _AGAIN.format(scene=next(iter(scenes)))
     yield _versions(results)
     yield files_table(results)
+
+
+def _what_is_measured(results: Results) -> Iterator[str]:
+    yield "## What is measured"
+    number = len(results["scenes"])
+    yield f"{number} scenes of the [household world](../world/README.md), held out from all that was learned."
+    yield scenes_table(results)
+    yield _METHODS
+    if RENDERED in methods_of(results, masks_of(results)[0]):
+        yield _RENDERED.format(
+            name=RENDERED, directions=DIRECTIONS, steps=STEPS[RENDERED], width=WIDTH,
+            contributors=CONTRIBUTORS, one_step=ONE_STEP,
+        )  # fmt: skip
+    if efforts := _efforts(results):
+        taken = ", ".join(f"`{name}` {100 * share:g} %" for name, share in efforts.items())
+        yield _FITTED.format(taken=taken)
+    yield _PROTOCOLS.format(
+        side=results["voxel_side"],
+        missing="" if measured(results, "seen") else _MISSING,
+        threshold=results["encoder"]["threshold"],
+        cut=CUT,
+        sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),
+    )
+
+
+def _efforts(results: Results) -> dict[str, float]:
+    """By rival that is fitted, the share of its paper's steps."""
+    return {record["method"]: record["effort"] for record in results["records"] if "effort" in record}
 
 
 def _of_masks(results: Results, kind: str) -> Iterator[str]:

@@ -6,11 +6,13 @@ from drsplat.evaluation import metrics
 
 from .numbers import Results, correlations, difference, masks_of, methods_of, records_of, said, tuned, values
 from .rendered import ONE_STEP, RENDERED
+from .rivals import LANGSPLAT, LEGAUSSIANS, OPENGAUSSIAN
 from .tables import COMPARED_WORDS, compared, gain
 
 PAIRS = (
     ("mean", RENDERED), (ONE_STEP, RENDERED), ("robust", "mean"), ("trusted", "mean"), ("voting", "mean"),
-    ("official", "mean"),
+    ("official", "mean"), ("mean", LANGSPLAT), ("mean", LEGAUSSIANS), ("mean", OPENGAUSSIAN), ("mean", "centre-pixel"),
+    ("mean", "vala"), ("objects", "mean"),
 )  # fmt: skip
 FEW = 5  # of fewer scenes, no interval is believed
 

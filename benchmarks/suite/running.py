@@ -3,9 +3,9 @@
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
@@ -34,7 +34,8 @@ ALL = (*METHODS, *FITTED)
 class Task:
     """One scene and one kind of masks. every: takes one in so many of the views.
 
-    effort: share of a rival's steps. device: of PyTorch, that rivals are fitted on.
+    efforts: by rival the share of its paper's steps, all of them by default. device: of PyTorch, that rivals are
+    fitted on.
     """
 
     folder: Path
@@ -43,7 +44,7 @@ class Task:
     work: Path
     every: int
     threads: int
-    effort: float = 1.0
+    efforts: Mapping[str, float] = field(default_factory=dict)
     device: str = "cpu"
 
 
@@ -73,7 +74,7 @@ def _made(
     if not methods:
         return
     key, start = _key(scene, task, encoder), time.perf_counter()
-    workshop = Workshop(scene, task.masks, encoder, task.threads, task.effort, task.device)
+    workshop = Workshop(scene, task.masks, encoder, task.threads, task.efforts, task.device)
     print(f"{scene.name}, {task.masks}: {workshop.num_masks} masks", flush=True)
     for method in methods:
         numbers, seconds = scored(scene, workshop.methods(method), task.threads)
@@ -82,7 +83,7 @@ def _made(
         record: dict[str, Any] = {"scene": scene.name, "masks": task.masks, "method": method}
         record |= {"num_masks": workshop.num_masks, **numbers}
         if method in FITTED:
-            record["effort"] = task.effort
+            record["effort"] = task.efforts.get(method, 1.0)
         document = {"key": _for(method, key, task), "seconds": seconds, "record": record}
         with replacing(_path(task, method), overwrite=True) as file:
             file.write(json.dumps(document, indent=1).encode() + b"\n")
@@ -119,7 +120,7 @@ def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
 
 
 def _for(method: str, key: dict[str, Any], task: Task) -> dict[str, Any]:
-    return key | {"effort": task.effort} if method in FITTED else key
+    return key | {"effort": task.efforts.get(method, 1.0)} if method in FITTED else key
 
 
 def results_of(folders: Sequence[Path], every: int, records: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from .tempering import Tempered
 _OTHERS = (
     Aggregator("centre-pixel", CentrePixels()),
     Aggregator("vala", CentrePixels(), (Gated(), CosineMedian(), Pruned())),
+    Aggregator("vala-scannet", CentrePixels(), (Gated((MassGate(0.9, 0.01),)), CosineMedian(), Pruned())),
     Aggregator("mass-gate", steps=(Gated((MassGate(),)),)),
     Aggregator("quantile-gate", steps=(Gated((QuantileGate(),)),)),
     Aggregator("gates", steps=(Gated(),)),
