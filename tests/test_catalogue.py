@@ -1,6 +1,7 @@
 """Many scenes in one table: what is found, in which, and what whoever reads sees while others write."""
 
 import io
+import itertools
 import json
 import re
 import subprocess
@@ -390,6 +391,44 @@ def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(type(known.table), "optimize", meanwhile)
     table.tidy(path)  # the removal was quicker, and no warning is due
     assert sorted(one.scene for one in Catalogue.open(path).scenes()) == [f"s{n}" for n in range(8) if n != 3]
+
+
+def test_nobody_waits_while_the_index_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+    vectors = unit(rng, 600, 16)
+    for name, own in (("stays", vectors[:500]), ("goes", vectors[500:550])):
+        table.replace_scene(path, name, rows_of(name, own, encoder, 1), encoder)
+    catalogue = Catalogue.open(path)
+    known = table.opened(path)
+    assert known is not None
+    build = type(known.table).create_index
+
+    def meanwhile(self: object, *given: object, **how: object) -> None:
+        catalogue.remove("goes")
+        table.replace_scene(path, "comes", rows_of("comes", vectors[550:], encoder, 1), encoder)
+        build(self, *given, **how)
+
+    monkeypatch.setattr(type(known.table), "create_index", meanwhile)
+    catalogue.build_index()
+    for at, expected in ((10, [("stays", 10)]), (520, []), (560, [("comes", 10)])):
+        answer = catalogue.answer(Query(vector=vectors[at], threshold=0.99))
+        assert ([(entry.scene, entry.object_id) for entry in answer.entries], answer.exact) == (expected, False)
+
+
+def test_what_is_usual_stays_while_a_large_table_hardly_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+    monkeypatch.setattr("drsplat.catalogue.catalogue.LARGE", 200)
+    catalogue, asked = Catalogue.open(path), []
+    for name, size in (("small", 150), ("more", 250), ("hardly", 2), ("much", 50)):
+        table.replace_scene(path, name, rows_of(name, unit(rng, size, 16), encoder, 1), encoder)
+        asked.append(catalogue._surroundings(catalogue._snapshot()).usual)
+    assert [a is b for a, b in itertools.pairwise(asked)] == [False, True, False]
+    catalogue.remove("hardly")
+    catalogue.remove("much")
+    catalogue.remove("more")  # is small again: every change counts
+    assert len(catalogue._surroundings(catalogue._snapshot()).usual) == 150
 
 
 def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
