@@ -21,12 +21,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from catalogued import boxes_of, write_scene
-from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field
+from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.formats.claiming import claimed_output
+from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
-from known_objects import CENTERS, known_scene
+from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
@@ -256,6 +257,26 @@ def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Pat
     assert catalogue.ask("red rug")[0].thumbnail is None
     with pytest.raises(InputError, match="has no thumbnail"):
         catalogue.thumbnail("kitchen", 2)
+
+
+def test_all_objects_of_a_scene_in_tiles(tmp_path: Path) -> None:
+    """Once each, also those across a border, with the tile that has most of them."""
+    folder = write_scene(tmp_path / "kitchen", WORDS["kitchen"])
+    whole = read_gaussians(folder / "scene.ply")
+    count = len(whole)
+    extra = {"block": np.zeros(count, np.uint16), "source_row": np.arange(count, dtype=np.uint32)}
+    border = EACH + EACH // 3  # within the second box
+    parts = (replace(whole, extra=extra).subset(np.arange(*ends)) for ends in ((0, border), (border, count)))
+    tiles = write_tiles(folder / "scene.tiles", parts, whole.origin, ["scene.ply"], overwrite=False)
+    assert (len(tiles.tiles), tiles.fingerprint) == (2, whole.fingerprint)
+    (folder / "scene.ply").unlink()
+    catalogue = Catalogue.open(tmp_path / "c")
+    for _ in range(2):
+        assert catalogue.add(folder).num_objects == 3
+        entries = catalogue.ask(Query(vector=WordEncoder().encode_texts(["mug"])[0], threshold=-1.0))
+        by_place = sorted((float(entry.center[0]), entry.tile) for entry in entries)
+        assert [tile for _, tile in by_place] == [0, 1, 1]
+        assert all(catalogue.thumbnail(one.scene, one.object_id, one.tile) == one.thumbnail for one in entries)
 
 
 def test_removing(scenes: Path, tmp_path: Path) -> None:
