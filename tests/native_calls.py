@@ -205,6 +205,17 @@ def rows(rogue: Rogue) -> Call:
     return partial(_native.weighted_rows, *given, *rogue.how())
 
 
+def columns(rogue: Rogue) -> Call:
+    n, m = (int(rogue.one((0, 1, 17, 300))) for _ in range(2))
+    matrices = []
+    for _ in range(2):
+        starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(0, 9, n))])
+        entries = rogue.whole(0, m, (starts[-1],), "i4"), rogue.floats(starts[-1])
+        matrices.append((rogue.spoiled(starts.astype(np.int64)), *entries))
+    numbers = rogue.whole(-2, 2 * m, (m,), "i4")
+    return partial(_native.changed_columns, *matrices[0], numbers, *matrices[1], rogue.how()[0])
+
+
 def boxes(rogue: Rogue) -> Call:
     n, sets = int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 5)))
     starts = np.concatenate([[0], np.cumsum(rogue.rng.integers(rogue.one((0, 1)), 9, sets))])
@@ -295,6 +306,7 @@ FAMILIES = (
     neighbours,
     rows,
     boxes,
+    columns,
     merges,
     codes,
     training,

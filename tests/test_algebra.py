@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
+from drsplat.kernels.algebra import changed_columns
 from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
 
@@ -135,3 +137,22 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
         pq_encode(np.full((4, 6), np.nan, np.float32), centroids)
     with pytest.raises(InputError, match="instruction set"):
         pq_encode(features, centroids, isa="z80")
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_columns_are_numbered_anew_taken_out_and_put_in(threads: int) -> None:
+    rng = np.random.default_rng(threads)
+    old, more = random_weights(rng, 9000, 20, 0.2), random_weights(rng, 9000, 6, 0.1)
+    numbers = np.array([-1, 0, 1, 3, 5, -1, *range(7, 20), 23], np.int32)  # 2, 4, 6 and 20 to 22 are new
+    new = np.array([2, 4, 6, 20, 21, 22], np.int32)
+    given = (more.indptr, new[more.indices], more.data)
+    starts, columns, values = changed_columns((old.indptr, old.indices, old.data), numbers, given, threads=threads)
+    expected = np.zeros((9000, 24), np.float32)
+    expected[:, numbers[numbers >= 0]], expected[:, new] = old.toarray()[:, numbers >= 0], more.toarray()
+    assert_array_equal(csr_array((values, columns, starts), shape=expected.shape).toarray(), expected)
+    rows = np.repeat(np.arange(9000), np.diff(starts))
+    assert (np.diff(rows * 24 + columns) > 0).all()
+    with pytest.raises(InputError, match="a number for each column"):
+        changed_columns((old.indptr, old.indices, old.data), numbers[:19], given)
+    with pytest.raises(InputError, match="as many rows"):
+        changed_columns((old.indptr, old.indices, old.data), numbers, (more.indptr[:-1], *given[1:]))

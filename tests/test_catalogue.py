@@ -1,6 +1,7 @@
 """Many scenes in one table: what is found, in which, and what whoever reads sees while others write."""
 
 import io
+import itertools
 import json
 import re
 import subprocess
@@ -20,12 +21,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from catalogued import boxes_of, write_scene
-from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field
+from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.formats.claiming import claimed_output
+from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
-from known_objects import CENTERS, known_scene
+from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
@@ -257,6 +259,26 @@ def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Pat
         catalogue.thumbnail("kitchen", 2)
 
 
+def test_all_objects_of_a_scene_in_tiles(tmp_path: Path) -> None:
+    """Once each, also those across a border, with the tile that has most of them."""
+    folder = write_scene(tmp_path / "kitchen", WORDS["kitchen"])
+    whole = read_gaussians(folder / "scene.ply")
+    count = len(whole)
+    extra = {"block": np.zeros(count, np.uint16), "source_row": np.arange(count, dtype=np.uint32)}
+    border = EACH + EACH // 3  # within the second box
+    parts = (replace(whole, extra=extra).subset(np.arange(*ends)) for ends in ((0, border), (border, count)))
+    tiles = write_tiles(folder / "scene.tiles", parts, whole.origin, ["scene.ply"], overwrite=False)
+    assert (len(tiles.tiles), tiles.fingerprint) == (2, whole.fingerprint)
+    (folder / "scene.ply").unlink()
+    catalogue = Catalogue.open(tmp_path / "c")
+    for _ in range(2):
+        assert catalogue.add(folder).num_objects == 3
+        entries = catalogue.ask(Query(vector=WordEncoder().encode_texts(["mug"])[0], threshold=-1.0))
+        by_place = sorted((float(entry.center[0]), entry.tile) for entry in entries)
+        assert [tile for _, tile in by_place] == [0, 1, 1]
+        assert all(catalogue.thumbnail(one.scene, one.object_id, one.tile) == one.thumbnail for one in entries)
+
+
 def test_removing(scenes: Path, tmp_path: Path) -> None:
     catalogue = Catalogue.open(tmp_path / "c")
     for name in WORDS:
@@ -390,6 +412,44 @@ def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(type(known.table), "optimize", meanwhile)
     table.tidy(path)  # the removal was quicker, and no warning is due
     assert sorted(one.scene for one in Catalogue.open(path).scenes()) == [f"s{n}" for n in range(8) if n != 3]
+
+
+def test_nobody_waits_while_the_index_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+    vectors = unit(rng, 600, 16)
+    for name, own in (("stays", vectors[:500]), ("goes", vectors[500:550])):
+        table.replace_scene(path, name, rows_of(name, own, encoder, 1), encoder)
+    catalogue = Catalogue.open(path)
+    known = table.opened(path)
+    assert known is not None
+    build = type(known.table).create_index
+
+    def meanwhile(self: object, *given: object, **how: object) -> None:
+        catalogue.remove("goes")
+        table.replace_scene(path, "comes", rows_of("comes", vectors[550:], encoder, 1), encoder)
+        build(self, *given, **how)
+
+    monkeypatch.setattr(type(known.table), "create_index", meanwhile)
+    catalogue.build_index()
+    for at, expected in ((10, [("stays", 10)]), (520, []), (560, [("comes", 10)])):
+        answer = catalogue.answer(Query(vector=vectors[at], threshold=0.99))
+        assert ([(entry.scene, entry.object_id) for entry in answer.entries], answer.exact) == (expected, False)
+
+
+def test_what_is_usual_stays_while_a_large_table_hardly_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
+    monkeypatch.setattr("drsplat.catalogue.catalogue.LARGE", 200)
+    catalogue, asked = Catalogue.open(path), []
+    for name, size in (("small", 150), ("more", 250), ("hardly", 2), ("much", 50)):
+        table.replace_scene(path, name, rows_of(name, unit(rng, size, 16), encoder, 1), encoder)
+        asked.append(catalogue._surroundings(catalogue._snapshot()).usual)
+    assert [a is b for a, b in itertools.pairwise(asked)] == [False, True, False]
+    catalogue.remove("hardly")
+    catalogue.remove("much")
+    catalogue.remove("more")  # is small again: every change counts
+    assert len(catalogue._surroundings(catalogue._snapshot()).usual) == 150
 
 
 def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:

@@ -47,6 +47,12 @@ def register(
     return room / name
 
 
+def others_than(one: dict[str, bytes], two: dict[str, bytes]) -> set[str]:
+    """Files of other content."""
+    assert one.keys() == two.keys()
+    return {name for name in one if one[name] != two[name]}
+
+
 def add(room: Path, field: Path, features: Path, *more: object) -> tuple[object, ...]:
     return ("add", field, room / "capture", "--features", features, "--scene", room / "scene.ply", *more)
 
@@ -66,7 +72,8 @@ def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Pa
     assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS, more=more))
     told = answer_of(capsys, *remove(room, field, "photo_0", "photo_3.png"))
     assert told["removed"] == ["photo_0.png", "photo_3.png"]
-    assert files_of(field) == files_of(register(room, capsys, "c.field", *PHOTOS[1:3], more=more))
+    others = others_than(files_of(field), files_of(register(room, capsys, "c.field", *PHOTOS[1:3], more=more)))
+    assert others == {"field.json"}  # which remembers those two
     assert sorted(path.name for path in room.iterdir() if "parts" in path.name or path.name.startswith(".")) == []
 
 
@@ -80,6 +87,23 @@ def test_what_people_read(room: Path, capsys: Capture) -> None:
     assert text.startswith(f"nothing to add to {field}")
     assert "--replace" in text
     assert "1 view: photo_3.png" in text_of(capsys, *remove(room, field, "*_3"))
+
+
+def test_a_view_that_was_removed_comes_back_when_it_is_named(room: Path, capsys: Capture) -> None:
+    field, features = register(room, capsys, "a.field", *PHOTOS[:3]), room / "capture/language_features"
+    before = files_of(field)
+    answer_of(capsys, *remove(room, field, "photo_1"))
+    told = answer_of(capsys, *add(room, field, features))
+    assert (told["added"], told["left_out"]) == (["photo_3.png"], ["photo_1.png"])
+    answer_of(capsys, *remove(room, field, "photo_3"))
+    text = text_of(capsys, *add(room, field, features))
+    assert "photo_1.png, photo_3.png" in text
+    assert "--views NAME... brings them back" in text
+    told = answer_of(capsys, *add(room, field, features, "--views", "photo_1"))
+    assert (told["added"], told["left_out"], told["num_views"]) == (["photo_1.png"], [], 3)
+    assert others_than(files_of(field), before) == {"field.json"}  # which remembers photo_3
+    assert "named photo_9" in error_of(capsys, *add(room, field, features, "--views", "photo_9"))
+    assert "drop --views" in error_of(capsys, *add(room, field, features, "--views", "photo_3", "--watch"))
 
 
 def test_a_folder_with_a_field_and_its_scene_needs_no_more(room: Path, capsys: Capture) -> None:
@@ -120,7 +144,7 @@ def test_objects_are_found_again_and_names_stay(room: Path, capsys: Capture) -> 
 @pytest.mark.parametrize(
     ("views", "said"),
     [
-        (["photo_9"], "nothing in this field is named photo_9: views are named like 'photo_0.png'"),
+        (["photo_9"], "nothing here is named photo_9: views are named like 'photo_0.png'"),
         (["*"], "these are all 3 views"),
     ],
 )

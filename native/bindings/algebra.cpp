@@ -39,9 +39,35 @@ nb::object pq_encode_of(Rows features, Array<float, 3> centroids, int threads, c
   return codes.numpy({rows, subvectors});
 }
 
+nb::tuple changed_columns_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns, Vector weights,
+                             Array<int32_t, 1> numbers, Array<int64_t, 1> more_starts, Array<int32_t, 1> more_columns,
+                             Vector more_weights, int threads) {
+  require(columns.shape(0) == weights.shape(0) && more_columns.shape(0) == more_weights.shape(0),
+          "columns and weights of one length");
+  require_starts(starts, columns.shape(0));
+  require_starts(more_starts, more_columns.shape(0));
+  require(starts.shape(0) == more_starts.shape(0), "as many rows that are put in as there are");
+  const size_t rows = starts.shape(0) - 1;
+  const ColumnChange change = {{starts.data(), columns.data(), weights.data()},
+                               {more_starts.data(), more_columns.data(), more_weights.data()},
+                               numbers.data(),
+                               rows,
+                               numbers.shape(0)};
+  Fresh<int64_t> ends(rows + 1);
+  const int used = thread_count(threads);
+  require(without_gil([&] { return changed_starts(change, used, ends.get()); }), "a number for each column");
+  const size_t entries = (size_t)ends.get()[rows];
+  Fresh<int32_t> new_columns(entries);
+  Fresh<float> new_weights(entries);
+  without_gil([&] { changed_rows(change, ends.get(), used, new_columns.get(), new_weights.get()); });
+  return nb::make_tuple(ends.numpy({rows + 1}), new_columns.numpy({entries}), new_weights.numpy({entries}));
+}
+
 }  // namespace
 
 void bind_algebra(nb::module_ &m) {
   m.def("weighted_rows", &weighted_rows_of, "starts"_a, "columns"_a, "weights"_a, "embeddings"_a, "threads"_a, "isa"_a);
+  m.def("changed_columns", &changed_columns_of, "starts"_a, "columns"_a, "weights"_a, "numbers"_a, "more_starts"_a,
+        "more_columns"_a, "more_weights"_a, "threads"_a);
   m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);
 }

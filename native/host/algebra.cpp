@@ -24,4 +24,44 @@ void pq_encode(const Kernels &kernels, const Quantizer &quantizer, const float *
   });
 }
 
+bool changed_starts(const ColumnChange &change, int threads, int64_t *starts) {
+  std::atomic<bool> ok{true};
+  const SparseRows &w = change.weights, &more = change.added;
+  starts[0] = 0;
+  over_rows(change.rows, 4096, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t row = begin; row < end; row++) {
+      int64_t count = more.starts[row + 1] - more.starts[row];
+      for (int64_t k = w.starts[row]; k < w.starts[row + 1]; k++) {
+        const bool known = (uint32_t)w.columns[k] < change.columns;
+        if (!known) ok = false;
+        count += known && change.numbers[w.columns[k]] >= 0;
+      }
+      starts[row + 1] = count;
+    }
+  });
+  for (uint64_t row = 0; row < change.rows; row++) starts[row + 1] += starts[row];
+  return ok;
+}
+
+void changed_rows(const ColumnChange &change, const int64_t *starts, int threads, int32_t *columns, float *weights) {
+  const SparseRows &w = change.weights, &more = change.added;
+  over_rows(change.rows, 4096, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t row = begin; row < end; row++) {
+      int64_t at = starts[row], next = more.starts[row];
+      const int64_t last = more.starts[row + 1], end_of_row = starts[row + 1];
+      const auto put = [&](int32_t column, float weight) {
+        if (at < end_of_row) columns[at] = column, weights[at++] = weight;  // W may be a map of a file that changes
+      };
+      for (int64_t k = w.starts[row]; k < w.starts[row + 1]; k++) {
+        const uint32_t column = (uint32_t)w.columns[k];
+        const int32_t number = column < change.columns ? change.numbers[column] : -1;
+        if (number < 0) continue;
+        for (; next < last && more.columns[next] < number; next++) put(more.columns[next], more.weights[next]);
+        put(number, w.weights[k]);
+      }
+      for (; next < last; next++) put(more.columns[next], more.weights[next]);
+    }
+  });
+}
+
 }  // namespace drsplat

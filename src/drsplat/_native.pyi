@@ -49,6 +49,16 @@ def sh_colors(sh: Array, means: Array, center: Array, threads: int, isa: str) ->
 def weighted_rows(
     starts: Array, columns: Array, weights: Array, embeddings: Array, threads: int, isa: str
 ) -> Array: ...
+def changed_columns(
+    starts: Array,
+    columns: Array,
+    weights: Array,
+    numbers: Array,
+    more_starts: Array,
+    more_columns: Array,
+    more_weights: Array,
+    threads: int,
+) -> tuple[Array, Array, Array]: ...
 def pq_encode(features: Array, centroids: Array, threads: int, isa: str) -> Array: ...
 def lookup_tables(centroids: Array, queries: Array, threads: int, isa: str) -> Array: ...
 

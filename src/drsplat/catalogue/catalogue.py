@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -33,6 +34,7 @@ LEAST_OF_INDEX = 256  # rows that its centroids are trained on
 MOST_TOP = 1000
 CANDIDATES = 256  # objects of the highest cosines, that are looked at closely
 USUAL = 4096  # descriptors that say what is usual
+FEW_CHANGES, HARDLY = 100, 100  # scenes that come or go in a large table before that is asked anew; a share of its rows
 ANYWHERE = Where()
 PATIENCE = 60.0  # seconds that one writer waits for another
 
@@ -54,7 +56,7 @@ class Catalogue:
     threads: int = 0
     load: Load = load_encoder
     _encoder: Encoder | None = field(default=None, repr=False)
-    _usual: tuple[tuple[int, EncoderIdentity], Surroundings] | None = field(default=None, repr=False)
+    _usual: "_Usual | None" = field(default=None, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @classmethod
@@ -161,11 +163,12 @@ class Catalogue:
     def build_index(self) -> int:
         """Make answers about 100,000 objects and more quick; returns how many partitions the index has.
 
-        What is added later is compared one by one until `add` takes it into the index.
+        What is added later, or meanwhile, is compared one by one until `add` takes it into the index. Nobody who
+        adds, removes or asks waits for it.
 
-        Raises: InputError: fewer than 256 objects, which no index can be trained on; as `add`.
+        Raises: InputError: fewer than 256 objects, which no index can be trained on; files are being put together.
         """
-        with claimed_output(self.path, PATIENCE):
+        with table.arranging(self.path, PATIENCE):
             known = self._snapshot()
             if known.num_rows < LEAST_OF_INDEX:
                 raise InputError(f"an index takes {LEAST_OF_INDEX} objects or more, there are {known.num_rows:,}")
@@ -230,18 +233,37 @@ class Catalogue:
         table.tidy(self.path)
 
     def _surroundings(self, known: Snapshot) -> Surroundings:
-        """Of a version of the table, made once."""
+        """Of a version of the table, made once; of a large one that of a version before, while it has hardly changed.
+
+        One thread makes it and the others wait, as all need it.
+        """
         with self._lock:
-            of = known.version, known.encoder
-            if self._usual is None or self._usual[0] != of:
-                self._usual = of, Surroundings(known, lambda: self._embedder(known), _spread(known))
-            return self._usual[1]
+            if self._usual is None or not self._usual.serves(known):
+                made = Surroundings(known, lambda: self._embedder(known), _spread(known))
+                self._usual = _Usual(known.version, known.num_rows, made)
+            return self._usual.surroundings
 
     def _embedder(self, known: Snapshot) -> Encoder:
         """Loaded once: the table keeps its encoder for life."""
         if self._encoder is None:
             self._encoder = encoder_for(known, self.vocabulary, self.encoder_name, self.device, self.load)
         return self._encoder
+
+
+class _Usual(NamedTuple):
+    """What is usual among the objects of a version of the table that had so many rows."""
+
+    version: int
+    num_rows: int
+    surroundings: Surroundings
+
+    def serves(self, known: Snapshot) -> bool:
+        """Whether it is of this version, or of a large one of the same encoder that has hardly changed since."""
+        if known.encoder != self.surroundings.embedded.encoder:
+            return False  # another table
+        changes = abs(known.version - self.version)
+        few = 0 if known.num_rows <= LARGE else FEW_CHANGES
+        return changes <= few and abs(known.num_rows - self.num_rows) * HARDLY <= self.num_rows
 
 
 def _spread(known: Snapshot) -> Float32[np.ndarray, "s D"]:

@@ -58,8 +58,8 @@ class Where:
 
     @property
     def sql(self) -> str:
-        """What of the table is looked at: rows of objects, not those of scenes."""
-        parts = ["object_id >= 0"]
+        """What objects have to meet; "" for all."""
+        parts = []
         if self.scenes:
             parts.append(f"scene IN ({', '.join(quoted(name) for name in self.scenes)})")
         if self.box is not None:

@@ -28,10 +28,11 @@ class Entry:
     """One object of one scene.
 
     center, axes, extent: its box in the scene's world, as of `Match`. position: of the centre on the Earth, None where
-    the scene has no georeference. object_id: its number in the scene, of tile 0 where the scene has none. label: the
-    name that people gave it. name: the best word for it, where one was known. sure: how far the photos agree on it.
-    photo: the one that shows it best; mask: its mask there. thumbnail: a small JPEG, None where it could not be drawn.
-    added: when the catalogue got it. field: fingerprint of the field that it is of. score: of the query that found it.
+    the scene has no georeference. object_id: its number in the scene. tile: that has most of it, 0 where the scene has
+    none. label: the name that people gave it. name: the best word for it, where one was known. sure: how far the photos
+    agree on it. photo: the one that shows it best; mask: its mask there. thumbnail: a small JPEG, None where it could
+    not be drawn. added: when the catalogue got it. field: fingerprint of the field that it is of. score: of the query
+    that found it.
     """
 
     scene: str

@@ -11,6 +11,7 @@ from ..codes import Track
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.georeference import Georeference
+from ..formats.tiles import TILES, read_tiles
 from ..query import Match, Scene
 from ..query.objects import objects_of, support_of
 from ..query.sheets import object_picture, object_views
@@ -48,11 +49,13 @@ def rows_of(
     positions = _positions(matches, georeference)
     words = scene.object_names()
     rows = [
-        _row(scene.field, match, position, word, picture)
-        for match, position, word, picture in zip(matches, positions, words, pictures, strict=True)
+        {"tile": tile} | _row(scene.field, match, position, word, picture)
+        for match, tile, position, word, picture in zip(
+            matches, _tiles(scene, matches), positions, words, pictures, strict=True
+        )
     ]
-    common = {"scene": name, "tile": UNTILED, "field": scene.field.fingerprint, "added": added}
-    rows = [common | row for row in [*rows, {"object_id": -1, "folder": folder}]]
+    common = {"scene": name, "field": scene.field.fingerprint, "added": added}
+    rows = [common | row for row in [*rows, {"tile": UNTILED, "object_id": -1, "folder": folder}]]
     descriptors = [_halves(objects.descriptors_of(node)) for node in objects.things.tolist()]
     descriptors.append(np.empty((0, scene.field.encoder.dim), np.float16))
     columns = {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
@@ -82,6 +85,15 @@ def _row(
         "mask": mask,
         "thumbnail": picture[0],
     }
+
+
+def _tiles(scene: Scene, matches: Sequence[Match]) -> list[int]:
+    """The number of the tile that has most Gaussians of each, where the scene is kept in tiles."""
+    if scene.path is None or not (scene.path / TILES).is_file():
+        return [UNTILED] * len(matches)
+    firsts = np.array([tile.first for tile in read_tiles(scene.path).tiles])
+    every = (np.searchsorted(firsts, match.gaussian_ids, side="right") - 1 for match in matches)
+    return [int(np.bincount(tiles).argmax()) for tiles in every]
 
 
 def _number(match: Match) -> int:

@@ -8,10 +8,10 @@ import json
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,8 @@ REFINED = 2  # candidates compared exactly, for each wanted
 FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
 PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
-INDEXING = timedelta(minutes=119)  # as long as LanceDB waits
+OF_OBJECTS = "object_id >= 0"
+INDEX_CACHE, METADATA_CACHE = 512 << 20, 256 << 20  # bytes that queries find in memory
 HEAD = ("scene", "tile", "object_id")  # what a row is known by
 ROW_ID = "_rowid"
 
@@ -46,6 +47,13 @@ def libraries() -> tuple[Any, Any]:
     except ImportError as error:
         raise MissingExtraError(f'a catalogue needs LanceDB ({error}): pip install "drsplat[catalogue]"') from error
     return lancedb, pyarrow
+
+
+@cache
+def _session() -> Any:
+    """What all queries of this process find in memory: else each would read its part of the index anew."""
+    lancedb, _ = libraries()
+    return lancedb.Session(INDEX_CACHE, METADATA_CACHE)
 
 
 def schema_of(encoder: EncoderIdentity) -> Any:
@@ -115,14 +123,16 @@ class Snapshot:
             return any(index.name == INDEX for index in self.table.list_indices())
 
     def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int, exact: bool) -> Any:
-        """The rows whose descriptors have the highest cosines with a unit vector, without their thumbnails.
+        """The rows of objects whose descriptors have the highest cosines with a unit vector, without their thumbnails.
 
-        where: SQL that they meet. exact: compare all of them, though there is an index.
+        where: SQL that they meet, "" for all. exact: compare all of them, though there is an index.
         """
         columns = [name for name in schema_of(self.encoder).names if name not in ("thumbnail", "folder")]
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
-            search = search.distance_type("cosine").where(where, prefilter=True).limit(count)
+            # Rows of scenes have no descriptor and are not found: to look for them before takes as long as the search.
+            search = search.where(f"{OF_OBJECTS} AND {where}" if where else OF_OBJECTS, prefilter=bool(where))
+            search = search.distance_type("cosine").limit(count)
             search = search.bypass_vector_index() if exact else search.nprobes(self._probes).refine_factor(REFINED)
             return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
 
@@ -161,7 +171,7 @@ def opened(path: Path) -> Snapshot | None:
             f"{path}: expected a catalogue, a folder with {NAME}.lance: `drsplat catalogue add` makes one"
         )
     with reading(path):
-        table = lancedb.connect(path).open_table(NAME)
+        table = lancedb.connect(path, session=_session()).open_table(NAME)
         schema = table.schema
     return Snapshot(path, table, _checked(path, schema))
 
@@ -195,13 +205,18 @@ def tidy(path: Path) -> None:
         return
     with ExitStack() as stack:
         try:
-            stack.enter_context(claimed_output(path.with_name(f"{path.name}.tidy")))
+            stack.enter_context(arranging(path))
         except InputError:  # somebody does it
             return
         try:
             _put_together(known)
         except InputError as error:
             warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+
+
+def arranging(path: Path, patience: float = 0.0) -> AbstractContextManager[None]:
+    """Who puts files together or builds the index: one at a time, while others add and remove. Raises: InputError."""
+    return claimed_output(path.with_name(f"{path.name}.tidy"), patience)
 
 
 def _is_scattered(known: Snapshot) -> bool:
@@ -225,14 +240,13 @@ def partitions_for(rows: int) -> int:
 
 
 def index(known: Snapshot) -> None:
-    """Build the index of all descriptors, a byte for each of their numbers, and wait until it is there."""
+    """Build the index of all descriptors of this version, a byte for each of their numbers."""
     from lancedb.index import IvfSq
 
     partitions = partitions_for(known.num_rows)
     kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=LEARNED_FROM)
     with writing(known.path):
         known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
-        known.table.wait_for_index([INDEX], timeout=INDEXING)
 
 
 def vectors_of(column: Any, path: Path) -> list[Float32[np.ndarray, "k D"]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .changes import add_field_options, answer_of, field_and_scene, show_change
-from .options import add_capture_options, add_features, finite, tracker, views_of
+from .options import add_capture_options, add_features, finite, tracker, views_of, words
 
 if TYPE_CHECKING:
     from ..field import LanguageField
@@ -25,15 +25,21 @@ EXAMPLES = """\
   drsplat add room.field new_photos --features new_photos/language_features --scene scene.ply --json
   drsplat add room.field capture --features capture/language_features --scene scene.ply --replace
   drsplat add room.field capture --features capture/language_features --scene scene.ply --watch
+  drsplat add room.field capture --features capture/language_features --scene scene.ply --views IMG_0017
 
-CAPTURE may hold all views or only the new ones: those with features that are not in the field yet are added. How they
-are registered is what the field says: no option changes it. A stopped run goes on when the same command is given
-again."""
+CAPTURE may hold all views or only the new ones: those with features that are not in the field yet are added, but for
+those that were removed from it or kept out of it: --views brings them back. How they are registered is what the field
+says: no option changes it. A stopped run goes on when the same command is given again."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_field_options(parser)
     add_features(parser)
+    parser.add_argument(
+        "--views", nargs="+", type=words, metavar="NAME",
+        help="only these, though they were removed or kept out: names of photos, with or without suffix, or patterns "
+        "of these with * and ? (default: all but these)",
+    )  # fmt: skip
     parser.add_argument(
         "--replace", action="store_true",
         help="compare the views that are in the field already as well, and replace those whose masks, embeddings or "
@@ -55,13 +61,15 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     if arguments.watch and arguments.replace:
         raise InputError("--watch adds views and compares none: drop --replace, and give it afterwards")
+    if arguments.watch and arguments.views:
+        raise InputError("--watch waits for views that nobody knows yet: drop --views, or --watch")
     if arguments.idle is not None and not arguments.watch:
         raise InputError("--idle is for --watch: pass both, or none")
     path, scene = field_and_scene(arguments)
     if arguments.watch:
         return _watched(arguments, path, scene)
     views, features = views_of(arguments, arguments.capture), _features(arguments, path)
-    return answer_of(_added(arguments, path, scene, views, features), path)
+    return answer_of(_added(arguments, path, scene, _wanted(arguments, views, features), features), path)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -69,6 +77,19 @@ def show(answer: dict[str, Any]) -> None:
     show_change(answer, f"{'added to' if changed else 'nothing to add to'} {answer['field']}")
     if not changed and answer["num_views_known"]:
         print("All views with features are in it already; --replace takes over features that have become others.")
+    if answer["left_out"]:
+        print("Views that were removed or kept out stay out; --views NAME... brings them back.")
+
+
+def _wanted(arguments: argparse.Namespace, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
+    """All, or those that --views names. Raises: InputError: it names none that has features."""
+    from ..growing.naming import views_named
+    from ..registration import with_features
+
+    if not arguments.views:
+        return views
+    names = set(views_named(arguments.views, [view.name for view, _ in with_features(views, features)]))
+    return [view for view in views if view.name in names]
 
 
 def _features(arguments: argparse.Namespace, path: Path) -> FeatureFolder:
@@ -93,7 +114,8 @@ def _added(
 
     def change(field: LanguageField) -> Change:
         parts = parts_beside(path)
-        done = add_views(field, scene, views, features, renew=arguments.replace, parts=parts, **shared)
+        back = [view.name for view in views] if arguments.views else ()
+        done = add_views(field, scene, views, features, renew=arguments.replace, back=back, parts=parts, **shared)
         return done if done.is_none else replace(done, field=with_words(done.field, arguments.features))
 
     done = change_field(path, scene, change, threads=arguments.threads)
@@ -104,10 +126,11 @@ def _added(
 def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:
     """Batch after batch; what is told in the end is of all together."""
     from .. import load_field
+    from ..growing.changing import kept_out
     from ..growing.watching import Watch, together
 
     field = load_field(path)
-    known = {*(field.evidence.masks.view_names if field.evidence else ()), *field.left_out}
+    known = {*(field.evidence.masks.view_names if field.evidence else ()), *kept_out(field)}
     watch = Watch(lambda: (views_of(arguments, arguments.capture), _features(arguments, path)), known, arguments.idle)
     done: list[Change] = []
     try:

@@ -17,8 +17,8 @@ EXAMPLES = """\
   drsplat remove room.field --scene scene.ply --views IMG_0017 IMG_0018.jpg
   drsplat remove room.field --scene scene.ply --views 'blurred/*'
 
-The field is then the same, to the bit, as one registered at once from the views that are left. What removes a view does
-not forbid it: `drsplat add` takes it again where its features are still in the folder that is given."""
+The field is then the same, to the bit, as one registered at once from the views that are left. It
+remembers the others: `drsplat add` leaves them out, and brings back those that its --views names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.sparse import csr_array
 
 from ..errors import MismatchError
+from ..kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical
 from .evidence import Evidence, MaskIds
 
@@ -36,8 +37,7 @@ def with_views(evidence: Evidence, other: Evidence) -> Evidence:
     own, its = np.split(places, [len(evidence.masks)])
     new = other.weights
     added = csr_array((new.data, its[new.indices], new.indptr), shape=(len(other), len(order)))
-    embeddings = np.empty((len(order), evidence.dim), np.float32)
-    embeddings[own], embeddings[its] = evidence.embeddings, other.embeddings
+    embeddings = _interleaved(evidence.embeddings, other.embeddings, order)
     known = MaskIds(tuple(names), views[order], ids[order], _times(both, rank))
     return Evidence(changed_columns(evidence.weights, own, added), known, embeddings)
 
@@ -69,44 +69,23 @@ def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added:
 
     columns: the new number of each old column, ascending, or GONE. added: of as many rows, with the new numbers.
     """
-    kept = columns[weights.indices]
-    gone = np.flatnonzero(kept == GONE) if (columns == GONE).any() else np.empty(0, np.int64)
-    lengths = np.diff(weights.indptr).astype(np.int64)
-    lengths -= np.bincount(_rows_of(weights, gone), minlength=len(lengths))
-    data, kept = (np.delete(part, gone) if len(gone) else part for part in (weights.data, kept))
-    old = np.concatenate([[0], np.cumsum(lengths)])
-    starts = old + added.indptr
-    places = _places(old, kept, added) + np.arange(added.nnz)
-    shape = (len(lengths), added.shape[1])
+    pair = ((part.indptr, part.indices, part.data) for part in (weights, added))
+    starts, indices, data = merged(next(pair), columns, next(pair))
     # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
     indptr = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
-    free = np.ones(starts[-1], np.bool_)
-    free[places] = False
-    pairs = ((data, added.data), (kept, added.indices))
-    data, kept = (_inserted(old, new, places, free) for old, new in pairs)
-    return csr_array((data, kept, indptr), shape=shape)
+    return csr_array((data, indices, indptr), shape=added.shape)
 
 
-def _places(
-    starts: Int64[np.ndarray, " n1"], indices: Int32[np.ndarray, " e"], added: csr_array
-) -> Int64[np.ndarray, " a"]:
-    """How many entries of W come before each of those added: each is looked for in its row, all of them at once."""
-    rows = np.repeat(np.arange(len(starts) - 1), np.diff(added.indptr))
-    low, high = starts[rows], starts[rows + 1]
-    while (wide := np.flatnonzero(low < high)).size:
-        middle = (low[wide] + high[wide]) // 2
-        before = indices[middle] < added.indices[wide]
-        low[wide[before]], high[wide[~before]] = middle[before] + 1, middle[~before]
-    return low
-
-
-def _inserted(values: np.ndarray, added: np.ndarray, places: Int64[np.ndarray, " a"], free: np.ndarray) -> np.ndarray:
-    """`added` at `places` of the result, the others where it is `free`."""
-    if not len(places):
-        return values
-    result = np.empty(len(free), values.dtype)
-    result[free], result[places] = values, added
-    return result
+def _interleaved(own: np.ndarray, its: np.ndarray, order: Int64[np.ndarray, " n"]) -> np.ndarray:
+    """Rows of both, one after the other, in some order: runs of it are copied at once."""
+    ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(own))) + 1, len(order))
+    parts, begin = [own[:0]], 0
+    for end in ends.tolist() if len(order) else []:
+        first = int(order[begin])
+        source, first = (own, first) if first < len(own) else (its, first - len(own))
+        parts.append(source[first : first + end - begin])
+        begin = end
+    return np.concatenate(parts)
 
 
 def _rows_of(weights: csr_array, entries: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " e"]:

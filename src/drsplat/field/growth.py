@@ -36,7 +36,7 @@ class Growth:
     code: what was wished for; None: a codebook that was given, which is the field's. rest_ids, rest: Gaussians that
     masks see but that have no feature, ascending, and their rows of W. learnt_from: the views that the codebook or the
     scene's atoms were learnt from. scene_atoms: of a mixture, and scene_places: the numbers among them of the code's
-    atoms that are no mask's.
+    atoms that are no mask's. removed: views that people took out, and that come back only when they are asked back.
 
     Raises: InputError: arrays that do not fit each other.
     """
@@ -48,6 +48,7 @@ class Growth:
     learnt_from: tuple[str, ...] = ()
     scene_atoms: SceneAtoms | None = None
     scene_places: Int32[np.ndarray, " p"] | None = None
+    removed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         ids = self.rest_ids
@@ -108,7 +109,8 @@ class Growth:
 
     def json(self) -> dict[str, object]:
         """For the manifest."""
-        return {"code": _code_json(self.code), "isa": self.provenance.isa, "level": self.provenance.level}
+        come = self.provenance
+        return {"code": _code_json(self.code), "isa": come.isa, "level": come.level, "removed": list(self.removed)}
 
 
 def growth_from_tensors(
@@ -124,14 +126,18 @@ def growth_from_tensors(
         check_tensors(tensors, _SCENE_ARRAYS, where)
     if not isinstance(document, dict):
         raise FormatError(f"{where}: growth: expected an object in the manifest, got {shown(document)}")
-    isa, level = document.get("isa"), document.get("level")
+    isa, level, removed = (document.get(key) for key in ("isa", "level", "removed"))
     if not is_text(isa) or not (level is None or is_text(level)):
         raise FormatError(f"{where}: growth: expected an instruction set, and a level or null")
+    removed = [] if removed is None else removed
+    if not isinstance(removed, list) or not all(map(is_text, removed)):
+        raise FormatError(f"{where}: growth: removed: expected a list of photos' names, got {shown(removed)}")
     try:
         provenance = Provenance(tensors["axes"], tensors["keys"], str(isa), level)
-        scene = _scene(tensors) if has_scene else (None, None)
+        atoms, places = _scene(tensors) if has_scene else (None, None)
         code = _code_from_json(document.get("code"))
-        return Growth(provenance, code, tensors["rest_ids"], _rest(tensors, masks), _names(metadata), *scene)
+        ids, rest = tensors["rest_ids"], _rest(tensors, masks)
+        return Growth(provenance, code, ids, rest, _names(metadata), atoms, places, tuple(removed))
     except ValueError as error:  # ours, or SciPy's
         raise FormatError(f"{where}: {error}") from error
 

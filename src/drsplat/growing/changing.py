@@ -31,8 +31,8 @@ CURE = "register its photos once more with `drsplat register`, and it can grow"
 @dataclass(frozen=True, eq=False)
 class Change:
     """field: as it is now. added, replaced, removed: names of views, sorted. known: views that were in it already and
-    stayed. left_out: views that were kept from it on purpose, and were not added. num_touched: Gaussians that a mask of
-    a view that changed sees. num_coded: whose features were coded again. seconds: by stage.
+    stayed. left_out: views that were removed or kept from it on purpose, and were not added. num_touched: Gaussians
+    that a mask of a view that changed sees. num_coded: whose features were coded again. seconds: by stage.
     """
 
     field: LanguageField
@@ -57,6 +57,7 @@ def add_views(
     features: Mapping[str, ViewFeatures],
     *,
     renew: bool = False,
+    back: Collection[str] = (),
     parts: Path | None = None,
     threads: int = 0,
     track: Track = untracked,
@@ -65,7 +66,8 @@ def add_views(
 
     All settings are those that the field was registered with. Words that it is contrasted with and negatives stay,
     objects are left out: see `change_field`. renew: compare the masks and embeddings of views that are in the field
-    already, and replace those that have become others; else such views are not looked at. parts: as for `register`.
+    already, and replace those that have become others; else such views are not looked at. back: names of views that
+    were removed or kept out on purpose, and are to be added all the same. parts: as for `register`.
 
     Warns: DrSplatWarning: another instruction set than the field's.
     Raises: InputError: the field does not know how it was made, or no view has features. MismatchError: another scene,
@@ -77,7 +79,7 @@ def add_views(
     found = with_features(views, features)
     known = [(view, key) for view, key in found if view.name in before.masks.view_names]
     others = Comparison(before, scene).changed(known, features, track) if renew and known else []
-    change = _wish(field, [view.name for view, _ in found], {view.name for view in others})
+    change = _wish(field, [view.name for view, _ in found], {view.name for view in others}, set(back))
     watch.lap("read")
     if change.is_none:
         return replace(change, seconds=watch.seconds)
@@ -91,10 +93,12 @@ def add_views(
     return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 
-def _wish(field: LanguageField, given: Sequence[str], others: set[str]) -> Change:
-    """What is to be done with the views that are given. others: that are in the field, and have become others."""
+def _wish(field: LanguageField, given: Sequence[str], others: set[str], back: set[str]) -> Change:
+    """What is to be done with the views that are given. others: that are in the field, and have become others. back:
+    that are wanted though they were left out.
+    """
     assert field.evidence is not None
-    names, left_out = set(field.evidence.masks.view_names), set(field.left_out)
+    names, left_out = set(field.evidence.masks.view_names), kept_out(field) - back
     return Change(
         field,
         added=tuple(name for name in given if name not in names | left_out),
@@ -102,6 +106,11 @@ def _wish(field: LanguageField, given: Sequence[str], others: set[str]) -> Chang
         known=tuple(name for name in given if name in names - others),
         left_out=tuple(name for name in given if name in left_out - names),
     )
+
+
+def kept_out(field: LanguageField) -> set[str]:
+    """Views that people removed from a field, or kept out of it from the start."""
+    return {*field.left_out, *(field.growth.removed if field.growth else ())}
 
 
 def remove_views(
@@ -112,7 +121,8 @@ def remove_views(
     threads: int = 0,
     track: Track = untracked,
 ) -> Change:
-    """Take some views out of a field, by name. Words and negatives stay, objects are left out: see `change_field`.
+    """Take some views out of a field, by name; `add_views` leaves them out then. Words and negatives stay, objects are
+    left out: see `change_field`.
 
     Raises: InputError: views that are not in it, or all of them; the field does not know how it was made.
     MismatchError: another scene.
@@ -203,7 +213,10 @@ def _changed(
             field.growth.specification(field.code), aggregator=how, gaussians=gaussians, threads=threads, track=track
         )
         num_coded = len(again)
-    again = replace(again, up=after.up, left_out=after.left_out).with_words_of(field, threads=threads)
+    assert again.growth is not None
+    removed = {*field.growth.removed, *change.removed} - {*after.masks.view_names}
+    grown = replace(again.growth, removed=tuple(sorted(removed)))
+    again = replace(again, up=after.up, left_out=after.left_out, growth=grown).with_words_of(field, threads=threads)
     watch.lap("code")
     return replace(
         change, field=again, num_touched=int(np.count_nonzero(touched)), num_coded=num_coded, seconds=watch.seconds

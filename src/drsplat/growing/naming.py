@@ -19,7 +19,7 @@ def views_named(wanted: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
     unknown = [text for text, meant in found.items() if not meant]
     if unknown:
         example = f"views are named like '{names[0]}'" if names else "there are none"
-        raise InputError(f"views: nothing in this field is named {listed(unknown)}: {example}")
+        raise InputError(f"views: nothing here is named {listed(unknown)}: {example}")
     chosen = set().union(*found.values())
     return tuple(name for name in names if name in chosen)
 

@@ -5,13 +5,14 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 """
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt8
+from jaxtyping import Float32, Int32, Int64, Integer, UInt8
 
 from .. import _native
 from ..errors import InputError
 from .splatting import _checked_isa
 
 CENTROIDS = 256
+Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # row starts, columns and float32 numbers of CSR
 
 
 def weighted_rows(
@@ -46,6 +47,29 @@ def weighted_rows(
     except ValueError as error:
         raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
     return np.asarray(rows)
+
+
+def changed_columns(
+    weights: Entries, numbers: Int32[np.ndarray, " m"], added: Entries, *, threads: int = 0
+) -> tuple[Int64[np.ndarray, " n1"], Int32[np.ndarray, " f"], Float32[np.ndarray, " f"]]:
+    """A CSR matrix with its columns numbered anew and the entries of another put in: row starts, columns, numbers.
+
+    numbers: the new number of each column, ascending, or below 0: its entries are left out. Columns of a row ascend
+    in both matrices, and then in what comes out.
+
+    Raises: InputError: other rows in one than in the other, a damaged matrix, or columns without a number.
+    """
+    try:
+        found = _native.changed_columns(*_csr(weights), np.ascontiguousarray(numbers), *_csr(added), threads)
+    except ValueError as error:
+        raise InputError(f"columns: expected {error}") from None
+    starts, columns, values = map(np.asarray, found)
+    return starts.view(np.int64), columns, values  # it may come as "long long"
+
+
+def _csr(entries: Entries) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    starts, columns, values = entries
+    return np.ascontiguousarray(starts, np.int64), np.ascontiguousarray(columns, np.int32), np.ascontiguousarray(values)
 
 
 def pq_encode(

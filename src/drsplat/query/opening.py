@@ -13,6 +13,7 @@ from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import read_scene
+from ..formats.tiles import TILES
 from ..models.loading import load_encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
@@ -55,13 +56,13 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
             f"{folder}: expected one field (a folder NAME{FIELD_SUFFIX}, as `drsplat register` writes), got {listed}"
         )
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
-    scenes = [path for path in entries if (path / MOTION).is_file()] + scenes
+    scenes = [path for path in entries if (path / MOTION).is_file() or (path / TILES).is_file()] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
     edited = {path.name.removesuffix(EDITS) for path in entries if path.name.endswith(EDITS)}
     scenes.sort(key=lambda path: path.stem not in edited)  # what was saved of it lies beside it with the same rows
     if not scenes:
-        raise InputError(f"{folder}: expected a scene ({', '.join(SCENE_SUFFIXES)}) beside the field")
+        raise InputError(f"{folder}: expected a scene ({', '.join(SCENE_SUFFIXES)}, tiles) beside the field")
     has_capture = any((folder / name).exists() for name in CAMERAS)
     name = folder.resolve().name
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)

@@ -10,6 +10,7 @@ from .views import View
 
 SMALLEST, LARGEST = 1e-3, 1e5  # scene units
 AWAY = 100.0  # sizes of the scene
+ENOUGH = 1 << 16  # Gaussians, spread over the file, that tell where the scene is
 
 
 def lost_precision(gaussians: Gaussians) -> list[str]:
@@ -27,7 +28,8 @@ def lost_precision(gaussians: Gaussians) -> list[str]:
 
 def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
     """What makes no sense about the lengths of a scene and the places of its cameras, a sentence each."""
-    size = size_of(gaussians.means)
+    means = gaussians.means[:: max(1, len(gaussians) // ENOUGH)]
+    size = size_of(means)
     if len(gaussians) < FEWEST or not size > 0:
         return []
     found = lost_precision(gaussians)
@@ -35,7 +37,7 @@ def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
         found.append(
             f"the scene is {size:.3g} units large: is its unit meant? Expected was between {SMALLEST:g} and {LARGEST:g}"
         )
-    middle = gaussians.origin + middle_of(gaussians.means)
+    middle = gaussians.origin + middle_of(means)
     away = float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0
     if away > AWAY * size:
         found.append(
