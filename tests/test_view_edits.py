@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,23 +17,11 @@ from drsplat.scene.annotations import Annotation
 from drsplat.viewing import saving
 from drsplat.viewing.page_parts import annotations_of_page, objects_of_page
 from drsplat.viewing.session import Mode, Session
-from edited_rooms import write_room
 from toy_capture import PER_THING, THINGS
 from viewer_clients import a_viewer
 from viewing_scenes import EACH, boxes_scene
 
 UP = np.array([0.0, 0, 1])
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_room(tmp_path_factory.mktemp("viewed"))
-
-
-@pytest.fixture
-def room(made: Path, tmp_path: Path) -> Path:
-    shutil.copytree(made, tmp_path / "room")
-    return tmp_path / "room"
 
 
 def session_of(room: Path) -> Session:

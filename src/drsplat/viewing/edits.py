@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float32, Int64
 from ..editing import Edit, EditFile, EditList
 from ..editing.draft import OBJECT_ID
 from ..editing.edits import drafted
-from ..errors import InputError
-from ..formats.annotations import AnnotationFile
+from ..formats.annotations import AnnotationFile, without
 from ..formats.scenes import read_gaussians
 from ..kernels import SplatArrays, splat_arrays
 from ..query import Scene
@@ -132,9 +131,7 @@ class Edits:
 
     def drop(self, number: int) -> None:
         """An annotation, counted from 1. Raises: InputError: there is none."""
-        if not 1 <= number <= len(self.annotations):
-            raise InputError(f"there is no annotation {number} of {len(self.annotations)}")
-        kept = (*self.annotations[: number - 1], *self.annotations[number:])
+        kept = without(self.annotations, number)
         self.annotations = kept if self.notes is None else self.notes.drop(number)
 
     # --- what it makes ---
