@@ -115,6 +115,23 @@ def test_annotations(room: Path, capsys: Capture) -> None:
     assert [one["text"] for one in answer["annotations"]] == ["here"]
 
 
+def test_an_annotation_is_where_its_thing_is_now(room: Path, capsys: Capture) -> None:
+    base = ["edit", room / "scene.ply", "--field", room / "room.field"]
+    words = ["--query", "red mug", "--move", 0, 0, 2, "--duplicate", 0, 1, 0]
+    moved = answer_of(capsys, *base, *words, "--annotate", "up here")
+    np.testing.assert_allclose(moved["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
+    copied = answer_of(capsys, *base, "--copies", 2, "--annotate", "its copy")
+    np.testing.assert_allclose(copied["annotations"][1]["center"], (-0.7, 1, 2), atol=0.1)
+
+
+def test_a_field_does_not_fit_what_was_saved_and_says_what_does(room: Path, capsys: Capture) -> None:
+    for more in ([], ["--duplicate", 0, 1, 0]):
+        words = ["--field", room / "room.field", "--query", "red mug", "--move", 0, 0, 2, *more]
+        answer_of(capsys, "edit", room / "scene.ply", *words, "--save", room / "saved.ply", "--overwrite")
+        said = error_of(capsys, "locate", room / "room.field", "red mug", "--scene", room / "saved.ply")
+        assert "of a scene that was edited, the one that the edits lie beside" in said
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..editing import EditFile, EditList
+    from ..editing.draft import Draft
     from ..editing.edits import Change
     from ..editing.targets import Target
     from ..formats.annotations import AnnotationFile
@@ -74,7 +75,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     view = None
     with _held(edits, notes) if work.writes else nullcontext(), together():
         known, noted = edits.read(work.gaussians), notes.read()
-        annotations, listed = work.annotated(noted), work.changed(known, edits)
+        listed = work.changed(known, edits)
+        annotations = work.annotated(noted, listed, edits)
         after = edits.edited(work.gaussians, listed)
         if listed is not known:
             edits.write(listed)
@@ -281,8 +283,9 @@ class _Work:
 
     # --- annotations ---
 
-    def annotated(self, known: tuple[Annotation, ...]) -> tuple[Annotation, ...]:
-        """The annotations, with what the options add and drop; themselves where they say nothing."""
+    def annotated(self, known: tuple[Annotation, ...], listed: EditList, file: EditFile) -> tuple[Annotation, ...]:
+        """The annotations, with what the options add and drop, after the edits; themselves where they say nothing."""
+        from ..editing.edits import drafted
         from ..errors import InputError
         from ..formats.annotations import without
         from ..scene.annotations import Annotation
@@ -296,23 +299,24 @@ class _Work:
             return known
         if arguments.at is not None:
             return (*known, Annotation.at(arguments.annotate, arguments.at))
-        return (*known, *self._boxed(arguments.annotate))
+        return (*known, *self._boxed(arguments.annotate, drafted(self.gaussians, listed.active, file.other)))
 
-    def _boxed(self, text: str) -> list[Annotation]:
-        """At each match of a query; else at the box of what is edited."""
+    def _boxed(self, text: str, draft: Draft) -> list[Annotation]:
+        """At each match of a query, else at what is edited; where it is after all edits."""
         import numpy as np
 
-        from ..editing.draft import Draft
         from ..kernels.boxes import box_of
         from ..scene.annotations import Annotation
         from ..scene.boxes import solid
 
         if only_one(self.arguments, TARGETS) in QUERIES:
-            matches = self.scene.locate(query_of(self.arguments))
-            return [Annotation.box(text, one.center, one.axes, one.extent) for one in matches]
-        ids = self.target().ids(Draft.of(self.gaussians))
-        box = box_of(self.gaussians, solid(self.gaussians, ids), None if self._scene is None else self._scene.up)
-        return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))]
+            parts = [one.gaussian_ids for one in self.scene.locate(query_of(self.arguments))]
+        else:
+            parts = [self.target().ids(draft)]
+        up = None if self._scene is None else self._scene.up
+        wholes = [draft.part(ids) for ids in parts]
+        boxes = [box_of(part, solid(part, np.arange(len(part))), up) for part in wholes]
+        return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in boxes]
 
     # --- pictures ---
 

@@ -18,6 +18,7 @@ from .naming import words_of
 from .page import MOST, MOST_WORDS, Page, PageAnswer, write_page
 from .page_parts import annotations_of_page, object_numbers, objects_of_page
 from .page_times import PageTimes, boxes_of, times_of_page
+from .playing import placed_now
 from .results import Result, result_of
 from .session import Mode, Session
 
@@ -91,7 +92,7 @@ def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndar
 def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"], times: PageTimes | None) -> PageAnswer:
     scene = session.scene
     result = result_of(scene, text, scene.ask(text))
-    matches = result.matches[:MOST_MATCHES]
+    matches = [placed_now(session, match) for match in result.matches[:MOST_MATCHES]]
     warm = heat_of(result.answer.values, result.threshold)
     return PageAnswer(
         text,

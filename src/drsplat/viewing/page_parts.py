@@ -13,6 +13,7 @@ from ..query import Match
 from ..scene.annotations import Annotation
 from .object_list import names_of, pictures_of
 from .page_times import PageTimes, boxes_of
+from .playing import placed_now
 from .session import Session
 from .shown import Frame
 from .texts import printable
@@ -29,7 +30,7 @@ def objects_of_page(
     if not session.has_objects:
         return []
     scene, frame = session.scene, session.shown.frame
-    matches = scene.objects[:MOST_OBJECTS]
+    matches = [placed_now(session, match) for match in scene.objects[:MOST_OBJECTS]]
     pictures = [_data_url(picture) for picture in pictures_of(session, matches[:PICTURES])]
     pictures += [""] * (len(matches) - len(pictures))
     return [

@@ -1,7 +1,7 @@
 """A scene that moves, in a page: what of it moves, at a bounded number of times, and the boxes that go along."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float16, Float64, Int64, UInt8, UInt16
 from ..errors import InputError
 from ..query import Match
 from ..query.tracks import tracks
+from ..scene.gaussians import Gaussians
+from ..scene.moving import Moving
 from .session import Session
 from .shown import Frame, Shown
 
@@ -121,8 +123,10 @@ def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]
     """
     if times is None or not matches:
         return [[] for _ in matches]
-    scene, frame = session.scene, session.shown.frame
-    found = tracks(replace(scene.moving, times=times.times), scene.field, matches, scene.up)
+    scene, frame, now = session.scene, session.shown.frame, session.time
+    moving = Moving(scene.moving.canonical, times.times, _Standing(session))
+    found = tracks(moving, scene.field, matches, scene.up)
+    session.time = now
     boxes = []
     for track in found:
         at = {
@@ -132,6 +136,17 @@ def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]
         every = [at.get(time) for time in times.times.tolist()]
         boxes.append([] if all(box == every[0] for box in every) else every)
     return boxes
+
+
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """The scene's own rows as edits leave them, at any time."""
+
+    session: Session
+
+    def at(self, time: float) -> Gaussians:
+        self.session.time = time
+        return self.session.edits.standing
 
 
 def _numbers(
