@@ -1,11 +1,13 @@
 """Fixtures that are costly enough to be made once."""
 
+import shutil
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from drsplat.demo import story as household
+from edited_rooms import write_room
 from furnished.story import Setup, Story, tell
 
 collect_ignore = [] if find_spec("msgspec") else ["test_view.py"]  # whose imports need the extra drsplat[viewer]
@@ -48,3 +50,15 @@ def household_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def household_story(household_folder: Path) -> household.Story:
     """The demo, told once."""
     return household.tell(household_folder)
+
+
+@pytest.fixture(scope="session")
+def edited_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A red and a blue ball, a field that knows both as objects, the photos' poses."""
+    return write_room(tmp_path_factory.mktemp("edited"))
+
+
+@pytest.fixture
+def room(edited_room: Path, tmp_path: Path) -> Path:
+    """A copy of it to edit; where a test file has a room of its own, that."""
+    return Path(shutil.copytree(edited_room, tmp_path / "room"))

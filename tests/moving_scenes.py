@@ -1,10 +1,15 @@
 """Small scenes that move, for tests; and PLY files of SpacetimeGaussians, written by hand."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
+from drsplat.formats.langsplat import write_features
+from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.ply import write_vertices
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.objects.choosing import Tree
@@ -111,3 +116,23 @@ def passing_scene(objects: bool = False) -> Scene:
         tree = Tree(node_of, np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
         field = field.with_objects(describe(field, moving.canonical, tree))
     return Scene(field, moving, views)
+
+
+def write_film(folder: Path) -> None:
+    """The passing car: numbered PLY files, photos by camera and frame, whose names alone have times."""
+    moving = passing()
+    write_moving(folder / "frames", moving)
+    views = passing_views(moving)
+    frames = []
+    for view in views:
+        path = folder / "capture" / "images" / view.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.zeros((view.height, view.width, 3), np.uint8)).save(path)
+        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
+    first = views[0]
+    lens = {"w": first.width, "h": first.height, "fl_x": first.K[0, 0], "fl_y": first.K[1, 1]}
+    (folder / "capture/transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    for name, one in label_masks(moving, views, np.repeat(np.arange(3), 100), WORDS).items():
+        stem = str(Path(name).with_suffix(""))
+        write_features(folder / "capture/language_features", stem, one.mask_ids, one.embeddings, form="compact")

@@ -12,20 +12,7 @@ from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Query, open_scene, read_gaussians
 from drsplat.field.labels import Label, LabelFile
 from drsplat.formats.npy import write_npy
-from edited_rooms import write_room
 from toy_capture import PER_THING
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A red and a blue ball, a field that knows both as objects, the photos' poses."""
-    return write_room(tmp_path_factory.mktemp("edits"))
-
-
-@pytest.fixture
-def room(made: Path, tmp_path: Path) -> Path:
-    shutil.copytree(made, tmp_path / "room")
-    return tmp_path / "room"
 
 
 def red(room: Path) -> np.ndarray:
@@ -128,6 +115,23 @@ def test_annotations(room: Path, capsys: Capture) -> None:
     assert [one["text"] for one in answer["annotations"]] == ["here"]
 
 
+def test_an_annotation_is_where_its_thing_is_now(room: Path, capsys: Capture) -> None:
+    base = ["edit", room / "scene.ply", "--field", room / "room.field"]
+    words = ["--query", "red mug", "--move", 0, 0, 2, "--duplicate", 0, 1, 0]
+    moved = answer_of(capsys, *base, *words, "--annotate", "up here")
+    np.testing.assert_allclose(moved["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
+    copied = answer_of(capsys, *base, "--copies", 2, "--annotate", "its copy")
+    np.testing.assert_allclose(copied["annotations"][1]["center"], (-0.7, 1, 2), atol=0.1)
+
+
+def test_a_field_does_not_fit_what_was_saved_and_says_what_does(room: Path, capsys: Capture) -> None:
+    for more in ([], ["--duplicate", 0, 1, 0]):
+        words = ["--field", room / "room.field", "--query", "red mug", "--move", 0, 0, 2, *more]
+        answer_of(capsys, "edit", room / "scene.ply", *words, "--save", room / "saved.ply", "--overwrite")
+        said = error_of(capsys, "locate", room / "room.field", "red mug", "--scene", room / "saved.ply")
+        assert "of a scene that was edited, the one that the edits lie beside" in said
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -149,6 +153,22 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(
 ) -> None:
     assert said in error_of(capsys, "edit", room / "scene.ply", *given)
     assert not (room / "scene.edits.json").exists()
+
+
+def test_what_fails_keeps_no_part_of_it(room: Path, capsys: Capture) -> None:
+    """An annotation and a change, changes and their file: the same command can be given again."""
+    before = {path.name for path in room.iterdir()}
+    base = ["edit", room / "scene.ply", "--field", room / "room.field"]
+    note = ["--query", "red mug", "--annotate", "from Delft"]
+    assert "edit 1: fill: no ground" in error_of(capsys, *base, *note, "--fill")
+    far = ["--move", 3e38, 0, 0]
+    assert "beyond all numbers" in error_of(capsys, *base, *note, *far, *far)
+    assert "no annotation 3" in error_of(capsys, *base, *note, "--move", 0, 0, 1, "--drop-annotation", 3)
+    nowhere = ["--save", room / "nowhere" / "out.ply"]
+    assert "no folder" in error_of(capsys, *base, *note, "--remove", *nowhere)
+    picture = ["--picture", room / "a.png", "--views", room / "capture", "--view", "x"]
+    assert "no view 'x'" in error_of(capsys, *base, *note, "--remove", *picture)
+    assert {path.name for path in room.iterdir()} == before
 
 
 @pytest.mark.parametrize("given", [["--move", 1, 2], ["--object", 1, "--everything"]])

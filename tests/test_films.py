@@ -14,7 +14,8 @@ from PIL import Image
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Query, cli, render
 from drsplat.drawing.labels import Mark, lines_of, marked
-from drsplat.drawing.pictures import as_pixels
+from drsplat.drawing.pictures import as_pixels, titled
+from drsplat.drawing.plates import plates_of
 from drsplat.errors import InputError
 from drsplat.filming.frames import Film
 from drsplat.filming.highlights import Highlight
@@ -44,6 +45,41 @@ def pixels_near(picture: np.ndarray, color: np.ndarray, tolerance: int = 12) -> 
 
 
 # --- labels ---
+
+
+def plates(things: list[tuple[float, ...]], count: int, size: tuple[int, int] = (320, 240)) -> np.ndarray:
+    return np.array(plates_of([np.array(one, float) for one in things], [(60.0, 14.0)] * count, 4.0, size))
+
+
+def is_free(boxes: np.ndarray) -> bool:
+    shared = np.minimum(boxes[:, None, 2:], boxes[None, :, 2:]) - np.maximum(boxes[:, None, :2], boxes[None, :, :2])
+    return int((shared > 0).all(-1).sum()) == len(boxes)
+
+
+def test_names_make_room_for_each_other() -> None:
+    assert np.array_equal(plates([(100, 100, 140, 120)], 1), [[90, 82, 150, 96]])
+    same = plates([(100, 100, 140, 120)] * 8, 8)
+    assert is_free(same)
+    assert np.abs(same - same[0]).max() < 90  # all of them near by
+    assert is_free(plates([(0, 0, 30, 8)] * 4, 4))  # in a corner
+    assert np.array_equal(plates([(40, 40, 60, 60), (240, 180, 260, 200)], 2)[1], [220, 162, 280, 176])
+
+
+def test_names_stay_within_the_picture_when_there_is_no_room() -> None:
+    found = plates([(20, 10, 30, 20)] * 12, 12, (70, 30))
+    assert (found >= 0).all()
+    assert (found <= [70, 30, 70, 30]).all()
+    assert len(plates([(100, 100, 140, 120)] * 300, 300)) == 300
+
+
+def test_a_title_and_its_note_do_not_meet() -> None:
+    """Black letters on the left, grey ones on the right, a gap between them."""
+    for title in ("duplicate, recolour", "a very long name of a thing that no strip has room for"):
+        strip = titled(np.zeros((60, 180, 3), np.uint8), title, "+1,665 Gaussians")[:28].min(axis=(0, 2)) < 200
+        inked = np.flatnonzero(strip)
+        assert inked[0] > 3
+        assert inked[-1] < 177
+        assert np.diff(inked).max() >= 8
 
 
 def test_a_box_is_drawn_where_its_corners_are() -> None:

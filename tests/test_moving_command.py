@@ -9,31 +9,15 @@ from PIL import Image
 
 from drsplat import load_field
 from drsplat.cli import main
-from drsplat.formats.langsplat import write_features
-from drsplat.formats.moving_scenes import read_moving, write_moving
-from moving_scenes import WORDS, label_masks, passing, passing_views, spacetime_columns, write_spacetime
+from drsplat.formats.moving_scenes import read_moving
+from moving_scenes import spacetime_columns, write_film, write_spacetime
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """As others have them: numbered PLY files, photos by camera and frame, transforms.json without times."""
+    """As others have it."""
     folder = tmp_path_factory.mktemp("film")
-    moving = passing()
-    write_moving(folder / "frames", moving)
-    views = passing_views(moving)
-    frames = []
-    for view in views:
-        path = folder / "capture" / "images" / view.name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.zeros((view.height, view.width, 3), np.uint8)).save(path)
-        pose = np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
-    first = views[0]
-    lens = {"w": first.width, "h": first.height, "fl_x": first.K[0, 0], "fl_y": first.K[1, 1]}
-    (folder / "capture/transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    for name, one in label_masks(moving, views, np.repeat(np.arange(3), 100), WORDS).items():
-        stem = str(Path(name).with_suffix(""))
-        write_features(folder / "capture/language_features", stem, one.mask_ids, one.embeddings, form="compact")
+    write_film(folder)
     return folder
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from browsing import a_browser, a_page, eventually, near, needs_chromium, pixels_of
+from drsplat.editing import Edit, Everything, Move, Remove
 from drsplat.query import Scene
 from drsplat.scene.moving import Moving
 from drsplat.viewing.playing import placed_now
@@ -72,6 +73,23 @@ def test_queries_of_a_span_ask_it(scene: Scene) -> None:
     seen = {scene.view(one.view_name).time for one in session.results[0].matches[0].support}
     assert seen
     assert max(time for time in seen if time is not None) <= 0.3
+
+
+def test_an_edited_scene_keeps_its_rows_when_it_moves(scene: Scene) -> None:
+    """So that a browser is only told where they are."""
+    session = Session(scene, budget=250)
+    session.ask("white vase")
+    session.edit(Remove())
+    session.edits.add(Edit(Everything(), Move((0.0, 0.0, 1.0))))
+    session.time = 0.0
+    before = session.drawn
+    session.time = 0.6
+    after = session.drawn
+    assert after.ids is before.ids
+    at, car = scene.moving.at(0.6).positions, np.flatnonzero(before.ids < 100)
+    there = session.shown.frame.shown(at[before.ids[car]] + [0, 0, 1])
+    assert np.allclose(after.centers[car], there, atol=1e-4)
+    assert not after.opacities[(before.ids >= 100) & (before.ids < 200)].any()
 
 
 STAGE = 640

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,24 +16,13 @@ from drsplat.formats.annotations import AnnotationFile
 from drsplat.scene.annotations import Annotation
 from drsplat.viewing import saving
 from drsplat.viewing.page_parts import annotations_of_page, objects_of_page
+from drsplat.viewing.playing import placed_now
 from drsplat.viewing.session import Mode, Session
-from edited_rooms import write_room
 from toy_capture import PER_THING, THINGS
 from viewer_clients import a_viewer
 from viewing_scenes import EACH, boxes_scene
 
 UP = np.array([0.0, 0, 1])
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_room(tmp_path_factory.mktemp("viewed"))
-
-
-@pytest.fixture
-def room(made: Path, tmp_path: Path) -> Path:
-    shutil.copytree(made, tmp_path / "room")
-    return tmp_path / "room"
 
 
 def session_of(room: Path) -> Session:
@@ -62,6 +50,17 @@ def test_what_is_moved_is_drawn_and_met_where_it_is_now(session: Session) -> Non
     session.edits.undo()
     assert session.drawn is before
     assert session.click(eye, np.array([0.0, 1, 0])) is None
+
+
+def test_boxes_are_where_things_are_now(session: Session) -> None:
+    session.ask("red mug")
+    match = session.results[0].matches[0]
+    session.edit(Move((0.0, 0.0, 5.0)))
+    session.ask("red mug; tall lamp")
+    mug, lamp = (result.matches[0] for result in session.results)
+    np.testing.assert_allclose(placed_now(session, mug).center, match.center + np.array([0, 0, 5]), atol=1e-3)
+    np.testing.assert_allclose(placed_now(session, mug).extent, match.extent, atol=1e-3)
+    assert placed_now(session, lamp) is lamp
 
 
 def test_copies_are_drawn_painted_and_saved(session: Session, tmp_path: Path) -> None:

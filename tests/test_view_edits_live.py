@@ -1,6 +1,5 @@
 """Edits, annotations and objects in a real browser, on a desktop and on a phone, looked at in pixels."""
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from drsplat import export_page, open_scene
 from drsplat.editing import Duplicate
 from drsplat.scene.annotations import Annotation
 from drsplat.viewing.session import Session
-from edited_rooms import write_room
 
 pytestmark = [needs_chromium, pytest.mark.slow]
 SIZES = {"desktop": (1000, 800), "phone": (390, 844)}
@@ -27,15 +25,8 @@ def chromium() -> Iterator[Any]:
         yield browser
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_room(tmp_path_factory.mktemp("live"))
-
-
 @pytest.fixture
-def session(made: Path, tmp_path: Path) -> Session:
-    shutil.copytree(made, tmp_path / "room")
-    room = tmp_path / "room"
+def session(room: Path) -> Session:
     return Session(open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture"))
 
 

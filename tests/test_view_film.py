@@ -14,8 +14,9 @@ from PIL import Image
 from browsing import a_browser, a_page, eventually, needs_chromium, pixels_of
 from drsplat.errors import InputError
 from drsplat.filming.encoding import ffmpeg
-from drsplat.filming.path_files import read_path
+from drsplat.filming.path_files import read_path, write_path
 from drsplat.viewing import film
+from test_film_paths import nerfstudio_file
 from viewer_clients import CAMERA, Stranger, a_viewer
 
 PLACES = ([6.0, -9.0, 4.0], [-7.0, -8.0, 3.0], [1.0, -12.0, 8.0])
@@ -67,6 +68,73 @@ def test_key_frames_are_what_the_browser_sees_and_render_takes_the_path(panel: A
     path = read_path(tmp_path / "saved" / "path.json")
     assert (path.seconds, path.fps, path.size, len(path.keys)) == (8.0, 24.0, (960, 720), 3)
     np.testing.assert_allclose(path.keys[1].eye, panel.film.keys[1].eye)
+    stranger.close()
+
+
+def loaded(panel: Any, document: object) -> None:
+    data = document if isinstance(document, bytes) else json.dumps(document).encode()
+    panel.film.file = SimpleNamespace(value=SimpleNamespace(content=data, name="my path.json"))
+    panel._do("load", SimpleNamespace(client=only_client(panel), client_id=0), panel.film.load_path)
+    settle(panel)
+
+
+def test_a_saved_path_is_loaded_again(panel: Any, tmp_path: Path) -> None:
+    stranger = Stranger(panel)
+    taken(panel, stranger)
+    panel.film.closed.value, panel.film.seconds.value = True, 5.0
+    before = panel.film.path()
+    write_path(tmp_path / "path.json", before)
+    for _ in before.keys:
+        panel.film.remove(None)
+    panel.film.closed.value, panel.film.seconds.value = False, 8.0
+    loaded(panel, (tmp_path / "path.json").read_bytes())
+    assert panel.fault.content == ""
+    after = panel.film.path()
+    assert (after.closed, after.seconds, len(after.keys)) == (True, 5.0, 3)
+    for one, other in zip(before.keys, after.keys, strict=True):
+        np.testing.assert_allclose(one.eye, other.eye, atol=1e-9)
+        np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
+    frame = panel.session.shown.frame  # the browser stands at the first one
+    np.testing.assert_allclose(only_client(panel).camera.position, frame.shown(before.keys[0].eye), atol=1e-6)
+    stranger.close()
+
+
+def test_a_path_of_nerfstudio_or_with_times_is_loaded_and_goes_on(panel: Any) -> None:
+    stranger = Stranger(panel)
+    taken(panel, stranger)
+    loaded(panel, nerfstudio_file(3) | {"seconds": 3.0})
+    assert panel.fault.content == ""
+    path = panel.film.path()
+    assert (path.even, path.seconds) == (True, 3.0)
+    np.testing.assert_allclose(path.at(np.array([0.5]))[0].eye, (2, -4, 1), atol=1e-9)
+    timed = [{"eye": place, "target": [0, 0, 0], "up": [0, 0, 1], "seconds": 2.0 * n} for n, place in enumerate(PLACES)]
+    loaded(panel, {"format": "drsplat-path", "version": 1, "key_frames": timed})
+    assert panel.film.path().seconds == 4.0
+    panel.film.add(SimpleNamespace(client=only_client(panel)))
+    assert len(panel.film.path().keys) == 4
+    assert not panel.film.path().is_timed
+    stranger.close()
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        (b"", "1 to"),
+        (b"\xff{", "expected JSON"),
+        (b"[" * 100_000, "expected JSON"),
+        ({"key_frames": []}, "drsplat-path"),
+        ({"format": "drsplat-path", "version": 1, "key_frames": [{"eye": [0, 0, 0]}]}, "target"),
+        ({"camera_path": [], "camera_type": "fisheye"}, "not supported"),
+        ([1], "expected a path"),
+    ],
+)
+def test_what_is_no_path_is_said_and_changes_nothing(panel: Any, document: object, said: str) -> None:
+    stranger = Stranger(panel)
+    taken(panel, stranger)
+    loaded(panel, document)
+    assert said in panel.fault.content
+    assert "my path.json" in panel.fault.content
+    assert len(panel.film.keys) == 3
     stranger.close()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +12,15 @@ from .options import add_capture_options, add_overwrite, add_query_encoders, wor
 from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_said
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     import numpy as np
 
     from ..editing import EditFile, EditList
+    from ..editing.draft import Draft
     from ..editing.edits import Change
     from ..editing.targets import Target
+    from ..formats.annotations import AnnotationFile
     from ..query import Scene
     from ..scene.annotations import Annotation
     from ..scene.gaussians import Gaussians
@@ -69,11 +72,16 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     check_outputs(arguments)
     work = _Work(arguments)
     edits, notes = EditFile.beside(work.path), AnnotationFile.beside(work.path)
-    annotations = work.annotate(notes)
-    listed = work.change(edits)
-    after = edits.edited(work.gaussians, listed)
     view = None
-    with together():
+    with _held(edits, notes) if work.writes else nullcontext(), together():
+        known, noted = edits.read(work.gaussians), notes.read()
+        listed = work.changed(known, edits)
+        annotations = work.annotated(noted, listed, edits)
+        after = edits.edited(work.gaussians, listed)
+        if listed is not known:
+            edits.write(listed)
+        if annotations is not noted:
+            notes.write(annotations)
         if arguments.save:
             _save(arguments, after)
         if arguments.picture:
@@ -91,6 +99,12 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "picture": arguments.picture,
         "view": None if view is None else view.name,
     }
+
+
+@contextmanager
+def _held(edits: EditFile, notes: AnnotationFile) -> Iterator[None]:
+    with edits.held(), notes.held():
+        yield
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -198,8 +212,15 @@ class _Work:
 
     # --- what is done ---
 
-    def change(self, file: EditFile) -> EditList:
-        """The list after what the options say."""
+    @property
+    def writes(self) -> bool:
+        """Whether the lists beside the scene are to change."""
+        arguments = self.arguments
+        options = (arguments.changes, arguments.undo, arguments.redo, arguments.annotate, arguments.drop_annotation)
+        return any(option is not None for option in options)
+
+    def changed(self, listed: EditList, file: EditFile) -> EditList:
+        """The list after what the options say; itself where they say nothing. Raises: InputError: it cannot be."""
         from ..editing import Edit
         from ..editing.edits import drafted
         from ..errors import InputError
@@ -208,24 +229,17 @@ class _Work:
         steps = [arguments.undo is not None, arguments.redo is not None, bool(arguments.changes)]
         if sum(steps) > 1:
             raise InputError("--undo, --redo and changes: give one of them at a time")
-        if not any(steps):
-            return file.read(self.gaussians)
         target = self.target() if arguments.changes else None
-
-        def change(listed: EditList) -> EditList:
-            for _ in range(arguments.undo or 0):
-                listed = listed.undone()
-            for _ in range(arguments.redo or 0):
-                listed = listed.redone()
-            for name, value in arguments.changes or ():
-                assert target is not None
-                draft = drafted(self.gaussians, listed.active, file.other)
-                made = self._made(name, value, draft.part(target.ids(draft)), file.path.parent)
-                listed = listed.with_edit(Edit(target, made))
-            drafted(self.gaussians, listed.active, file.other)  # or the error, before anything is written
-            return listed
-
-        return file.change(self.gaussians, change)
+        for _ in range(arguments.undo or 0):
+            listed = listed.undone()
+        for _ in range(arguments.redo or 0):
+            listed = listed.redone()
+        for name, value in arguments.changes or ():
+            assert target is not None
+            draft = drafted(self.gaussians, listed.active, file.other)
+            made = self._made(name, value, draft.part(target.ids(draft)), file.path.parent)
+            listed = listed.with_edit(Edit(target, made))
+        return listed
 
     def _made(self, name: str, value: Any, part: Gaussians, folder: Path) -> Change:
         from .. import editing
@@ -269,37 +283,40 @@ class _Work:
 
     # --- annotations ---
 
-    def annotate(self, file: Any) -> tuple[Annotation, ...]:
-        """The annotations, with what the options add and drop."""
+    def annotated(self, known: tuple[Annotation, ...], listed: EditList, file: EditFile) -> tuple[Annotation, ...]:
+        """The annotations, with what the options add and drop, after the edits; themselves where they say nothing."""
+        from ..editing.edits import drafted
         from ..errors import InputError
+        from ..formats.annotations import without
         from ..scene.annotations import Annotation
 
         arguments = self.arguments
         if arguments.drop_annotation is not None:
-            file.drop(arguments.drop_annotation)
+            known = without(known, arguments.drop_annotation)
         if arguments.annotate is None:
             if arguments.at is not None:
                 raise InputError("--at is for --annotate TEXT: pass both, or none")
-            return tuple(file.read())
+            return known
         if arguments.at is not None:
-            return tuple(file.add([Annotation.at(arguments.annotate, arguments.at)]))
-        return tuple(file.add(self._boxed(arguments.annotate)))
+            return (*known, Annotation.at(arguments.annotate, arguments.at))
+        return (*known, *self._boxed(arguments.annotate, drafted(self.gaussians, listed.active, file.other)))
 
-    def _boxed(self, text: str) -> list[Annotation]:
-        """At each match of a query; else at the box of what is edited."""
+    def _boxed(self, text: str, draft: Draft) -> list[Annotation]:
+        """At each match of a query, else at what is edited; where it is after all edits."""
         import numpy as np
 
-        from ..editing.draft import Draft
         from ..kernels.boxes import box_of
         from ..scene.annotations import Annotation
         from ..scene.boxes import solid
 
         if only_one(self.arguments, TARGETS) in QUERIES:
-            matches = self.scene.locate(query_of(self.arguments))
-            return [Annotation.box(text, one.center, one.axes, one.extent) for one in matches]
-        ids = self.target().ids(Draft.of(self.gaussians))
-        box = box_of(self.gaussians, solid(self.gaussians, ids), None if self._scene is None else self._scene.up)
-        return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))]
+            parts = [one.gaussian_ids for one in self.scene.locate(query_of(self.arguments))]
+        else:
+            parts = [self.target().ids(draft)]
+        up = None if self._scene is None else self._scene.up
+        wholes = [draft.part(ids) for ids in parts]
+        boxes = [box_of(part, solid(part, np.arange(len(part))), up) for part in wholes]
+        return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in boxes]
 
     # --- pictures ---
 

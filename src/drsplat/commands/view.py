@@ -95,6 +95,8 @@ def show(answer: dict[str, Any]) -> None:
 
     if "page" in answer:
         print(f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB")
+        if answer["moving"]:
+            print(f"  {answer['moving']}")
         for one in answer["queries"]:
             print(f"  {one['text']}: {counted(one['num_matches'], 'match', 'matches')}")
 
@@ -115,6 +117,7 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
         "bytes": Path(arguments.export).stat().st_size,
         "num_shown": len(page.shown),
         "num_left_out": page.shown.num_left_out,
+        "moving": None if page.times is None else page.times.said,
         "queries": [{"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers],
     }
 

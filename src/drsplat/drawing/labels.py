@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..scene.annotations import Annotation, Outline
 from ..scene.views import View
 from .pictures import OUTLINE, Pixels
+from .plates import Box, plates_of
 
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = [(i, k) for i, k in combinations(range(8), 2) if (i ^ k).bit_count() == 1]
@@ -19,6 +20,8 @@ NEAR = 1e-3  # of the distance to a mark's middle: nothing nearer to the camera 
 LETTERS, LEAST_LETTERS = 28, 11  # pictures are so many lines of text high; pixels
 Spot = tuple[float, float]
 Color = tuple[int, int, int]
+Lines = Sequence[tuple[Spot, Spot]]
+Letters = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +57,22 @@ def _note(text: str, center: Float64[np.ndarray, " 3"], outline: Outline | None)
 def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.0) -> Pixels:
     """The picture of a view with boxes and names over it, the furthest first; nothing hides them.
 
-    A box is cut off where it leaves the space before the camera, and has its name above what is seen of it; a mark that
-    is nowhere in the picture has none. share: from 0, nothing, to 1.
+    A box is cut off where it leaves the space before the camera, and has its name above what is seen of it, or near by
+    where another name is there; a mark that is nowhere in the picture has none. share: from 0, nothing, to 1.
     """
     if share <= 0 or not marks:
         return picture
     drawn = Image.fromarray(picture)
     pen = ImageDraw.Draw(drawn)
     letters = ImageFont.load_default(max(LEAST_LETTERS, view.height / LETTERS))
-    far = sorted(marks, key=lambda mark: -float(np.linalg.norm(mark.center - view.center)))
-    lines = [lines_of(mark, view) for mark in far]
-    for mark, spots in zip(far, lines, strict=True):
-        _draw_lines(pen, mark, spots, max(1, round(view.height / 240)))
-    for mark, spots in zip(far, lines, strict=True):
-        if mark.text and spots:
-            _draw_name(pen, mark, spots, letters, (view.width, view.height))
+    lines = [lines_of(mark, view) for mark in marks]
+    far = np.argsort([-float(np.linalg.norm(mark.center - view.center)) for mark in marks], kind="stable").tolist()
+    for number in far:
+        _draw_lines(pen, marks[number], lines[number], max(1, round(view.height / 240)))
+    plates = _plates(pen, marks, lines, letters, (view.width, view.height))
+    for number in far:
+        if number in plates:
+            _draw_name(pen, marks[number], plates[number], letters)
     result: Pixels = np.asarray(drawn)
     return result if share >= 1 else np.asarray(Image.blend(Image.fromarray(picture), drawn, share))
 
@@ -126,17 +130,29 @@ def _draw_lines(pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot
             pen.line(line, fill=color, width=thick)
 
 
-def _draw_name(
-    pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot, Spot]],
-    letters: ImageFont.FreeTypeFont | ImageFont.ImageFont, size: tuple[int, int],
-) -> None:  # fmt: skip
-    """On a plate above what is seen of the mark, within the picture."""
-    places = np.array(spots).reshape(-1, 2)
-    text = " ".join(mark.text.split())
-    left, top, right, bottom = pen.textbbox((0, 0), text, letters)
-    border = (bottom - top) / 3
-    wide, high = right - left + 2 * border, bottom - top + 2 * border
-    x = float(np.clip((places[:, 0].min() + places[:, 0].max() - wide) / 2, 0, max(size[0] - wide, 0)))
-    y = float(np.clip(places[:, 1].min() - high - border, 0, max(size[1] - high, 0)))
-    pen.rectangle((x, y, x + wide, y + high), fill=SHADE)
-    pen.text((x + border - left, y + border - top), text, mark.color, letters)
+def _plates(
+    pen: ImageDraw.ImageDraw, marks: Sequence[Mark], lines: Sequence[Lines], letters: Letters, size: tuple[int, int]
+) -> dict[int, Box]:
+    """Where the names are of those that have one and are in the picture, by number: in their order, so that names of a
+    film stay where they are when their things pass each other.
+    """
+    named = [number for number, mark in enumerate(marks) if mark.text.strip() and lines[number]]
+    spots = [np.array(lines[number]).reshape(-1, 2) for number in named]
+    things = [np.concatenate([one.min(0), one.max(0)]) for one in spots]
+    texts = [pen.textbbox((0, 0), _in_a_line(marks[number].text), letters) for number in named]
+    border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
+    sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
+    return dict(zip(named, plates_of(things, sizes, border, size), strict=True))
+
+
+def _draw_name(pen: ImageDraw.ImageDraw, mark: Mark, plate: Box, letters: Letters) -> None:
+    left, top, right, bottom = plate.tolist()
+    text = _in_a_line(mark.text)
+    inner = pen.textbbox((0, 0), text, letters)
+    x, y = (left + right - inner[0] - inner[2]) / 2, (top + bottom - inner[1] - inner[3]) / 2
+    pen.rectangle((left, top, right, bottom), fill=SHADE)
+    pen.text((x, y), text, mark.color, letters)
+
+
+def _in_a_line(text: str) -> str:
+    return " ".join(text.split())

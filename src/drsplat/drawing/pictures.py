@@ -26,7 +26,9 @@ Pixels = UInt8[np.ndarray, "h w 3"]
 OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
 OUTLINE = (255, 64, 160)
 SHADED = 0.45  # of its colour, what heat has where the photo is black
+SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)  # of the size of letters that a strip has room for in height
 PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (120, 124, 134)
+Letters = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
 def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
@@ -163,16 +165,34 @@ def zoomed(view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, m
 
 
 def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
-    """A strip above the picture with a title on the left and a note on the right."""
+    """A strip above the picture with a title on the left and a note on the right, which do not meet."""
     height, width = picture.shape[:2]
     strip = max(28, width // 15)
     canvas = Image.new("RGB", (width, height + strip), PAPER)
     canvas.paste(Image.fromarray(picture), (0, strip))
     draw = ImageDraw.Draw(canvas)
-    large, small = ImageFont.load_default(strip * 0.56), ImageFont.load_default(strip * 0.42)
-    draw.text((strip * 0.35, strip / 2), title, INK, large, anchor="lm")
+    large, small = _letters(draw, title, note, width, strip)
+    left = width - strip - draw.textlength(note, small)
+    draw.text((strip * 0.35, strip / 2), _cut(draw, title, large, left), INK, large, anchor="lm")
     draw.text((width - strip * 0.35, strip / 2), note, FAINT, small, anchor="rm")
     return np.asarray(canvas)
+
+
+def _letters(draw: ImageDraw.ImageDraw, title: str, note: str, width: int, strip: int) -> tuple[Letters, Letters]:
+    """Of both, as large as they have room in one line, and never tiny."""
+    for share in SHARES:
+        large, small = (ImageFont.load_default(part * strip * share) for part in (0.56, 0.42))
+        if draw.textlength(title, large) + draw.textlength(note, small) <= width - strip:
+            break
+    return large, small
+
+
+def _cut(draw: ImageDraw.ImageDraw, text: str, letters: Letters, room: float) -> str:
+    """The beginning of a text that is too long for a line, and an ellipsis."""
+    if draw.textlength(text, letters) <= room:
+        return text
+    fits = [count for count in range(len(text)) if draw.textlength(f"{text[:count]}…", letters) <= room]
+    return f"{text[: max(fits, default=0)].rstrip()}…"
 
 
 def contact_sheet(pictures: Sequence[OtherPixels], columns: int, tile_width: int = 400, gap: int = 14) -> OtherPixels:

@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -59,12 +60,22 @@ class EditFile:
 
         Raises: InputError: another process writes the file, or it cannot be written; as `read`.
         """
-        with claimed_output(self.path, PATIENCE):
+        with self.held():
             listed = change(self.read(scene))
-            text = json.dumps(document_of(listed), ensure_ascii=False, separators=(",", ":"))
-            with replacing(self.path, overwrite=True) as file:
-                file.write(f"{text}\n".encode())
+            self.write(listed)
         return listed
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Nobody else writes it while the block runs. Raises: InputError: another process does."""
+        with claimed_output(self.path, PATIENCE):
+            yield
+
+    def write(self, listed: EditList) -> None:
+        """Whoever calls holds it. Raises: InputError: it cannot be written."""
+        text = json.dumps(document_of(listed), ensure_ascii=False, separators=(",", ":"))
+        with replacing(self.path, overwrite=True) as file:
+            file.write(f"{text}\n".encode())
 
     def edited(self, scene: Gaussians, listed: EditList) -> Gaussians:
         """As `edited`, with other scenes read from where the file is. Raises: as `edited` and `read_gaussians`."""
@@ -173,14 +184,22 @@ def _target_json(target: Target) -> dict[str, object]:
 # --- what is done ---
 
 
-def _vector(value: object, where: str) -> tuple[float, ...]:
-    return tuple(as_vector(value, 3, where).tolist())
+def _point(value: object, where: str) -> np.ndarray:
+    return as_vector(value, 3, where)
+
+
+def _triple(value: object, where: str) -> tuple[float, ...]:
+    return tuple(_point(value, where).tolist())
+
+
+def _square(side: int) -> Read:
+    return lambda value, where: as_matrix(value, side, side, where)
 
 
 def _colors(value: object, where: str) -> tuple[tuple[float, ...], ...]:
     if not isinstance(value, list):
         raise FormatError(f"{where}: expected a list of colours, got {shown(value)}")
-    return tuple(_vector(color, where) for color in value)
+    return tuple(_triple(color, where) for color in value)
 
 
 def _text(value: object, where: str) -> str:
@@ -193,28 +212,14 @@ _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "remove": (Remove, {}),
     "isolate": (Isolate, {}),
     "opacity": (Opacity, {"factor": as_number}),
-    "move": (Move, {"by": _vector}),
-    "turn": (Turn, {"degrees": as_number, "axis": _vector, "about": _vector}),
-    "scale": (Scale, {"factor": as_number, "about": _vector}),
-    "duplicate": (Duplicate, {"by": _vector}),
-    "recolour": (Recolour, {"color": _vector, "amount": as_number}),
+    "move": (Move, {"by": _triple}),
+    "turn": (Turn, {"degrees": as_number, "axis": _triple, "about": _triple}),
+    "scale": (Scale, {"factor": as_number, "about": _triple}),
+    "duplicate": (Duplicate, {"by": _triple}),
+    "recolour": (Recolour, {"color": _triple, "amount": as_number}),
     "palette": (Palette, {"colors": _colors}),
-    "match photo": (
-        MatchPhoto,
-        {
-            "mean": lambda value, where: as_vector(value, 3, where),
-            "covariance": lambda value, where: as_matrix(value, 3, 3, where),
-        },
-    ),
-    "replace": (
-        Replace,
-        {
-            "scene": _text,
-            "fingerprint": _text,
-            "matrix": lambda value, where: as_matrix(value, 4, 4, where),
-            "spans": spans_of_runs,
-        },
-    ),
+    "match photo": (MatchPhoto, {"mean": _point, "covariance": _square(3)}),
+    "replace": (Replace, {"scene": _text, "fingerprint": _text, "matrix": _square(4), "spans": spans_of_runs}),
     "fill": (Fill, {}),
 }
 NAMES = {made: name for name, (made, _) in _CHANGES.items()}

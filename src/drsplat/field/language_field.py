@@ -56,6 +56,12 @@ class WordList:
     embeddings: Float32[np.ndarray, "n D"]
 
 
+_OTHER_FILE = (
+    "give the file that was registered (of a scene that was edited, the one that the edits lie beside), or register "
+    "this one"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class LanguageField:
     """Features of the R Gaussians of a scene that have one; the others are absent, not zero.
@@ -303,12 +309,12 @@ class LanguageField:
         if len(gaussians) != self.num_gaussians:
             raise MismatchError(
                 f"this field belongs to a scene of {self.num_gaussians} Gaussians, the given one "
-                f"has {len(gaussians)}: give the file that was registered, or register this one"
+                f"has {len(gaussians)}: {_OTHER_FILE}"
             )
         if gaussians.fingerprint != self.scene:
             raise MismatchError(
                 f"this field belongs to scene {self.scene}, given was {gaussians.fingerprint}: as many Gaussians, but "
-                "positions or row order differ; this is what compressing does; register against the file you query"
+                f"at other places or in another order, as compressing and editing leave them: {_OTHER_FILE}"
             )
 
     @property

@@ -28,12 +28,16 @@ def read_path(path: str | PathLike[str]) -> CameraPath:
     Raises: InputError: there is no such file. FormatError: it is damaged, of another kind, or of a lens that is no
     pinhole; what it wishes for cannot be filmed.
     """
-    document = read_json(Path(path))
+    return path_of(read_json(Path(path)), str(path))
+
+
+def path_of(document: object, where: str) -> CameraPath:
+    """As `read_path`, of what was read. where: names it in errors."""
     if isinstance(document, dict) and "camera_path" in document:
-        return _told(path, lambda: _of_nerfstudio(document, str(path)))
+        return _told(where, lambda: _of_nerfstudio(document, where))
     if isinstance(document, dict) and "key_frames" in document:
-        return _told(path, lambda: _of_ours(document, str(path)))
-    raise FormatError(f'{path}: expected a path: an object with "key_frames", or with nerfstudio\'s "camera_path"')
+        return _told(where, lambda: _of_ours(document, where))
+    raise FormatError(f'{where}: expected a path: an object with "key_frames", or with nerfstudio\'s "camera_path"')
 
 
 def write_path(path: str | PathLike[str], camera_path: CameraPath, overwrite: bool = False) -> None:
@@ -67,7 +71,7 @@ def _key_json(key: KeyFrame) -> dict[str, object]:
     return entry if key.seconds is None else entry | {"seconds": key.seconds}
 
 
-def _told(path: str | PathLike[str], read: Callable[[], CameraPath]) -> CameraPath:
+def _told(where: str, read: Callable[[], CameraPath]) -> CameraPath:
     """What a file says that no path can be made of is the file's fault."""
     try:
         found = read()
@@ -78,7 +82,7 @@ def _told(path: str | PathLike[str], read: Callable[[], CameraPath]) -> CameraPa
     except FormatError:
         raise
     except InputError as error:
-        raise FormatError(f"{path}: {error}") from error
+        raise FormatError(f"{where}: {error}") from error
     return found
 
 

@@ -6,7 +6,8 @@ properties, so that other programs show its middle.
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,25 +44,36 @@ class AnnotationFile:
         """Keep some more; returns all. Raises: as `read`; InputError: too many, or the file cannot be written."""
         return self._change(lambda known: (*known, *annotations))
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Nobody else writes it while the block runs. Raises: InputError: another process does."""
+        with claimed_output(self.path, PATIENCE):
+            yield
+
+    def write(self, annotations: Annotations) -> None:
+        """Whoever calls holds it. Raises: InputError: too many, or it cannot be written."""
+        if len(annotations) > MOST:
+            raise InputError(f"{self.path}: would have {len(annotations):,} annotations, the most are {MOST:,}")
+        text = json.dumps(document_of(annotations), ensure_ascii=False, indent=1)
+        with replacing(self.path, overwrite=True) as file:
+            file.write(f"{text}\n".encode())
+
     def drop(self, number: int) -> Annotations:
         """Without one, counted from 1; returns the others. Raises: as `read`; InputError: no such annotation."""
-
-        def without(known: Annotations) -> Annotations:
-            if not 1 <= number <= len(known):
-                raise InputError(f"there is no annotation {number} of {len(known)}")
-            return (*known[: number - 1], *known[number:])
-
-        return self._change(without)
+        return self._change(lambda known: without(known, number))
 
     def _change(self, change: Callable[[Annotations], Annotations]) -> Annotations:
-        with claimed_output(self.path, PATIENCE):
+        with self.held():
             annotations = change(self.read())
-            if len(annotations) > MOST:
-                raise InputError(f"{self.path}: has {MOST:,} annotations, which is the most: drop some")
-            text = json.dumps(document_of(annotations), ensure_ascii=False, indent=1)
-            with replacing(self.path, overwrite=True) as file:
-                file.write(f"{text}\n".encode())
+            self.write(annotations)
         return annotations
+
+
+def without(known: Annotations, number: int) -> Annotations:
+    """All but one, counted from 1. Raises: InputError: there is no such annotation."""
+    if not 1 <= number <= len(known):
+        raise InputError(f"there is no annotation {number} of {len(known)}")
+    return (*known[: number - 1], *known[number:])
 
 
 def document_of(annotations: Sequence[Annotation]) -> dict[str, Any]:

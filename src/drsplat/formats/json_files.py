@@ -17,11 +17,20 @@ def read_json(path: Path) -> object:
     Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, nested too deep, or as `parsed` says.
     """
     try:
-        return parsed(file_text(path))
+        text = file_text(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise FormatError(f"{path}: expected JSON: {error}") from error
+    return document_in(text, str(path))
+
+
+def document_in(text: str | bytes, where: str) -> object:
+    """As `read_json`, of what was read. where: names it in the error."""
+    try:
+        return parsed(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{where}: expected JSON: {error}") from error
 
 
 def parsed(text: str | bytes) -> object:

@@ -12,7 +12,7 @@ from ..field.labels import LabelFile
 from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
-from ..formats.moving_scenes import read_scene
+from ..formats.moving_scenes import is_moving, is_sequence, read_scene
 from ..formats.tiles import TILES
 from ..models.loading import load_encoder
 from ..scene.gaussians import Gaussians
@@ -56,16 +56,24 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
             f"{folder}: expected one field (a folder NAME{FIELD_SUFFIX}, as `drsplat register` writes), got {listed}"
         )
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
-    scenes = [path for path in entries if (path / MOTION).is_file() or (path / TILES).is_file()] + scenes
+    scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
     edited = {path.name.removesuffix(EDITS) for path in entries if path.name.endswith(EDITS)}
     scenes.sort(key=lambda path: path.stem not in edited)  # what was saved of it lies beside it with the same rows
     if not scenes:
-        raise InputError(f"{folder}: expected a scene ({', '.join(SCENE_SUFFIXES)}, tiles) beside the field")
+        kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
+        raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")
     has_capture = any((folder / name).exists() for name in CAMERAS)
     name = folder.resolve().name
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
+
+
+def _is_folder_of_a_scene(path: Path) -> bool:
+    """Whether it is NAME.motion, tiles, or numbered PLY files; most folders are of photos, which are many."""
+    if (path / MOTION).is_file() or (path / TILES).is_file():
+        return True
+    return next(path.glob("*[0-9].[pP][lL][yY]"), None) is not None and is_sequence(path)
 
 
 def scene_files(
@@ -144,7 +152,9 @@ def registered_scene(files: SceneFiles, field: LanguageField | None = None) -> t
 
     field: that of the files, where it is loaded already. Raises: MismatchError: it is of none of them.
     """
-    field, scenes = field or load_field(files.field), files.scenes
+    field = field or load_field(files.field)
+    moves = field.times is not None  # what was registered, where a film and its first frame lie side by side
+    scenes = sorted(files.scenes, key=lambda path: is_moving(path) != moves)
     for number, path in enumerate(scenes):
         scene = read_scene(path)
         try:

@@ -19,6 +19,7 @@ from .spatial import gap, is_over, stands_on
 Relation = Literal["on", "in", "next_to", "above", "between"]
 RELATIONS: tuple[Relation, ...] = get_args(Relation)
 Side = Literal["left_of", "right_of"]
+OfTwo = Literal["on", "in", "next_to", "above", "left_of", "right_of"]  # what `Scene.when` takes
 SIDES: tuple[Side, ...] = get_args(Side)
 Up = Float64[np.ndarray, " 3"]
 

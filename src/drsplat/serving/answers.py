@@ -10,9 +10,10 @@ from pydantic import BaseModel
 
 from ..errors import InputError
 from ..formats.scenes import write_gaussians
-from ..query import Match, Scene
+from ..query import Match, Query, Scene
 from ..query.objects import match_of, objects_of
 from ..query.sheets import object_picture
+from . import models
 from .conversation import told
 from .limits import Limits
 from .models import (
@@ -30,6 +31,9 @@ from .models import (
     object_list,
     rounded,
     significant,
+    span_of,
+    tracked,
+    when_told,
 )
 from .pictures import jpeg, png
 from .replies import JPEG, PLY, PNG, Reply
@@ -45,6 +49,7 @@ from .requests import (
     Select,
     Tool,
     WhatIs,
+    When,
     asks_something,
     cut_of,
     place,
@@ -76,6 +81,7 @@ def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
         low=rounded(low, digits),
         high=rounded(high, digits),
         up=None if scene.up is None else rounded(scene.up, 4),
+        times=span_of(scene),
         field=scene.field.fingerprint,
     )
 
@@ -125,14 +131,20 @@ def selected(scene: Scene, asked: Select, limits: Limits) -> Selected:
 def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
     answer = scene.ask(query_of(asked, limits))
     found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
+    listed = found[: asked.top]
     return Located(
         query=asked.text or "",
         num_matches=len(found),
-        matches=matches_of(found[: asked.top], decimals_of(scene)),
+        matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(listed, decimals_of(scene)),
         advice="" if found else "no match: try other words, or a lower threshold",
         measured=measured(answer),
         field=scene.field.fingerprint,
     )
+
+
+def when(scene: Scene, asked: When, _: Limits) -> models.When:
+    one, other = (Query(text, threshold=asked.threshold) for text in (asked.one, asked.other))
+    return when_told(scene, one, asked.relation, other, asked.view)
 
 
 def segmented(scene: Scene, asked: Segment, _: Limits) -> Segmented:
@@ -180,6 +192,7 @@ ANSWERS: Mapping[str, Answering] = {
     "object-ply": Answering(OneObject, object_ply, words=False, media_type=PLY),
     "select": Answering(Select, selected),
     "locate": Answering(Locate, located),
+    "when": Answering(When, when),
     "segment": Answering(Segment, segmented),
     "what-is": Answering(WhatIs, named),
     "picture": Answering(Picture, picture),

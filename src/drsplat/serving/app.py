@@ -16,6 +16,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from .. import __version__
 from ..errors import DrSplatError
+from . import models
 from .catalogued import AskCatalogue, CatalogueAnswer, CatalogueScenes
 from .front_page import front_page
 from .guards import Guard
@@ -24,7 +25,7 @@ from .metrics import Metrics
 from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
 from .refusals import faults_of
 from .replies import JPEG, PLY, PNG, Reply, problem, refusal
-from .requests import Locate, Picture, Segment, Select, WhatIs
+from .requests import Locate, Picture, Segment, Select, WhatIs, When
 from .scene_folder import SceneFolder, Sources, without_paths
 from .workbench import Job, Workbench
 from .worker import Workplace
@@ -206,6 +207,11 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
     async def locate(scene: Scene, asked: Locate) -> Response:
         """The matches of a query, best first: centre, oriented box, supporting photos."""
         return await computed("locate", scene, asked)
+
+    @app.post("/scenes/{scene}/when", tags=["queries"], response_model=models.When)
+    async def when(scene: Scene, asked: When) -> Response:
+        """In which spans of time one match stands in a relation to another, in a scene that moves."""
+        return await computed("when", scene, asked)
 
     @app.post("/scenes/{scene}/segment", tags=["queries"], response_model=Segmented)
     async def segment(scene: Scene, asked: Segment) -> Response:

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -22,19 +23,25 @@ from .models import (
     Located,
     Match,
     ObjectList,
+    Span,
     Vector,
+    When,
     Word,
     decimals_of,
     matches_of,
     measured,
     object_list,
     rounded,
+    span_of,
+    tracked,
+    when_told,
 )  # fmt: skip
 from .pictures import png
 from .requests import Tool
 
-Span = Sequence[float]
+Range = Sequence[float]
 MOST_MATCHES, MOST_OBJECTS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 100, 200, 768, 8
+MOST_TIMES = 12  # of a track: a model reads every number
 
 
 class Count(Body):
@@ -101,6 +108,7 @@ class About(Body):
     low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
     high: Vector
     up: Vector | None = Field(None, description="unit direction that is up; null where unknown")
+    times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
     num_photos: int
     some_photos: list[str] = Field(description="names of a few, for show and what_is_at_pixel")
     units: str = UNITS
@@ -111,16 +119,6 @@ class About(Body):
 class Related(ObjectList):
     relation: str
     to: list[int | None] = Field(description="the objects that they are related to; null for a place that is none")
-
-
-class When(Body):
-    one: str
-    relation: str
-    other: str
-    spans: list[list[float]] = Field(description="first and last time of each span in which it holds")
-    times: list[float] = Field(description="first and last time of the scene")
-    field: Fingerprint = ""
-    advice: str = ""
 
 
 class Shown(Body):
@@ -156,6 +154,7 @@ class Conversation:
             low=rounded(low, digits),
             high=rounded(high, digits),
             up=up,
+            times=span_of(self.scene),
             num_photos=len(names),
             some_photos=names[:: max(1, len(names) // FEW)][:FEW],
             field=self._field,
@@ -163,21 +162,24 @@ class Conversation:
         )
 
     def locate(
-        self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright", during: Span | None = None
-    ) -> Located:
+        self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright", during: Range | None = None,
+        tracks: bool = False,
+    ) -> Located:  # fmt: skip
         answer = self.scene.ask(_asked(text, during))
         every = self.scene.locate(answer, box=box)
         found = every if on is None else standing_on(self.scene, every, on)
         return Located(
             query=_query(text, on),
             num_matches=len(found),
-            matches=matches_of(found[:top], decimals_of(self.scene)),
+            matches=tracked(self.scene, found[:top], box, MOST_TIMES)
+            if tracks
+            else matches_of(found[:top], decimals_of(self.scene)),
             advice=_advice(text, every, found, on),
             measured=measured(answer),
             field=self._field,
         )
 
-    def count(self, text: str, on: str | None = None, during: Span | None = None) -> Count:
+    def count(self, text: str, on: str | None = None, during: Range | None = None) -> Count:
         every = self.scene.locate(_asked(text, during))
         counted = every if on is None else standing_on(self.scene, every, on)
         digits = decimals_of(self.scene)
@@ -190,7 +192,7 @@ class Conversation:
             advice=_advice(text, every, counted, on),
         )
 
-    def where_is(self, text: str, during: Span | None = None) -> Place:
+    def where_is(self, text: str, during: Range | None = None) -> Place:
         found = self.scene.locate(_asked(text, during))
         if not found:
             return Place(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
@@ -241,16 +243,7 @@ class Conversation:
         return Related(**listed.model_dump(), relation=relation, to=numbers)
 
     def when(self, one: str, relation: str, other: str, view: str | None = None) -> When:
-        spans = self.scene.when(_text(one), relation, _text(other), view)
-        return When(
-            one=one,
-            relation=relation,
-            other=other,
-            spans=[list(span) for span in spans],
-            times=list(self.scene.moving.span),
-            field=self._field,
-            advice="" if spans else "at no time; locate says where each is",
-        )
+        return when_told(self.scene, _asked(one, None), relation, _asked(other, None), view)
 
     def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
@@ -367,7 +360,7 @@ def _text(text: str) -> str:
     return text
 
 
-def _asked(text: str, during: Span | None) -> engine.Query:
+def _asked(text: str, during: Range | None) -> engine.Query:
     """A text, of all times or a span of them."""
     return engine.Query(_text(text), during=None if during is None else (during[0], during[1]))
 

@@ -12,11 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from .. import query as engine
 from ..query.objects import objects_of, photos_of
+from ..scene.boxes import BoxKind
 from .scene_folder import Summary
 
 UNITS = "scene units"
 MOST_PHOTOS = 8  # listed of an object
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Span = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class Body(BaseModel):
@@ -63,6 +65,7 @@ class SceneDetails(SceneSummary):
     low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
     high: Vector
     up: Vector | None = Field(None, description="unit direction, told by the photos")
+    times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
     units: str = UNITS
     field: Fingerprint = ""
 
@@ -115,6 +118,17 @@ class Support(Body):
     share: float = Field(description="its part of all support")
 
 
+class Track(Body):
+    """Where a match is over time, and when photos see it."""
+
+    times: list[float] = Field(description="those of the scene's times at which it is there, ascending")
+    centers: list[Vector] = Field(description="one of each time, as are extents and axes")
+    extents: list[Vector]
+    axes: list[Annotated[list[Vector], Field(min_length=3, max_length=3)]]
+    spans: list[Span] = Field(description="first and last time of each span in which a photo sees it")
+    views: list[str] = Field(description="these photos")
+
+
 class Match(Body):
     """A place that a query matches, with its oriented box."""
 
@@ -126,6 +140,7 @@ class Match(Body):
     score: float
     num_gaussians: int
     support: list[Support]
+    track: Annotated[Track | None, Field(description="only with 'tracks': true, of a scene that moves")] = None
 
 
 class SceneObject(Body):
@@ -161,6 +176,16 @@ class Located(Body):
     field: Fingerprint = ""
 
 
+class When(Body):
+    one: str
+    relation: str
+    other: str
+    spans: list[Span] = Field(description="first and last time of each span in which it holds")
+    times: Span = Field(description="first and last time of the scene")
+    field: Fingerprint = ""
+    advice: str = ""
+
+
 def summarized(summary: Summary) -> SceneSummary:
     return SceneSummary(**vars(summary))
 
@@ -187,6 +212,50 @@ def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
         )
         for one in found
     ]
+
+
+def tracked(scene: engine.Scene, found: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
+    """Matches with their tracks; most: times of each, and photos, at most, evenly chosen; None: all of them.
+
+    Raises: InputError: a scene that stands still.
+    """
+    digits = decimals_of(scene)
+    told = zip(matches_of(found, digits), scene.tracks(found, box), strict=True)
+    return [match.model_copy(update={"track": _track(track, digits, most)}) for match, track in told]
+
+
+def _track(track: engine.MatchTrack, decimals: int, most: int | None) -> Track:
+    count = len(track)
+    chosen = np.linspace(0, count - 1, min(count, most or count)).round().astype(int).tolist()
+    return Track(
+        times=track.times[chosen].tolist(),
+        centers=[rounded(track.centers[one], decimals) for one in chosen],
+        extents=[rounded(track.extents[one], decimals) for one in chosen],
+        axes=[[rounded(axis, 4) for axis in track.axes[one]] for one in chosen],
+        spans=[list(span) for span in track.spans],
+        views=list(track.views[:most]),
+    )
+
+
+def when_told(
+    scene: engine.Scene, one: engine.Query, relation: str, other: engine.Query, view: str | None = None
+) -> When:
+    """Raises: as `Scene.when`."""
+    spans = scene.when(one, relation, other, view)
+    return When(
+        one=one.text or "",
+        relation=relation,
+        other=other.text or "",
+        spans=[list(span) for span in spans],
+        times=list(scene.moving.span),
+        field=scene.field.fingerprint,
+        advice="" if spans else "at no time; locate with tracks says where each is",
+    )
+
+
+def span_of(scene: engine.Scene) -> list[float] | None:
+    """First and last time of a scene that moves."""
+    return None if scene.motion is None else list(scene.motion.span)
 
 
 def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str = "") -> ObjectList:

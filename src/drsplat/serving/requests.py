@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from .. import query as engine
 from ..errors import InputError
 from ..query.defaults import MIN_GAUSSIANS
+from ..query.relations import OfTwo
 from ..scene.boxes import BoxKind
 from .limits import Limits
 from .pictures import from_base64
@@ -69,6 +70,25 @@ class Locate(Query):
         "upright",
         description="upright: the third axis of boxes is up, where the photos tell it; free: along the match's own "
         "axes",
+    )
+    tracks: bool = Field(
+        False, description="whether to tell where each match is over time, and when photos see it (scenes that move)"
+    )
+
+
+class When(Request):
+    """Two queries in words, of which the best match is taken, and a relation of the one to the other."""
+
+    one: Text
+    relation: OfTwo = Field(description="left_of and right_of are meant as seen from view")
+    other: Text
+    view: Annotated[str, Field(min_length=1, max_length=500)] | None = Field(
+        None, description="a photo's name, for left_of and right_of only"
+    )
+    threshold: Threshold | Literal["auto"] | None = Field(None, description="of both queries")
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"one": "red car", "relation": "next_to", "other": "white vase"}]}
     )
 
 

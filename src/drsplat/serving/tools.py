@@ -3,7 +3,7 @@
 import asyncio
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 
 from .. import __version__
 from ..errors import DrSplatError
-from ..query.relations import Relation
+from ..query.relations import OfTwo, Relation
 from ..scene.boxes import BoxKind
 from .catalogued import CatalogueAnswer
 from .conversation import (
@@ -27,10 +27,9 @@ from .conversation import (
     Region,
     Related,
     Shown,
-    When,
 )  # fmt: skip
 from .limits import Limits
-from .models import Body, Located, ObjectList, SceneList
+from .models import Body, Located, ObjectList, SceneList, When
 from .refusals import faults_of
 from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
@@ -171,9 +170,13 @@ def _add_matches(server: MCPServer, asking: _Asking) -> None:
             BoxKind, Field(description="upright: the third axis of boxes is up; free: along the match's own axes")
         ] = "upright",
         during: During = None,
+        tracks: Annotated[
+            bool, Field(description="tell where each is over time, and when photos see it, of a scene that moves")
+        ] = False,
     ) -> Located:
         """All matches of a text, best first: centre, oriented box, score and supporting photos."""
-        return await asking.told(Located, "locate", scene, text=text, on=on, top=top, box=box, during=during)
+        asked = {"text": text, "on": on, "top": top, "box": box, "during": during, "tracks": tracks}
+        return await asking.told(Located, "locate", scene, **asked)
 
     @server.tool(title="Count matches", annotations=READS)
     async def count(text: Text, on: On = None, scene: SceneName = "", during: During = None) -> Count:
@@ -248,8 +251,7 @@ def _add_times(server: MCPServer, asking: _Asking) -> None:
     async def when(
         one: Text,
         relation: Annotated[
-            Literal["on", "in", "next_to", "above", "left_of", "right_of"],
-            Field(description="relation of the one to the other; left and right as seen from view"),
+            OfTwo, Field(description="relation of the one to the other; left and right as seen from view")
         ],
         other: Text,
         view: Annotated[str | None, Field(description="a photo's name, for left_of and right_of only")] = None,

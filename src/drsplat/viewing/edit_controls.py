@@ -153,7 +153,8 @@ class EditControls:
     def _compare(self, event: Any) -> None:
         scene, view = self.session.scene, self.owner.window.seen_by(event.client, SPLIT_SIZE)
         after = self.session.edited()[0]
-        before, now = (as_pixels(render(one, view, threads=scene.threads).rgb) for one in (scene.gaussians, after))
+        sides = (self.session.here.gaussians, after)
+        before, now = (as_pixels(render(one, view, threads=scene.threads).rgb) for one in sides)
         self._sides = before, now
         self._show_split()
 

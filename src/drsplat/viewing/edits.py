@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float32, Int64
 from ..editing import Edit, EditFile, EditList
 from ..editing.draft import OBJECT_ID
 from ..editing.edits import drafted
-from ..errors import InputError
-from ..formats.annotations import AnnotationFile
+from ..formats.annotations import AnnotationFile, without
 from ..formats.scenes import read_gaussians
 from ..kernels import SplatArrays, splat_arrays
 from ..query import Scene
@@ -61,6 +60,7 @@ class Edits:
     _first: Gaussians
     _standing: Gaussians
     _drawn: tuple[_State, Shown] | None = field(default=None, init=False)
+    _rows: tuple[EditList, Shown] | None = field(default=None, init=False)
 
     @classmethod
     def of(cls, scene: Scene) -> "Edits":
@@ -132,9 +132,7 @@ class Edits:
 
     def drop(self, number: int) -> None:
         """An annotation, counted from 1. Raises: InputError: there is none."""
-        if not 1 <= number <= len(self.annotations):
-            raise InputError(f"there is no annotation {number} of {len(self.annotations)}")
-        kept = (*self.annotations[: number - 1], *self.annotations[number:])
+        kept = without(self.annotations, number)
         self.annotations = kept if self.notes is None else self.notes.drop(number)
 
     # --- what it makes ---
@@ -180,10 +178,16 @@ class Edits:
         if not self.is_edited and self._standing is self._first:
             return before
         if self._drawn is None or self._drawn[0] is not self._state:
-            every = self._state.everything
-            shown = shown_of(every, budget, before.frame) if self.is_edited else moved_shown(before, every)
-            self._drawn = (self._state, shown)
+            self._drawn = (self._state, moved_shown(self._chosen(before, budget), self._state.everything))
         return self._drawn[1]
+
+    def _chosen(self, before: Shown, budget: int) -> Shown:
+        """The rows that are given, the same ones at all times: a browser then only moves them."""
+        if not self.is_edited:
+            return before
+        if self._rows is None or self._rows[0] is not self.listed:
+            self._rows = (self.listed, shown_of(self._state.everything, budget, before.frame))
+        return self._rows[1]
 
 
 def _times(step: Callable[[EditList], EditList], count: int, listed: EditList) -> EditList:

@@ -17,6 +17,8 @@ from .cameras import first_look
 from .naming import words_of
 from .page import MOST, MOST_WORDS, Page, PageAnswer, write_page
 from .page_parts import annotations_of_page, object_numbers, objects_of_page
+from .page_times import PageTimes, boxes_of, times_of_page
+from .playing import placed_now
 from .results import Result, result_of
 from .session import Mode, Session
 
@@ -42,7 +44,7 @@ def export_page(
     `filming.planning.path_named` has it. title: the scene's name if empty.
 
     Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
-    that the encoder does not know. MismatchError: another encoder.
+    that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
     """
     session = Session(scene, min(max_gaussians or MOST, MOST), words)
     if bool(queries) != session.is_askable:
@@ -64,10 +66,11 @@ def page_of(
 ) -> Page:
     """The scene with the answers to some texts. look: eye and target of the first look, in the world.
 
-    Raises: InputError: words that the encoder does not know. MismatchError: another encoder.
+    Raises: InputError: words that the encoder does not know; too much that moves. MismatchError: another encoder.
     """
+    times = times_of_page(session)
     scene, shown = session.scene, session.drawn
-    answers = [_answer(session, text, up) for text in texts]
+    answers = [_answer(session, text, up, times) for text in texts]
     session.mode = Mode.FEATURES
     features = session.drawn_colors[shown.ids]
     words, best = _words(scene, session.words)
@@ -75,8 +78,8 @@ def page_of(
     return Page(
         title or scene.name, shown, answers, *look, up, features, words,
         None if best is None else _shown(session, best),
-        objects=objects_of_page(session, up), annotations=annotations_of_page(session, up),
-        object_numbers=None if numbers is None else _shown(session, numbers), path=path,
+        objects=objects_of_page(session, up, times), annotations=annotations_of_page(session, up),
+        object_numbers=None if numbers is None else _shown(session, numbers), path=path, times=times,
     )  # fmt: skip
 
 
@@ -86,10 +89,10 @@ def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndar
     return np.asarray(np.concatenate([values, added])[session.drawn.ids])
 
 
-def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageAnswer:
+def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"], times: PageTimes | None) -> PageAnswer:
     scene = session.scene
     result = result_of(scene, text, scene.ask(text))
-    matches = result.matches[:MOST_MATCHES]
+    matches = [placed_now(session, match) for match in result.matches[:MOST_MATCHES]]
     warm = heat_of(result.answer.values, result.threshold)
     return PageAnswer(
         text,
@@ -97,6 +100,7 @@ def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"]) -> PageA
         _shown(session, _owners(result, scene)),
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
+        boxes_of(session, times, matches),
     )
 
 

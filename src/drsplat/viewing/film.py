@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -11,14 +12,16 @@ import numpy as np
 from ..errors import InputError
 from ..filming.encoding import ffmpeg
 from ..filming.looking import before
-from ..filming.path_files import write_path
+from ..filming.path_files import path_of, write_path
 from ..filming.paths import CameraPath, KeyFrame, frame_count
 from ..filming.writing import write_film
+from ..formats.json_files import document_in
 from ..terminal import counted
 from . import saving
 from .actions import Actions
 from .choosing import Maker
-from .texts import paragraphs
+from .texts import paragraphs, printable
+from .uploads import MOST_BYTES
 from .window import Window
 
 FPS, SIZE = 24.0, (960, 720)
@@ -36,16 +39,24 @@ class Saver(Protocol):
     def __call__(self, event: Any, stem: str, suffix: str, write: Callable[[Path], None], /) -> None: ...
 
 
+@runtime_checkable
+class Taker(Protocol):
+    """Who makes a button that takes a file in: label, the kind of file, what is done with it."""
+
+    def __call__(self, label: str, mime_type: str, act: Callable[[Any], None], /) -> Any: ...
+
+
 class FilmControls:
-    """A folder of controls; all who look at the scene share the key frames. button, save: who makes and hands out.
+    """A folder of controls; all who look at the scene share the key frames. button, upload, save: who makes, takes
+    in and hands out.
 
     flights: where a camera is moved, so that nothing else waits for it.
     """
 
-    def __init__(self, window: Window, button: Maker, save: Saver, flights: Actions) -> None:
+    def __init__(self, window: Window, button: Maker, upload: Taker, save: Saver, flights: Actions) -> None:
         self.window, self.save, self.flights = window, save, flights
         self.keys: list[KeyFrame] = []
-        self.is_playing = False
+        self.even = self.is_playing = False
         gui = window.server.gui
         with gui.add_folder("Film", expand_by_default=False):
             button("Add key frame", self.add)
@@ -56,6 +67,7 @@ class FilmControls:
             self.suffix = gui.add_dropdown("As", SUFFIXES if ffmpeg() else SUFFIXES[2:])
             button("Save the film", self.film)
             button("Save the path", self.save_path)
+            self.file = upload("Load a path", "application/json", self.load_path)
             self.said = gui.add_html(paragraphs(NONE_YET))
 
     def path(self) -> CameraPath:
@@ -63,12 +75,13 @@ class FilmControls:
         if len(self.keys) < 2:
             raise InputError(f"a path goes through two key frames or more, and there are {len(self.keys)}: add some")
         seconds = float(np.clip(self.seconds.value, LEAST_S, MOST_S))
-        return CameraPath(tuple(self.keys), bool(self.closed.value), seconds=seconds, fps=FPS, size=SIZE)
+        return CameraPath(tuple(self.keys), bool(self.closed.value), self.even, seconds, FPS, SIZE)
 
     def add(self, event: Any) -> None:
         """What the browser that pressed sees. Raises: InputError: there are enough."""
         if len(self.keys) >= MOST_KEYS:
             raise InputError(f"a path of the viewer has up to {MOST_KEYS} key frames: remove some")
+        self.keys = [replace(key, seconds=None) for key in self.keys]  # nobody says when a new one is passed
         self.keys.append(KeyFrame.of(self.window.seen_by(event.client, SIZE)))
         self._tell()
 
@@ -89,6 +102,21 @@ class FilmControls:
     def save_path(self, event: Any) -> None:
         path = self.path()
         self.save(event, "path", ".json", lambda file: write_path(file, path))
+
+    def load_path(self, event: Any) -> None:
+        """Of a file, in place of the key frames that there are: ours, or nerfstudio's. Flies to its first one.
+
+        Raises: InputError: empty or too large. FormatError: it is no path.
+        """
+        data, name = self.file.value.content, printable(self.file.value.name, 60)
+        if not 0 < len(data) <= MOST_BYTES:
+            raise InputError(f"{name}: expected a path of 1 to {MOST_BYTES:,} bytes")
+        path = path_of(document_in(data, name), name)
+        self.keys, self.even, self.closed.value = list(path.keys), path.even, path.closed
+        lasts = path.seconds or (path.keys[-1].seconds or 0) - (path.keys[0].seconds or 0) or SECONDS
+        self.seconds.value = float(np.clip(round(lasts), LEAST_S, MOST_S))
+        self._tell()
+        self.window.stand(event.client, self.keys[0])
 
     def film(self, event: Any) -> None:
         """As the viewer shows the scene now, by this package's own renderer."""

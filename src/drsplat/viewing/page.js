@@ -10,6 +10,7 @@
   const state = { answer: 0, mode: header.answers.length ? "answer" : "photo", target: header.target.slice(), yaw: 0, pitch: 0, distance: 1, width: 1, height: 1 };
   const stage = $("stage"), marks = $("marks"), painted = new Uint8Array(4 * count), order = new Uint32Array(count);
   const painter = webgl($("splats")) || flat($("splats"));
+  const tags = [];  // names in this picture: middle, foot, width
   const hooks = [];  // drawn over the picture, before boxes of answers
   let wanted = false, flying = null, interrupted = null;
   lookFrom(header.eye, header.target);
@@ -94,6 +95,13 @@
     draw();
   }
 
+  function moved(upto) {  // the first Gaussians are elsewhere
+    for (let i = 0; i < upto; i++) painted[4 * i + 3] = opacity[i];
+    painter.reshape(upto);
+    painter.recolor();
+    draw();
+  }
+
   // --- drawing ---
   function sorted(cam) {  // counting sort of depth, farthest first
     const buckets = 65536, keys = sorted.keys || (sorted.keys = new Uint16Array(count)), depth = sorted.depth || (sorted.depth = new Float32Array(count));
@@ -145,10 +153,13 @@
     gl.linkProgram(program);
     gl.useProgram(program);
     const across = 1024, rows = Math.max(1, Math.ceil(count / across)), shape = new Uint32Array(across * rows * 8), bits = new Uint32Array(centers.buffer, centers.byteOffset, 3 * count);
-    for (let i = 0; i < count; i++) {
-      for (let k = 0; k < 3; k++) shape[8 * i + k] = bits[3 * i + k];
-      for (let k = 0; k < 3; k++) shape[8 * i + 4 + k] = covariances[6 * i + 2 * k] | (covariances[6 * i + 2 * k + 1] << 16);
-    }
+    const shaped = (upto) => {
+      for (let i = 0; i < upto; i++) {
+        for (let k = 0; k < 3; k++) shape[8 * i + k] = bits[3 * i + k];
+        for (let k = 0; k < 3; k++) shape[8 * i + 4 + k] = covariances[6 * i + 2 * k] | (covariances[6 * i + 2 * k + 1] << 16);
+      }
+    };
+    shaped(count);
     const texture = (unit, inner, w, format, type, data) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
@@ -175,6 +186,11 @@
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     return {
+      reshape(upto) {
+        shaped(upto);
+        gl.activeTexture(gl.TEXTURE0);
+        gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 2 * across, Math.ceil(upto / across), gl.RGBA_INTEGER, gl.UNSIGNED_INT, shape);
+      },
       recolor() {
         full.set(painted);
         gl.activeTexture(gl.TEXTURE1);
@@ -198,8 +214,10 @@
   // Without WebGL2: each Gaussian as a round spot of its own size.
   function flat(canvas) {
     const pen = canvas.getContext("2d"), sizes = new Float32Array(count);
-    for (let i = 0; i < count; i++) sizes[i] = 2 * Math.sqrt((half(covariances[6 * i]) + half(covariances[6 * i + 3]) + half(covariances[6 * i + 5])) / 3);
+    const reshape = (upto) => { for (let i = 0; i < upto; i++) sizes[i] = 2 * Math.sqrt((half(covariances[6 * i]) + half(covariances[6 * i + 3]) + half(covariances[6 * i + 5])) / 3); };
+    reshape(count);
     return {
+      reshape,
       recolor() {},
       draw(cam, ratio) {
         pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -223,9 +241,10 @@
     const pen = marks.getContext("2d"), answer = header.answers[state.answer];
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, state.width, state.height);
+    tags.length = 0;
     for (const hook of hooks) hook(pen, cam);
     if (!answer || state.mode !== "answer") return;
-    answer.matches.forEach((match, number) => boxed(pen, cam, match, answer.matches.length > 1 ? `${number + 1} ${answer.text}` : answer.text, answer.accent));
+    answer.matches.forEach((match, number) => match.gone || boxed(pen, cam, match, answer.matches.length > 1 ? `${number + 1} ${answer.text}` : answer.text, answer.accent));
   }
   function boxed(pen, cam, box, label, color) {
     const corners = [...Array(8).keys()].map((k) => project(box.axes.reduce((p, axis, a) => plus(p, axis, ((k >> a) & 1 ? 0.5 : -0.5) * box.extent[a]), box.center), cam));
@@ -240,7 +259,9 @@
   }
   function tag(pen, x, y, label, color) {
     pen.font = "13px system-ui, sans-serif";
-    const wide = pen.measureText(label).width;
+    const wide = pen.measureText(label).width, meets = (other) => Math.abs(other[0] - x) < (other[2] + wide) / 2 + 12 && Math.abs(other[1] - y) < 20;
+    for (let tries = 0, other; tries < 6 && (other = tags.find(meets)); tries++) y = other[1] - 21;  // above the name that is there
+    tags.push([x, y, wide]);
     pen.fillStyle = "rgba(20,22,27,.85)";
     pen.fillRect(x - wide / 2 - 6, y - 26, wide + 12, 20);
     pen.fillStyle = `rgb(${color})`;
@@ -365,7 +386,7 @@
   }
   window.drsplat = {
     frames: 0, state, header, project: (point, cam) => project(point, cam), pick, flyTo, fly, stand: lookFrom, draw, painter,
-    hooks, boxed, label: tag, paint,
+    hooks, boxed, label: tag, paint, arrays, half, moved,
   };
   panel();
   hands();

@@ -20,6 +20,7 @@ from ..filming.paths import CameraPath
 from ..formats.replacing import replacing
 from ..query import Match
 from . import painting
+from .page_times import PageTimes, arrays_of, header_of
 from .shown import Frame, Shown
 from .texts import escaped, printable
 
@@ -35,7 +36,7 @@ KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2"}
 class PageAnswer:
     """One query with its answer. heat: per shown Gaussian in [0, 1]; owners: 0, or 1 for the first match.
 
-    eyes: places in the world to see each match from.
+    eyes: places in the world to see each match from. boxes: of each over time, as `page_times.boxes_of` has them.
     """
 
     text: str
@@ -43,6 +44,7 @@ class PageAnswer:
     owners: UInt8[np.ndarray, " m"]
     matches: Sequence[Match]
     eyes: Sequence[Float64[np.ndarray, " 3"]]
+    boxes: Sequence[Sequence[Sequence[float] | None]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,8 @@ class Page:
     """eye, target, up: of the first look, in the world. features: their colours, in [0, 1].
 
     best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
-    object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along.
+    object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
+    that moves.
     """
 
     title: str
@@ -66,6 +69,7 @@ class Page:
     annotations: Sequence[Mapping[str, Any]] = ()
     object_numbers: UInt16[np.ndarray, " m"] | None = None
     path: CameraPath | None = None
+    times: PageTimes | None = None
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
@@ -81,6 +85,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         "SCRIPT": _own("page.js"),
         "FILM": _own("page_film.js"),
         "PARTS": _own("page_parts.js"),
+        "TIMES": _own("page_times.js"),
     }
     text = filled(_own("page.html"), parts).encode()
     with replacing(path, overwrite) as file:
@@ -119,13 +124,15 @@ def _arrays(page: Page) -> dict[str, np.ndarray]:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
         arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
-    return arrays
+    if page.times is None:
+        return arrays
+    return {name: array[page.times.order] for name, array in arrays.items()} | arrays_of(page.times)
 
 
 def _header(page: Page) -> dict[str, Any]:
     frame = page.shown.frame
     return {
-        "about": f"{len(page.shown):,} Gaussians. {page.shown.said}".strip(),
+        "about": _about(page),
         "eye": frame.shown(page.eye).tolist(),
         "target": frame.shown(page.target).tolist(),
         "up": page.up.tolist(),
@@ -133,6 +140,7 @@ def _header(page: Page) -> dict[str, Any]:
         "background": BACKGROUND,
         "heat": HEAT.tolist(),
         "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
+        "times": None if page.times is None else header_of(page.times),
         "film": None if page.path is None else _film(frame, page.path, page.target),
         "words": list(page.words)[:MOST_WORDS],
         "objects": list(page.objects),
@@ -140,6 +148,11 @@ def _header(page: Page) -> dict[str, Any]:
         "accent": painting.accent(0),
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
     }
+
+
+def _about(page: Page) -> str:
+    moves = "" if page.times is None else page.times.said
+    return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.said}".split())
 
 
 def _film(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
@@ -158,6 +171,7 @@ def _film(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> 
 
 
 def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
+    boxes = answer.boxes or [[] for _ in answer.matches]
     matches = [
         {
             "center": frame.shown(match.center).tolist(),
@@ -165,8 +179,9 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
             "extent": (match.extent * frame.scale).tolist(),
             "eye": frame.shown(eye).tolist(),
             "said": said_of(match),
+            "boxes": box,
         }
-        for match, eye in zip(answer.matches, answer.eyes, strict=True)
+        for match, eye, box in zip(answer.matches, answer.eyes, boxes, strict=True)
     ]
     return {"text": printable(answer.text), "accent": painting.accent(number), "matches": matches}
 

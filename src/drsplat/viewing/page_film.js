@@ -12,6 +12,7 @@
     function show(part) {
       const last = film.eyes.length - 1, at = Math.min(1, Math.max(0, part)) * last, low = Math.min(Math.floor(at), Math.max(0, last - 1)), high = Math.min(low + 1, last), t = at - low;
       share = part;
+      if (own.moment) own.moment(part);  // a film goes from the first time to the last
       header.fov = film.fovs[low] + (film.fovs[high] - film.fovs[low]) * t;
       own.stand(mix(film.eyes[low], film.eyes[high], t), mix(film.targets[low], film.targets[high], t));
       $("at").value = String(Math.round(1000 * part));
@@ -66,7 +67,7 @@
     const nearer = (by) => { state.distance = Math.max(0.05, state.distance * by); own.draw(); };
     const help = (open) => { $("keys").hidden = open === undefined ? !$("keys").hidden : !open; };
     const acts = {
-      " ": () => film && play(), ArrowLeft: () => tilt(-0.08, 0), ArrowRight: () => tilt(0.08, 0), ArrowUp: () => tilt(0, 0.06), ArrowDown: () => tilt(0, -0.06),
+      " ": () => film && play(), t: () => own.run && own.run(), ArrowLeft: () => tilt(-0.08, 0), ArrowRight: () => tilt(0.08, 0), ArrowUp: () => tilt(0, 0.06), ArrowDown: () => tilt(0, -0.06),
       "+": () => nearer(0.9), "=": () => nearer(0.9), "-": () => nearer(1 / 0.9), c: () => press("modes", (pressed("modes") + 1) % $("modes").children.length),
       l: turn, r: () => { header.fov = fov; own.flyTo(header.eye, header.target); }, "?": () => help(), h: () => help(), Escape: () => help(false),
     };

@@ -27,7 +27,7 @@ addEventListener("drsplat", () => {
   header.annotations.forEach((note) => notes.append(button(note.text, "", () => flyTo(note.eye, note.center))));
   hooks.push((pen, cam) => {
     const object = state.mode === "object" && header.objects[state.object - 1];
-    if (object) boxed(pen, cam, object, object.name, header.accent);
+    if (object && !object.gone) boxed(pen, cam, object, object.name, header.accent);
     for (const note of header.annotations) {
       if (note.extent) { boxed(pen, cam, note, note.text, NOTE); continue; }
       const [x, y, z] = project(note.center, cam);

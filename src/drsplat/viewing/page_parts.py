@@ -12,6 +12,8 @@ from ..filming.looking import before
 from ..query import Match
 from ..scene.annotations import Annotation
 from .object_list import names_of, pictures_of
+from .page_times import PageTimes, boxes_of
+from .playing import placed_now
 from .session import Session
 from .shown import Frame
 from .texts import printable
@@ -21,12 +23,14 @@ MOST_OBJECTS = 60  # listed: the largest
 PICTURES, PICTURE_SIZE, QUALITY = 24, (112, 84), 70  # some 3 KB each
 
 
-def objects_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list[dict[str, Any]]:
+def objects_of_page(
+    session: Session, up: Float64[np.ndarray, " 3"], times: PageTimes | None = None
+) -> list[dict[str, Any]]:
     """Name, box, a place to see it from and, of the first, a picture; [] of a field without objects."""
     if not session.has_objects:
         return []
     scene, frame = session.scene, session.shown.frame
-    matches = scene.objects[:MOST_OBJECTS]
+    matches = [placed_now(session, match) for match in scene.objects[:MOST_OBJECTS]]
     pictures = [_data_url(picture) for picture in pictures_of(session, matches[:PICTURES])]
     pictures += [""] * (len(matches) - len(pictures))
     return [
@@ -35,8 +39,11 @@ def objects_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list[dic
             "name": printable(name, 60),
             "picture": picture,
             "eye": frame.shown(before(match, scene.gaussians, scene.views, up)).tolist(),
+            "boxes": boxes,
         }
-        for match, name, picture in zip(matches, names_of(session), pictures, strict=False)
+        for match, name, picture, boxes in zip(
+            matches, names_of(session), pictures, boxes_of(session, times, matches), strict=False
+        )
     ]
 
 

@@ -95,8 +95,7 @@ class Panel:
         self.asking = self._button("Ask", self._ask)
         self.text.visible = self.asking.visible = askable
         if askable:  # viser shows such a button, visible or not
-            self.upload = self.gui.add_upload_button("Query by picture", mime_type="image/*")
-            self.upload.on_upload(lambda event: self._do("picture", event, self._ask_picture))
+            self.upload = self._taker("Query by picture", "image/*", self._ask_picture)
         self.fault = self.gui.add_html("", visible=False)
         self.told = self.gui.add_html(paragraphs("Enter a query.") if askable else paragraphs(NO_FIELD))
         self.tried = self.gui.add_button_group("Try", ("-",), visible=False)
@@ -108,7 +107,7 @@ class Panel:
         if self.session.has_objects:
             self.objects = ObjectList(self.session, self.gui, self._button, self._list_pressed)
         self._build_save()
-        self.film = FilmControls(self.window, self._button, self._save, self.flights)
+        self.film = FilmControls(self.window, self._button, self._taker, self._save, self.flights)
         self._build_keys()
         if askable:
             self._do("suggest", None, self._suggest)
@@ -118,6 +117,11 @@ class Panel:
         note = f" {shown.said}" if shown.said else ""
         counted = f"{len(scene.gaussians):,} Gaussians, {len(scene.field):,} with a feature.{note}"
         self.gui.add_html(paragraphs(f"<b>{escaped(scene.name)}</b> {counted}"))
+
+    def _taker(self, label: str, mime_type: str, act: Callable[[Any], None]) -> Any:
+        made = self.gui.add_upload_button(label, mime_type=mime_type)
+        made.on_upload(lambda event: self._do(label, event, act))
+        return made
 
     def _prompt(self, label: str, hint: str, act: Callable[[Any], None]) -> Any:
         return prompt(self.gui, label, hint, lambda event: self._do(label, event, act))

@@ -17,11 +17,11 @@ Act = Callable[[Any], None]
 
 
 def placed_now(session: Session, match: Match) -> Match:
-    """A match with its box at the session's time."""
-    if session.time is None:
+    """A match with its box where its Gaussians are now, at the session's time and after its edits."""
+    now, ids = session.edits.standing, match.gaussian_ids
+    if session.time is None and np.array_equal(now.means[ids], session.scene.gaussians.means[ids]):
         return match
-    here = session.here
-    box = box_of(here.gaussians, solid(here.gaussians, match.gaussian_ids), here.up)
+    box = box_of(now, solid(now, ids), session.scene.up)
     return replace(match, center=box.center, axes=box.axes, extent=box.extent)
 
 

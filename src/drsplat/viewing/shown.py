@@ -80,7 +80,8 @@ def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
     """The same Gaussians, in the same frame, where a state of the scene has them."""
     part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)
     centers = shown.frame.shown(part.positions).astype(np.float32)
-    return replace(shown, centers=centers, covariances=_shown_covariances(part, shown.frame), opacities=part.opacities)
+    covariances = _shown_covariances(part, shown.frame)
+    return replace(shown, centers=centers, covariances=covariances, rgb=base_colors(part), opacities=part.opacities)
 
 
 def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 6"]:

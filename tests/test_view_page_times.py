@@ -1,0 +1,184 @@
+"""A page of a scene that moves: what it holds, how much at most, and time in a real browser, on desk and phone."""
+
+import base64
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsing import a_browser, a_page, eventually, near, needs_chromium, pixels_of
+from drsplat import Scene, export_page
+from drsplat.editing import Edit, Everything, Move
+from drsplat.errors import InputError
+from drsplat.scene.moving import Moving
+from drsplat.viewing import page_times
+from drsplat.viewing.page_times import boxes_of, times_of_page
+from drsplat.viewing.session import Session
+from moving_scenes import passing_scene
+
+UP = np.array([0.0, 0, 1])
+CAR = np.arange(100)
+SIZES = {"desk": (1000, 700), "hand": (390, 844)}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    made = passing_scene(objects=True)
+    moving: Moving = made.moving
+    red = np.where(np.arange(300)[:, None, None] < 100, [[[1.7, -1.7, -1.7]]], 0).astype(np.float32)
+    moving.canonical.sh[:] = red  # so that a picture tells
+    return made
+
+
+@pytest.fixture(scope="module")
+def exported(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    page = tmp_path_factory.mktemp("page") / "page.html"
+    export_page(page, scene, ["red car", "white vase"], up=UP)
+    return page
+
+
+def parts_of(page: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The header and the arrays, as the page reads them."""
+    text = page.read_text(encoding="utf-8")
+    header, blob = (re.search(rf'id="{name}">(.*?)</script>', text, re.DOTALL) for name in ("header", "blob"))
+    assert header is not None
+    assert blob is not None
+    told, data = json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
+    arrays = {
+        name: np.frombuffer(data, f"<{kind[0]}{kind[1]}", count, offset) for name, kind, offset, count in told["arrays"]
+    }
+    return told, arrays
+
+
+def test_a_page_has_what_moves_at_all_times(exported: Path, scene: Scene) -> None:
+    header, arrays = parts_of(exported)
+    clock = header["times"]
+    assert clock["at"] == scene.moving.times.tolist()
+    assert clock["count"] == len(CAR)
+    assert "100 of them move, at 6 times." in header["about"]
+    places = np.cumsum(arrays["places"].reshape(6, 100, 3), axis=0, dtype=np.uint16)
+    frame = Session(scene).shown.frame
+    for number, time in enumerate(clock["at"]):
+        there = frame.world(np.array(clock["low"]) + np.array(clock["step"]) * places[number])
+        np.testing.assert_allclose(there, scene.moving.at(time).means[CAR], atol=1e-3)
+    turns = np.cumsum(arrays["turns"].view(np.uint16).reshape(6, 600), axis=0, dtype=np.uint16).view(np.float16)
+    assert (turns == arrays["covariances"][:600]).all()
+    fades = np.cumsum(arrays["fades"].reshape(6, 100), axis=0, dtype=np.uint8)
+    assert (fades == arrays["opacity"][:100]).all()
+    owners = arrays["owner0"]  # in the same order as all else
+    assert owners[:100].any()
+    assert not owners[100:].any()
+
+
+def test_boxes_go_along(exported: Path, scene: Scene) -> None:
+    header, _ = parts_of(exported)
+    (car,), (vase,) = (answer["matches"] for answer in header["answers"])
+    assert vase["boxes"] == []
+    centers = Session(scene).shown.frame.world(np.array(car["boxes"])[:, :3])
+    np.testing.assert_allclose(np.diff(centers[:, 1]), 0.4, atol=1e-3)
+    assert sum(bool(one["boxes"]) for one in header["objects"]) == 1
+
+
+def test_what_stands_still_has_no_times(scene: Scene, tmp_path: Path) -> None:
+    export_page(tmp_path / "page.html", scene.at(0.5), ["red car"], up=UP)
+    header, arrays = parts_of(tmp_path / "page.html")
+    assert header["times"] is None
+    assert "places" not in arrays
+    assert times_of_page(Session(scene.at(0.5))) is None
+    assert boxes_of(Session(scene.at(0.5)), None, scene.objects) == [[], [], []]
+
+
+def test_a_large_film_is_thinned_or_refused(scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(page_times, "LEAST_TIMES", 3)
+    monkeypatch.setattr(page_times, "MOST_MOVED", 399)
+    found = times_of_page(Session(scene))
+    assert found is not None
+    assert found.times.tolist() == pytest.approx([0, 0.4, 1])
+    assert found.said == "100 of them move, at 3 of 6 times."
+    monkeypatch.setattr(page_times, "MOST_MOVED", 250)
+    with pytest.raises(InputError, match=r"100 of the 300 Gaussians shown move.*room for 83 at 3 times.*max_gaussians"):
+        export_page(tmp_path / "page.html", scene, ["red car"], up=UP)
+    assert not list(tmp_path.iterdir())
+
+
+def test_edits_move_along(scene: Scene) -> None:
+    session = Session(scene)
+    before = times_of_page(session)
+    session.edits.add(Edit(Everything(), Move((0.0, 0.0, 1.0))))
+    after = times_of_page(session)
+    assert before is not None
+    assert after is not None
+    assert after.low - before.low == pytest.approx([0, 0, session.shown.frame.scale], abs=1e-3)
+    np.testing.assert_allclose(after.step, before.step, rtol=1e-3)
+
+
+def test_what_comes_and_goes_moves(scene: Scene) -> None:
+    """What fades stays where it is; what cannot be seen at a time may be anywhere then."""
+    moving = scene.moving
+
+    class Fading:
+        def at(self, time: float) -> Any:
+            still = moving.at(0.0)
+            opacities, means = still.opacities.copy(), still.means.copy()
+            opacities[:10], opacities[10:20] = (1 - time) * 0.9, 0.9 if time == 0 else 0
+            means[10:20] += np.float32(1e6 * time)
+            return replace(still, opacities=opacities, means=means)
+
+    film = Moving(moving.canonical, moving.times, Fading())
+    found = times_of_page(Session(Scene(scene.field, film, scene.views)))
+    assert found is not None
+    assert sorted(found.order[: found.opacities.shape[1]]) == list(range(20))
+    assert np.abs(found.step).max() < 1e-2
+    assert found.opacities[-1].max() == 0
+
+
+# --- in a browser ---
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with a_browser() as browser:
+        yield browser
+
+
+@needs_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_time_is_pulled_and_plays(exported: Path, scene: Scene, size: tuple[int, int], chromium: Any) -> None:
+    """The red car is where it is at the first time, then at the last, halfway between two, and then moves by itself."""
+    frame = Session(scene).shown.frame
+
+    def redness(page: Any, y: float) -> float:
+        x, y, _ = page.evaluate("(at) => drsplat.project(at)", frame.shown(np.array([0.0, y, 0.2])).tolist())
+        part = near(pixels_of(page, size[0]), (x, y), 5)
+        return float((part[..., 0] - part[..., 1]).max(initial=0))
+
+    with a_page(chromium, *size) as page:
+        page.goto(exported.as_uri())
+        page.wait_for_function("window.drsplat && drsplat.run && drsplat.play && drsplat.frames > 0")
+        look = [frame.shown(np.array(place)).tolist() for place in ((5.0, 0, 1.5), (0.0, 0, 0))]
+        page.evaluate("(at) => drsplat.stand(...at)", look)
+        eventually(lambda: redness(page, -1) > 0.3 > redness(page, 1))
+        page.locator("#time").fill("1000")
+        eventually(lambda: redness(page, 1) > 0.3 > redness(page, -1))
+        assert page.locator("#now").inner_text() == "1"
+        page.locator("#time").fill("500")
+        eventually(lambda: redness(page, 0) > 0.3 > redness(page, 1))
+        center = page.evaluate("drsplat.header.answers[0].matches[0].center")
+        assert abs(frame.world(np.array(center))[1]) < 0.05
+        x, y, _ = page.evaluate("drsplat.project(drsplat.header.answers[0].matches[0].center)")
+        assert page.evaluate("([x, y]) => drsplat.pick(x, y)", [x, y]) < len(CAR)
+        page.locator("#run").click()
+        seen: set[str] = set()
+        eventually(lambda: seen.add(page.locator("#now").inner_text()) or len(seen) > 3)
+        assert page.evaluate("drsplat.isRunning()")
+        page.locator("#run").click()
+        assert not page.evaluate("drsplat.isRunning()")
+        page.evaluate("drsplat.show(1)")  # a film goes from the first time to the last
+        assert page.locator("#now").inner_text() == "1"
