@@ -37,7 +37,8 @@ _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     pages = {page: (ROOT / source).read_text(encoding="utf-8") for source, page in BROUGHT.items()}
     pages |= {
-        "examples.md": examples(), "benchmarks.md": benchmarks(), "reference/python.md": python_names(), "reference/command_line.md": command_line(),
+        "examples.md": examples(), "benchmarks.md": benchmarks(),
+        "reference/python.md": python_names(), "reference/command_line.md": command_line(),
         "reference/http.md": http(), "reference/mcp.md": mcp(),
     }  # fmt: skip
     for name, text in pages.items():
