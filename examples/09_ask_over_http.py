@@ -9,14 +9,21 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from urllib.error import URLError
+from urllib.error import HTTPError, URLError
 from urllib.parse import quote
 from urllib.request import Request, urlopen
 
 
 def fetch(address: str, **query: object) -> bytes:
     body = json.dumps(query).encode() if query else None  # with a body it is a POST
-    return bytes(urlopen(Request(address, body, {"content-type": "application/json"})).read())
+    while True:
+        try:
+            return bytes(urlopen(Request(address, body, {"content-type": "application/json"})).read())
+        except HTTPError as error:
+            if error.code != 503:
+                raise
+            error.close()
+            time.sleep(int(error.headers["retry-after"]))  # too busy, or too slow this time: it says when to come again
 
 
 def main(folder: str = "drsplat-demo", words: str = "red vase", port: str = "8765") -> None:

@@ -4,10 +4,13 @@ docs/ stays readable as it lies there; what points out of it is turned here.
 """
 
 import argparse
+import ast
 import inspect
 import json
+import os
 import posixpath
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,11 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "scripts"))
+import make_gallery  # noqa: E402
+
+GALLERY = Path(os.environ.get("DRSPLAT_GALLERY", ROOT / "build/gallery"))  # of make_gallery.py
+PLACE = "<!-- gallery -->"  # in docs/gallery.md
 BROUGHT = {
     "README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md",
     "SECURITY.md": "security.md", "CODE_OF_CONDUCT.md": "code_of_conduct.md", "world/README.md": "world.md",
@@ -29,11 +37,15 @@ _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     pages = {page: (ROOT / source).read_text(encoding="utf-8") for source, page in BROUGHT.items()}
     pages |= {
-        "examples.md": examples(), "reference/python.md": python_names(), "reference/command_line.md": command_line(),
+        "examples.md": examples(), "benchmarks.md": benchmarks(),
+        "reference/python.md": python_names(), "reference/command_line.md": command_line(),
         "reference/http.md": http(), "reference/mcp.md": mcp(),
     }  # fmt: skip
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
+    for one in make_gallery.read_list(GALLERY):
+        for name in (f"{one['name']}.html", f"{one['name']}.jpg"):
+            files.append(File.generated(config, f"gallery/{name}", abs_src_path=str(GALLERY / name)))
     for file in list(files):
         if file.src_uri.endswith(".json"):
             files.remove(file)
@@ -55,8 +67,25 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             return f"{text[1:-1]} (`{meant}`)" if (ROOT / meant).exists() else found[0]
         return f"{text}({posixpath.relpath(made, here or '.')}{mark}{anchor})"
 
-    parts = _CODE.split(markdown)
+    parts = _CODE.split(markdown.replace(PLACE, gallery(make_gallery.read_list(GALLERY))))
     return "".join(part if number % 2 else _LINK.sub(turned, part) for number, part in enumerate(parts))
+
+
+def gallery(made: list[dict[str, Any]]) -> str:
+    """A picture and a line for each page; that there is none where none has been made."""
+    if not made:
+        return "*This site was built without the pages of the gallery.*"
+    return "\n\n".join(_exhibit(one) for one in made)
+
+
+def _exhibit(one: dict[str, Any]) -> str:
+    name, page = one["name"], f"gallery/{one['name']}.html"
+    found = "; ".join(f"{text}: {count or 'no match'}" for text, count in one["matches"].items())
+    return (
+        f"## {name}\n\n[![{name}, with boxes around what was found](gallery/{name}.jpg)]({page})\n\n"
+        f"[Open the page]({page}): {one['num_shown']:,} of {one['num_gaussians']:,} Gaussians, "
+        f"{one['page_bytes'] / 1e6:.1f} MB, registered from {one['num_photos']} photos. Matches: {found}."
+    )
 
 
 def examples() -> str:
@@ -66,6 +95,23 @@ def examples() -> str:
         source = path.read_text(encoding="utf-8")
         title = path.stem[3:].replace("_", " ").capitalize()
         text += f"\n## {title}\n\n`examples/{path.name}`\n\n```python\n{source}```\n"
+    return text
+
+
+def benchmarks() -> str:
+    """What each script of benchmarks/ answers, from its docstring."""
+    text = (
+        "# Benchmarks\n\nOne script for each question; they run in a checkout and print the machine first. What they "
+        "printed here is in [speed](speed.md), in [evaluation](evaluation.md) (`python -m benchmarks.suite`: every "
+        "method under every protocol) and in the page of each topic; how they are made to be fair is in "
+        "[contributing](contributing.md#benchmarks). `study_` chose or tested a rule, `bench_` takes times.\n\n"
+        "| script | what it answers |\n|---|---|\n"
+    )
+    for path in sorted((ROOT / "benchmarks").glob("*_*.py")):
+        if re.match("bench|study|check", path.stem):
+            said = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            first, _, _ = said.partition("\n\n")
+            text += f"| `benchmarks/{path.name}` | {_cell(first)} |\n"
     return text
 
 

@@ -13,6 +13,7 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
+from drsplat.commands import objects as objects_command
 from drsplat.drawing.cutouts import cut_out
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
@@ -72,6 +73,16 @@ def test_the_table(room: Path, capsys: Capture) -> None:
     text = text_of(capsys, *asked(room))
     assert text.startswith("3 objects, 1,490 of 1,490 Gaussians in them")
     assert "0.80" in text
+
+
+def test_the_table_has_the_first_and_counts_the_rest(
+    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real capture has hundreds of objects, of which the last are crumbs."""
+    monkeypatch.setattr(objects_command, "MOST_SHOWN", 2)
+    text = text_of(capsys, *asked(room))
+    assert [line.split()[0] for line in text.splitlines() if line.strip()[:1].isdigit()][1:] == ["0", "1"]
+    assert "and 1 with less mass: --json, or --save OUT.csv, has all" in text
 
 
 def test_ids_of_every_gaussian(room: Path, capsys: Capture) -> None:

@@ -530,12 +530,13 @@ def test_an_uploaded_picture_is_read_and_anything_else_refused() -> None:
         uploads.picture_in(bytes(uploads.MOST_BYTES + 1))
 
 
-def test_without_viser_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("package", ["viser", "msgspec", "websockets"])
+def test_without_viser_the_message_says_what_to_install(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    from drsplat.viewing.window import viser_module
+    from drsplat.viewing.packages import viser_module
 
-    monkeypatch.setitem(sys.modules, "viser", None)
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingExtraError, match=r"drsplat\[viewer\]"):
         viser_module()
     assert issubclass(MissingExtraError, DrSplatError)

@@ -132,6 +132,18 @@ def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path) 
     assert started.returncode == 0
 
 
+@pytest.mark.parametrize("package", ["viser", "msgspec", "websockets"])
+def test_without_the_extra_a_line_says_what_to_install(package: str, folder: Path) -> None:
+    """In a process of its own, where nothing of it has been imported yet."""
+    code = f"import sys; sys.modules[{package!r}] = None; from drsplat.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "view", str(folder)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("drsplat: error: the viewer in a browser needs viser")
+    assert 'pip install "drsplat[viewer]"' in done.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "code"), [(["--port", "99999999999"], 2), (["--host", "300.1.1.1"], 1), (["--host", "a" * 300], 1)]
 )

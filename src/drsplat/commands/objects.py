@@ -25,6 +25,8 @@ scene, its object or -1. objects.ply is the scene with that as a column object_i
 .json and .csv get the table, with boxes. Names that are given with --label are kept in NAME.labels.json beside
 NAME.field: they outlive the field, and queries for such a name select exactly this object."""
 
+MOST_SHOWN = 40  # rows on a terminal; real captures have hundreds of objects
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
@@ -84,7 +86,10 @@ def show(answer: dict[str, Any]) -> None:
     inside, every = said(answer["num_in_objects"]), counted(answer["num_registered"], "Gaussian")
     title = f"{counted(answer['num_objects'], 'object')}, {inside} of {every} in them; lengths in scene units"
     columns = ("object", "name", "Gaussians", "centre", "extent", "photos", "sure")
-    show_table(title, columns, [_row(one) for one in answer["objects"]])
+    largest = answer["objects"][:MOST_SHOWN]
+    show_table(title, columns, [_row(one) for one in largest])
+    if len(answer["objects"]) > len(largest):
+        print(f"and {answer['num_objects'] - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
     if not answer["objects"]:
         print("No two masks of different photos agree: more photos, or larger masks, may help.")
     if answer["drifting"]:

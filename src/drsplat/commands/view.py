@@ -123,11 +123,13 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _serve(arguments: argparse.Namespace) -> NoReturn:
-    from ..viewing.panel import Panel
-    from ..viewing.session import Session
-    from ..viewing.window import Window, viser_module
+    from ..viewing.packages import viser_module
 
     viser_module()
+    from ..viewing.panel import Panel
+    from ..viewing.session import Session
+    from ..viewing.window import Window
+
     session = Session(_scene(arguments), arguments.max_gaussians or BUDGET, _words(arguments))
     up = _up(arguments, session.scene)
     folder = None if arguments.save_dir is None else Path(arguments.save_dir)
@@ -146,6 +148,9 @@ def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
     from ..catalogue import Catalogue
     from ..errors import InputError
     from ..terminal import counted
+    from ..viewing.packages import viser_module
+
+    viser_module()
     from ..viewing.catalogue_page import CataloguePage
 
     one_scene = [name for name in ("scene", "views", "words", "export", "up") if getattr(arguments, name) is not None]

@@ -45,7 +45,7 @@ def query_rows(scene: Scene, query: Query | str, said: str = "") -> Rows:
     return Rows.of(whole(scene, ids), "query", said)
 
 
-def whole(scene: Scene, ids: Integer[np.ndarray, " m"]) -> Ids:
+def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
     """Rows with what nobody can tell apart from them: what they enclose, and loose Gaussians that hang on to them.
 
     Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is

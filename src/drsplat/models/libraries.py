@@ -18,7 +18,10 @@ def models_library() -> Any:
     """
     absent = [name for name in ("torch", "transformers") if find_spec(name) is None]
     if absent:
-        raise MissingExtraError(f"models such as CLIP need {' and '.join(absent)}, not installed: {INSTALL}")
+        raise MissingExtraError(
+            f"models such as CLIP need {' and '.join(absent)}, not installed: {INSTALL}; what is built in, coarser, "
+            "needs nothing (drsplat embed --segmenter graph --encoder drsplat-mini)"
+        )
     try:
         import_module("torch")
         return import_module("transformers")

@@ -21,13 +21,13 @@ from . import painting
 from .cameras import first_look
 from .finds import MOST_FIRST, MOST_LISTED, finds_of
 from .listening import listening_socket
+from .packages import INSTALL, viser_module
 from .playing import placed_now
 from .session import Session
 from .shown import Shown
 from .texts import printable
 
 DARK, LIGHT = "dark", "light"
-INSTALL = 'pip install "drsplat[viewer]"'
 FLIGHT_STEPS, FLIGHT_SECONDS = 20, 0.5
 NOTE = (255, 224, 130)
 MOST_CAMERAS, CAMERA_SIZE = 200, 0.35
@@ -82,15 +82,6 @@ def themed(gui: Any, is_dark: bool) -> None:
         dark_mode=is_dark, control_width="large", show_logo=False, show_share_button=False,
         brand_color=painting.accent(0),
     )  # fmt: skip
-
-
-def viser_module() -> Any:
-    """Raises: MissingExtraError: it is not installed."""
-    try:
-        import viser
-    except ImportError as error:
-        raise MissingExtraError(f"the viewer needs viser ({error}): {INSTALL}") from error
-    return viser
 
 
 class Window:

@@ -1,0 +1,94 @@
+"""Where a tour or a tutorial begins, and its lines: toy models and data under the very names of the documents."""
+
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import drsplat as ds
+from lvis_files import write_set
+from toy_capture import NEGATIVES, THINGS, write_toy_capture
+from written_captures import write_colmap_text
+
+DIM = 128  # what 128 sub-vectors divide
+
+
+def blocks(document: Path, language: str) -> list[str]:
+    text = document.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def commands_of(document: Path) -> list[list[str]]:
+    """What its lines that begin with drsplat give to it."""
+    lines = "".join(blocks(document, "bash")).replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line, comments=True) for line in lines]
+    return [command[1:] for command in commands if command[:1] == ["drsplat"]]
+
+
+def write_tour(folder: Path, clip: str) -> Path:
+    """A scene, its photos without features, models, data sets, the demo's folder. Needs transformers."""
+    from tiny_encoders import write_model
+
+    write_toy_capture(folder)
+    write_demo(folder)
+    shutil.rmtree(folder / "capture/language_features")
+    write_poses_and_points(folder)
+    write_model(folder / clip, "clip", dim=DIM, tokens=40)  # for the longest noun
+    encoder = ds.load_encoder(str(folder / clip), "cpu")
+    texts = [*THINGS, *NEGATIVES]
+    vectors = dict(zip(texts, encoder.encode_texts(texts).tolist(), strict=True))
+    (folder / "clip_texts.json").write_text(json.dumps(vectors))
+    write_set(folder).rename(folder / "lvis_v1_train.json")
+    (folder / "images").rename(folder / "coco")
+    write_lerf(folder)
+    (folder / "scenes/mugs").mkdir(parents=True)
+    (folder / "scenes/mugs/scene.ply").symlink_to(folder / "scene.ply")
+    (folder / "scenes/mugs/mugs.field").symlink_to(folder / "scene.field")
+    return folder
+
+
+def write_demo(folder: Path) -> None:
+    """drsplat-demo/ with a field that needs no model for words, as the demo's own."""
+    demo = folder / "drsplat-demo"
+    demo.mkdir()
+    (demo / "scene.ply").symlink_to(folder / "scene.ply")
+    words = ds.WordEncoder.identity
+    features = ds.read_features(folder / "capture/language_features", encoder=words)
+    gaussians, views = ds.read_gaussians(folder / "scene.ply"), ds.read_views(folder / "capture")
+    ds.register(gaussians, views, features).to_field().save(demo / "room.field")
+
+
+def write_poses_and_points(folder: Path) -> None:
+    """The capture's cameras as COLMAP has them, with points: training starts from some, not from 100,000."""
+    views, means = ds.read_views(folder / "capture"), ds.read_gaussians(folder / "scene.ply").means
+    cameras, images = [], []
+    for number, view in enumerate(views, 1):
+        K, pose = view.K, view.cam_from_world
+        cameras.append((number, "PINHOLE", view.width, view.height, (K[0, 0], K[1, 1], K[0, 2], K[1, 2])))
+        turned = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
+        images.append((number, turned, pose[:3, 3], number, view.name))
+    plain = [(n, m, w, h, tuple(map(float, p))) for n, m, w, h, p in cameras]
+    posed = [(n, tuple(map(float, q)), tuple(map(float, t)), c, name) for n, q, t, c, name in images]
+    points = [(n, tuple(map(float, mean)), (128, 128, 128)) for n, mean in enumerate(means[::30], 1)]
+    write_colmap_text(folder / "capture/sparse/0", plain, posed, points)
+    (folder / "capture/cameras.json").unlink()
+
+
+def write_lerf(folder: Path) -> None:
+    """lerf_ovs/ with one scene, teatime: the capture, with the mug labelled in its first photo."""
+    labels = folder / "lerf_ovs/label/teatime"
+    labels.mkdir(parents=True)
+    (folder / "lerf_ovs/teatime").symlink_to(folder / "capture")
+    (folder / "teatime.ply").symlink_to(folder / "scene.ply")
+    (folder / "teatime.field").symlink_to(folder / "scene.field")
+    view = ds.read_views(folder / "capture")[0]
+    box = [30, 20, 60, 50]
+    corners = [[30, 20], [60, 20], [60, 50], [30, 50]]
+    thing = {"category": "red mug", "bbox": box, "segmentation": corners}
+    info = {"name": view.name, "width": view.width, "height": view.height}
+    document = {"info": info, "objects": [thing]}
+    (labels / view.name).with_suffix(".json").write_text(json.dumps(document))
