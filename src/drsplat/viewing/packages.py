@@ -20,5 +20,5 @@ def viser_module() -> Any:
         return import_module("viser")
     except ImportError as error:
         raise MissingExtraError(
-            f"the viewer in a browser needs viser ({error}): {INSTALL}; a page of the scene (--export) needs nothing"
+            f"the viewer in a browser needs viser ({error}): {INSTALL}; `drsplat view --export` needs nothing"
         ) from error
