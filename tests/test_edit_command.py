@@ -182,6 +182,12 @@ def test_what_fails_keeps_no_part_of_it(room: Path, capsys: Capture) -> None:
     assert {path.name for path in room.iterdir()} == before
 
 
+def test_what_moves_is_not_edited_as_a_file(room: Path, capsys: Capture) -> None:
+    said = error_of(capsys, "edit", room / "frames", "--everything", "--remove")
+    assert "this scene moves" in said
+    assert "edit a PLY of one time" in said
+
+
 @pytest.mark.parametrize("given", [["--move", 1, 2], ["--object", 1, "--everything"]])
 def test_what_is_misspelt_is_misuse(room: Path, capsys: Capture, given: list[object]) -> None:
     error_of(capsys, "edit", room / "scene.ply", *given, code=2)

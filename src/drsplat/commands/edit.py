@@ -147,7 +147,7 @@ class _Work:
     """One call of the verb: the scene that is meant, opened as far as it is needed."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        from .. import read_gaussians
+        from ..formats.moving_scenes import read_scene
         from ..query.opening import find_scene, registered_scene
         from ..scene.moving import still
 
@@ -159,7 +159,7 @@ class _Work:
             gaussians = still(scene)
             arguments.field, arguments.scene = str(path), None
         else:
-            self.path, gaussians = path, read_gaussians(path)
+            self.path, gaussians = path, still(read_scene(path))
         self._scene: Scene | None = None if arguments.field is None else open_scene(arguments)
         self.gaussians = self._with_objects(gaussians)
 
