@@ -67,6 +67,9 @@ def viewer(opened: Any, folder: Path, output: Path, count: int) -> None:
         panel.ask(QUERIES)
         page.goto(panel.window.served.address)
         page.get_by_text("Query by picture").wait_for()
+        page.add_style_tag(
+            content=".mantine-Notifications-root { display: none }"
+        )  # of drawing without a graphics card
         eventually(lambda: len(panel.window.server.get_clients()) == 1)
         page.wait_for_timeout(5000)
         shot(page, output / "viewer.jpg")
@@ -99,7 +102,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--chromium", default=shutil.which("chromium"))
-    parser.add_argument("--gaussians", type=int, default=30_000, help="shown by the viewer (default: 30,000)")
+    parser.add_argument("--gaussians", type=int, default=20_000, help="shown by the viewer (default: 20,000)")
     given = parser.parse_args()
     given.output.mkdir(exist_ok=True)
     with browser(given.chromium) as opened:
