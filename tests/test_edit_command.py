@@ -115,6 +115,17 @@ def test_annotations(room: Path, capsys: Capture) -> None:
     assert [one["text"] for one in answer["annotations"]] == ["here"]
 
 
+def test_a_scene_without_a_field_has_pictures_and_an_up_of_its_photos(room: Path, capsys: Capture) -> None:
+    base = ["edit", room / "scene.ply", "--box", -0.7, 0, 0, 1, 1, 1, "--turn", 30]
+    assert "pass --up DIRECTION, e.g. --up +z, or --views CAPTURE" in error_of(capsys, *base)
+    assert "pass --views CAPTURE" in error_of(capsys, *base, "--up", "+z", "--picture", room / "out.png")
+    answer = answer_of(capsys, *base, "--views", room / "capture", "--picture", room / "out.png")
+    assert answer["view"]
+    stored = json.loads((room / "scene.edits.json").read_text())["edits"]
+    np.testing.assert_allclose(stored[0]["axis"], (0, 0, 1), atol=0.2)
+    assert np.asarray(Image.open(room / "out.png")).shape[1] > 96
+
+
 def test_an_annotation_is_where_its_thing_is_now(room: Path, capsys: Capture) -> None:
     base = ["edit", room / "scene.ply", "--field", room / "room.field"]
     words = ["--query", "red mug", "--move", 0, 0, 2, "--duplicate", 0, 1, 0]
@@ -169,6 +180,12 @@ def test_what_fails_keeps_no_part_of_it(room: Path, capsys: Capture) -> None:
     picture = ["--picture", room / "a.png", "--views", room / "capture", "--view", "x"]
     assert "no view 'x'" in error_of(capsys, *base, *note, "--remove", *picture)
     assert {path.name for path in room.iterdir()} == before
+
+
+def test_what_moves_is_not_edited_as_a_file(room: Path, capsys: Capture) -> None:
+    said = error_of(capsys, "edit", room / "frames", "--everything", "--remove")
+    assert "this scene moves" in said
+    assert "edit a PLY of one time" in said
 
 
 @pytest.mark.parametrize("given", [["--move", 1, 2], ["--object", 1, "--everything"]])

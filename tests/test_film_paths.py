@@ -206,7 +206,7 @@ def test_a_plan_is_what_is_given_else_what_the_path_wishes() -> None:
     photos = planning.planned(CameraPath(keys()), views=[look_at_view(EYES[0], width=4000, height=3001)])
     assert photos.size == (1280, 960)
     assert len(photos.views) == 8 * 30
-    with pytest.raises(InputError, match="2 sides need a width"):
+    with pytest.raises(InputError, match="a multiple of 2 across"):
         planning.planned(path, size=(81, 50), sides=2)
     with pytest.raises(InputError, match="orbit, swing, photos or a file"):
         planning.path_named("obrit", random_gaussians(5), [])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import contextmanager, nullcontext
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -146,7 +147,7 @@ class _Work:
     """One call of the verb: the scene that is meant, opened as far as it is needed."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        from .. import read_gaussians
+        from ..formats.moving_scenes import read_scene
         from ..query.opening import find_scene, registered_scene
         from ..scene.moving import still
 
@@ -158,7 +159,7 @@ class _Work:
             gaussians = still(scene)
             arguments.field, arguments.scene = str(path), None
         else:
-            self.path, gaussians = path, read_gaussians(path)
+            self.path, gaussians = path, still(read_scene(path))
         self._scene: Scene | None = None if arguments.field is None else open_scene(arguments)
         self.gaussians = self._with_objects(gaussians)
 
@@ -177,8 +178,17 @@ class _Work:
         from ..errors import InputError
 
         if self._scene is None:
-            raise InputError("queries, objects, labels and views need the field of the scene: pass field=FIELD")
+            raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
         return self._scene
+
+    @cached_property
+    def posed(self) -> Scene | None:
+        """The scene with what is known of its photos, for pictures and to know what is up; None for nothing."""
+        from ..viewing.bare import open_bare
+
+        if self._scene is not None or self.arguments.views is None:
+            return self._scene
+        return open_bare(self.path, self.arguments.views, self.arguments.threads)
 
     # --- what is edited ---
 
@@ -270,7 +280,7 @@ class _Work:
 
         if self.arguments.up:
             return named_up(self.arguments.up)
-        return None if self._scene is None else self._scene.up
+        return None if self.posed is None else self.posed.up
 
     @property
     def _needed_up(self) -> np.ndarray:
@@ -278,7 +288,7 @@ class _Work:
         from ..errors import InputError
 
         if self._up is None:
-            raise InputError("nothing tells which way is up: pass up=DIRECTION, e.g. --up +z, or the field")
+            raise InputError("nothing tells which way is up: pass up=DIRECTION, e.g. --up +z, or views=CAPTURE")
         return self._up
 
     # --- annotations ---
@@ -313,7 +323,7 @@ class _Work:
             parts = [one.gaussian_ids for one in self.scene.locate(query_of(self.arguments))]
         else:
             parts = [self.target().ids(draft)]
-        up = None if self._scene is None else self._scene.up
+        up = None if self.posed is None else self.posed.up
         wholes = [draft.part(ids) for ids in parts]
         boxes = [box_of(part, solid(part, np.arange(len(part))), up) for part in wholes]
         return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in boxes]
@@ -326,8 +336,11 @@ class _Work:
         from ..editing.draft import Draft
         from ..editing.pictures import before_after
         from ..editing.targets import Rows
+        from ..errors import InputError
 
-        scene, last = self.scene, listed.active[-1] if listed.active else None
+        scene, last = self.posed, listed.active[-1] if listed.active else None
+        if scene is None:
+            raise InputError("a picture needs a place to be seen from: pass views=CAPTURE, the photos' poses")
         rows = last.target.ids(Draft.of(self.gaussians)) if last and isinstance(last.target, Rows) else None
         view = scene.view(self.arguments.view) if self.arguments.view else scene.best_view(rows)
         said = ", ".join(f"{one['do']} {one['of']}" for one in _told(listed)[: listed.done][-2:])

@@ -67,7 +67,10 @@ def planned(
     whole = _wished(path, views, sides) if size is None else size
     check_size(whole)
     if whole[0] % sides:
-        raise InputError(f"size: {sides} sides need a width that they can share, got {whole[0]}x{whole[1]}")
+        raise InputError(
+            f"size: {sides} pictures side by side have equal widths: expected a multiple of {sides} across, "
+            f"got {whole[0]}x{whole[1]}"
+        )
     return Plan(path.views(frame_count(lasts, rate), (whole[0] // sides, whole[1])), rate, whole)
 
 
@@ -87,5 +90,6 @@ def _first(*given: float | None) -> float:
 
 def _from_file(name: str) -> CameraPath:
     if not Path(name).is_file():
-        raise InputError(f"path: expected {ORBIT}, {SWING}, {PHOTOS} or a file of key frames, got {name!a}")
+        known = f"{ORBIT}, {SWING}, {PHOTOS} or a file of key frames"
+        raise InputError(f"path: expected {known}; got {name!a}, and there is no such file")
     return read_path(name)
