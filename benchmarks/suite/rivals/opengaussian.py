@@ -12,7 +12,9 @@ and that features begin nearly alike, are ours; clusters come from k-means of 20
 what a photo shows of a cluster is what it shows most of at a pixel, in place of a rendering of the cluster alone.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -25,6 +27,7 @@ DIMS = 6
 SPREAD = 0.1  # of the features at first: what photos blend away of a wider one stays in the Gaussians as noise
 LEAST_PIXELS = 4  # of a cluster, for a photo to count
 ROUNDS = 20
+REFRESHED = 10  # times that clusters are found anew in a stage
 
 
 @dataclass(frozen=True)
@@ -58,12 +61,11 @@ def fit(photos: Photos, positions: Float64[np.ndarray, "n 3"], settings: Setting
     losses = fitted(photos.photos, lambda photo: contrastive(photo, values), groups, settings.steps, settings.seed)
     low, high = np.quantile(positions, (0.01, 0.99), axis=0)
     places = torch.from_numpy(((positions - low) / np.maximum(high - low, 1e-9)).astype(np.float32)).to(photos.device)
-    with torch.no_grad():
-        both = torch.cat([nn.functional.normalize(values), settings.positions * places], 1)
-    roots = clusters(both, settings.coarse, settings.seed)
-    coarse = _to_clusters(photos, values, roots, settings.coarse_steps, settings)
-    leaves = _leaves(nn.functional.normalize(values.detach()), roots, settings)
-    fine = _to_clusters(photos, values, leaves, settings.fine_steps, settings)
+    meant = _meant(photos, values)
+    coarse_of = partial(_coarse, places=settings.positions * places, settings=settings)
+    roots, coarse = _to_clusters(photos, values, meant, coarse_of, settings.coarse_steps, settings)
+    fine_of = partial(_leaves, roots=roots, settings=settings)
+    leaves, fine = _to_clusters(photos, values, meant, fine_of, settings.fine_steps, settings)
     features = named(photos, nn.functional.normalize(values.detach()), leaves)
     return Fitted(features.cpu().numpy(), leaves.cpu().numpy(), losses, coarse, fine)
 
@@ -95,6 +97,10 @@ def clusters(points: torch.Tensor, count: int, seed: int) -> torch.Tensor:
     return labels
 
 
+def _coarse(values: torch.Tensor, places: torch.Tensor, settings: Settings) -> torch.Tensor:
+    return clusters(torch.cat([values, places], 1), settings.coarse, settings.seed)
+
+
 def _leaves(values: torch.Tensor, roots: torch.Tensor, settings: Settings) -> torch.Tensor:
     leaves = torch.zeros_like(roots)
     for root in roots.unique():
@@ -103,19 +109,44 @@ def _leaves(values: torch.Tensor, roots: torch.Tensor, settings: Settings) -> to
     return leaves
 
 
-def _to_clusters(
-    photos: Photos, values: nn.Parameter, labels: torch.Tensor, steps: int, settings: Settings
-) -> list[float]:
-    """Let features render as the means of their clusters do. Source: OpenGaussian Eq. 4."""
-    count = int(labels.max()) + 1
-    sizes = torch.bincount(labels, minlength=count).clamp(min=1)
-
-    def loss(photo: Photo) -> torch.Tensor:
+def _meant(photos: Photos, values: torch.Tensor) -> list[torch.Tensor]:
+    """(k, 6) of each photo: what its masks are to look like, the means of what was learnt, rendered."""
+    with torch.no_grad():
         unit = nn.functional.normalize(values)
-        means = _means(unit, labels, sizes)
-        return blended(photo, unit - means.detach()[labels]).abs().mean()
+        return [_means(blended(photo, unit), photo.masks, photo.areas) for photo in photos.photos]
 
-    return fitted(photos.photos, loss, [{"params": [values], "lr": settings.rate}], steps, settings.seed)
+
+def _to_clusters(
+    photos: Photos,
+    values: nn.Parameter,
+    meant: Sequence[torch.Tensor],
+    labels_of: Callable[[torch.Tensor], torch.Tensor],
+    steps: int,
+    settings: Settings,
+) -> tuple[torch.Tensor, list[float]]:
+    """The clusters, after features were fitted so that what their means render is what the masks look like.
+
+    Clusters are found anew `REFRESHED` times; a feature takes the gradient of the mean that stands for it.
+
+    Source: OpenGaussian Sec. 3.2, Eq. 4.
+    """
+    where = {id(photo): number for number, photo in enumerate(photos.photos)}
+    losses: list[float] = []
+    for turn in range(REFRESHED):
+        with torch.no_grad():
+            labels = labels_of(nn.functional.normalize(values))
+        sizes = torch.bincount(labels).clamp(min=1)
+
+        def loss(photo: Photo, labels: torch.Tensor = labels, sizes: torch.Tensor = sizes) -> torch.Tensor:
+            unit = nn.functional.normalize(values)
+            means = _means(unit.detach(), labels, sizes)
+            quantised = unit + (means[labels] - unit.detach())
+            return (blended(photo, quantised) - meant[where[id(photo)]].index_select(0, photo.masks)).abs().mean()
+
+        group = {"params": [values], "lr": settings.rate}
+        losses += fitted(photos.photos, loss, [group], max(1, steps // REFRESHED), settings.seed + turn)
+    with torch.no_grad():
+        return labels_of(nn.functional.normalize(values)), losses
 
 
 def named(photos: Photos, values: torch.Tensor, leaves: torch.Tensor) -> torch.Tensor:
