@@ -196,7 +196,7 @@ class Catalogue:
             raise InputError(f"top: expected 1 to {MOST_TOP:,}, got {top}")
         query, known = Query(query) if isinstance(query, str) else query, self._snapshot()
         surroundings = self._surroundings(known)
-        vector, exact = surroundings.vector(query), exact or not known.has_index
+        vector, exact = surroundings.vector(query), exact or not known.has_index or _are_few(known, where)
         nearest = known.nearest(vector, where.sql, max(CANDIDATES, 4 * top), exact)
         objects = Described.of(table.vectors_of(nearest["descriptors"], self.path), known.encoder.dim)
         ranked = surroundings.rank(query, vector, objects)
@@ -264,6 +264,11 @@ class _Usual(NamedTuple):
         changes = abs(known.version - self.version)
         few = 0 if known.num_rows <= LARGE else FEW_CHANGES
         return changes <= few and abs(known.num_rows - self.num_rows) * HARDLY <= self.num_rows
+
+
+def _are_few(known: Snapshot, where: Where) -> bool:
+    """Whether so few objects are looked at that comparing them all is quicker than the index."""
+    return bool(where.sql) and known.count(where.sql) <= LARGE
 
 
 def _spread(known: Snapshot) -> Float32[np.ndarray, "s D"]:
