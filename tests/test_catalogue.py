@@ -646,9 +646,12 @@ def test_the_command_line(
     assert said("ask", "flats", "mug", "--exclude", "red")["num_matches"] == 1
     assert [one["state"] for one in said("list", "flats")["scenes"]] == ["current", "current"]
     assert said("remove", "flats", "kitchen")["removed"] == {"kitchen": 3}
-    for argv in (["list", "flats"], ["ask", "flats", "mug"], ["ask", "flats", "elephant"]):
+    nobody = ["ask", "flats", "mug", "--scene", "nobody"]
+    for argv in (["list", "flats"], ["ask", "flats", "mug"], ["ask", "flats", "elephant"], nobody):
         assert main(["catalogue", *argv]) == 0
-    assert "No object of any scene answers this" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "No object of any scene answers this" in text
+    assert "Nothing was compared" in text
     for argv, message in (
         (["add", "flats"], "expected folders"),
         (["list", "flats", "x"], "takes no more"),

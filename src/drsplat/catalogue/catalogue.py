@@ -82,7 +82,7 @@ class Catalogue:
     def __len__(self) -> int:
         """How many objects it has."""
         known = table.opened(self.path)
-        return 0 if known is None else known.count("object_id >= 0")
+        return 0 if known is None else known.count(table.OF_OBJECTS)
 
     @property
     def encoder(self) -> EncoderIdentity:
@@ -170,8 +170,11 @@ class Catalogue:
         """
         with table.arranging(self.path, PATIENCE):
             known = self._snapshot()
-            if known.num_rows < LEAST_OF_INDEX:
-                raise InputError(f"an index takes {LEAST_OF_INDEX} objects or more, there are {known.num_rows:,}")
+            objects = known.count(table.OF_OBJECTS)
+            if objects < LEAST_OF_INDEX:
+                raise InputError(
+                    f"an index takes {LEAST_OF_INDEX} objects or more, there are {objects:,}: asking is quick without"
+                )
             table.index(known)
         return table.partitions_for(known.num_rows)
 
