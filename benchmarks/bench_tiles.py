@@ -24,7 +24,9 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -216,9 +218,10 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
         made.to_field(Smaller()).save(place / "street.field")
     field_s, code_cpu = time.perf_counter() - start, time.process_time() - code_cpu
     disk = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) / 2**30
-    if given.objects:
-        print(objects_of(place / "street.field", tiles), flush=True)
     held = f"{memory.own / 2**30:.2f}", f"{memory.whole / 2**30:.2f}"
+    if given.objects:
+        with ProcessPoolExecutor(1, get_context("spawn")) as fresh:  # as `drsplat objects` is a command of its own
+            print(fresh.submit(objects_of, place / "street.field", tiles.path).result(), flush=True)
     same = ""
     if given.check:
         whole = ds.register(tiles.gaussians(), walked, features).to_field(Smaller())
@@ -235,11 +238,11 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
     return Street(numbers, kinds, learning.seconds, rest, read + 2 * written)
 
 
-def objects_of(path: Path, tiles: Tiles) -> str:
+def objects_of(path: Path, tiles: Path) -> str:
     """What finding the objects of the whole takes."""
     memory, start = Memory(), time.process_time()
     field = ds.load_field(path)
-    found = find_objects(field, tiles.gaussians())
+    found = find_objects(field, ds.read_gaussians(tiles))
     spent, own, whole = time.process_time() - start, memory.own / 2**30, memory.whole / 2**30
     return (
         f"{len(found)} objects of {len(field):,} Gaussians: {spent:.0f} s of processor, {own:.2f} GiB own, "

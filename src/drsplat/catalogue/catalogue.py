@@ -82,7 +82,7 @@ class Catalogue:
     def __len__(self) -> int:
         """How many objects it has."""
         known = table.opened(self.path)
-        return 0 if known is None else known.count("object_id >= 0")
+        return 0 if known is None else known.count(table.OF_OBJECTS)
 
     @property
     def encoder(self) -> EncoderIdentity:
@@ -170,8 +170,11 @@ class Catalogue:
         """
         with table.arranging(self.path, PATIENCE):
             known = self._snapshot()
-            if known.num_rows < LEAST_OF_INDEX:
-                raise InputError(f"an index takes {LEAST_OF_INDEX} objects or more, there are {known.num_rows:,}")
+            objects = known.count(table.OF_OBJECTS)
+            if objects < LEAST_OF_INDEX:
+                raise InputError(
+                    f"an index takes {LEAST_OF_INDEX} objects or more, there are {objects:,}: asking is quick without"
+                )
             table.index(known)
         return table.partitions_for(known.num_rows)
 
@@ -196,7 +199,7 @@ class Catalogue:
             raise InputError(f"top: expected 1 to {MOST_TOP:,}, got {top}")
         query, known = Query(query) if isinstance(query, str) else query, self._snapshot()
         surroundings = self._surroundings(known)
-        vector, exact = surroundings.vector(query), exact or not known.has_index
+        vector, exact = surroundings.vector(query), exact or not known.has_index or _are_few(known, where)
         nearest = known.nearest(vector, where.sql, max(CANDIDATES, 4 * top), exact)
         objects = Described.of(table.vectors_of(nearest["descriptors"], self.path), known.encoder.dim)
         ranked = surroundings.rank(query, vector, objects)
@@ -264,6 +267,11 @@ class _Usual(NamedTuple):
         changes = abs(known.version - self.version)
         few = 0 if known.num_rows <= LARGE else FEW_CHANGES
         return changes <= few and abs(known.num_rows - self.num_rows) * HARDLY <= self.num_rows
+
+
+def _are_few(known: Snapshot, where: Where) -> bool:
+    """Whether so few objects are looked at that comparing them all is quicker than the index."""
+    return bool(where.sql) and known.count(where.sql) <= LARGE
 
 
 def _spread(known: Snapshot) -> Float32[np.ndarray, "s D"]:

@@ -240,12 +240,13 @@ def partitions_for(rows: int) -> int:
 
 
 def index(known: Snapshot) -> None:
-    """Build the index of all descriptors of this version, a byte for each of their numbers."""
-    from lancedb.index import IvfSq
+    """Build the index of this version's descriptors, a byte for each of their numbers, and that of scenes' names."""
+    from lancedb.index import BTree, IvfSq
 
     partitions = partitions_for(known.num_rows)
     kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=LEARNED_FROM)
     with writing(known.path):
+        known.table.create_index("scene", config=BTree(), replace=True)
         known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
 
 

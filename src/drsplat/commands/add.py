@@ -76,7 +76,8 @@ def show(answer: dict[str, Any]) -> None:
     changed = answer["added"] or answer["replaced"]
     show_change(answer, f"{'added to' if changed else 'nothing to add to'} {answer['field']}")
     if not changed and answer["num_views_known"]:
-        print("All views with features are in it already; --replace takes over features that have become others.")
+        others = "other " if answer["left_out"] else ""
+        print(f"All {others}views with features are in it already; --replace takes over those that have become others.")
     if answer["left_out"]:
         print("Views that were removed or kept out stay out; --views NAME... brings them back.")
 

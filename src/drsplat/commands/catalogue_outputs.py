@@ -46,7 +46,9 @@ def _show_ask(answer: dict[str, Any]) -> None:
         ("scene", "object", "name", "score", "centre", "extent", "photo"),
         [_row(one) for one in answer["matches"]],
     )
-    if not answer["matches"]:
+    if not answer["num_compared"]:
+        print("Nothing was compared: --scene, --box, --area and --since leave no object; `list` tells the scenes.")
+    elif not answer["matches"]:
         print("No object of any scene answers this: try other words, or a lower --threshold.")
     if answer["picture"]:
         print(f"written to {answer['picture']}")

@@ -73,7 +73,7 @@ def show_change(answer: dict[str, Any], title: str) -> None:
 
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     facts = {name: _listed(answer[name]) for name in ("added", "replaced", "removed", "left_out") if answer[name]}
-    if facts:
+    if facts.keys() - {"left_out"}:
         facts["Gaussians seen by them"] = f"{said(answer['num_touched'])}; {said(answer['num_coded'])} coded again"
     facts |= {
         "views": said(answer["num_views"]),

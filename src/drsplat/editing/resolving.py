@@ -27,7 +27,7 @@ def object_rows(scene: Scene, number: int) -> Rows:
 
 def label_rows(scene: Scene, name: str) -> Rows:
     """Of all that people gave this name. Raises: InputError: nothing has it."""
-    nodes = [node for node, label in scene.labels.by_node.items() if label.means(name)]
+    nodes = scene.labels.called(name)
     if not nodes:
         known = ", ".join(sorted({label.name for label in scene.labels.by_node.values()})) or "none"
         raise InputError(f"nothing has the label '{name}'; labels here: {known}")

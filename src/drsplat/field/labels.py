@@ -128,6 +128,10 @@ class Matched:
     by_node: dict[int, Label]
     orphans: tuple[Label, ...]
 
+    def called(self, name: str) -> list[int]:
+        """The nodes that people gave this name."""
+        return [node for node, label in self.by_node.items() if label.means(name)]
+
 
 def matched(labels: Sequence[Label], field: LanguageField) -> Matched:
     """Each label with the node that shares most Gaussians with it, from an IoU of 0.5 on.

@@ -1,13 +1,15 @@
 """Which Gaussians lie next to each other, and an order in which neighbours are near."""
 
 import numpy as np
-from jaxtyping import Float, Int32, Int64
+from jaxtyping import Float, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from ..scene.morton import morton_order
 
 NEIGHBOURS = 12
 FAR = 4.0  # times the usual distance to the sixth neighbour, of the scene or of the Gaussian
+
+AT_ONCE = 1 << 16  # points
 
 CELLS = 10  # bits of each coordinate along the curve
 
@@ -25,13 +27,40 @@ def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.n
     count = min(NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.zeros((0, 2), np.int32)
-    distances, found = cKDTree(points).query(points, count + 1, workers=threads or -1)
-    sixth = distances[:, (count + 1) // 2]
-    near = distances[:, 1:] <= FAR * np.maximum(sixth, np.median(sixth))[:, None]
-    first = np.broadcast_to(np.arange(len(points))[:, None], near.shape)[near]
-    second = found[:, 1:][near]
+    distances, found = _nearest(points, count, threads)
+    sixth = distances[:, (count + 1) // 2 - 1]
+    reach = FAR * np.maximum(sixth, np.median(sixth))
+    keys = np.concatenate([_keys(found, distances, reach, begin) for begin in range(0, len(points), AT_ONCE)])
+    del distances, found
+    keys.sort()  # quicker than np.unique, which hashes
+    keys = keys[np.append(True, keys[1:] != keys[:-1])] if len(keys) else keys
+    edges = np.empty((len(keys), 2), np.int32)
+    np.floor_divide(keys, len(points), out=edges[:, 0], casting="unsafe")
+    np.remainder(keys, len(points), out=edges[:, 1], casting="unsafe")
+    return edges
+
+
+def _nearest(
+    points: Float[np.ndarray, "n 3"], count: int, threads: int
+) -> tuple[Float64[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
+    """The nearest of each but for the first, which mostly is itself: how far, and which; some thousand at a time."""
+    tree = cKDTree(points)
+    distances, found = np.empty((len(points), count)), np.empty((len(points), count), np.int32)
+    for begin in range(0, len(points), AT_ONCE):
+        rows = slice(begin, begin + AT_ONCE)
+        far, which = tree.query(points[rows], count + 1, workers=threads or -1)
+        distances[rows], found[rows] = far[:, 1:], which[:, 1:]
+    return distances, found
+
+
+def _keys(
+    found: Int32[np.ndarray, "n k"], distances: Float64[np.ndarray, "n k"], reach: Float64[np.ndarray, " n"], begin: int
+) -> Int64[np.ndarray, " p"]:
+    """A number for each pair of some rows, the same whichever of the two it is of."""
+    rows = slice(begin, begin + AT_ONCE)
+    near = distances[rows] <= reach[rows, None]
+    first = np.broadcast_to(np.arange(begin, begin + len(near))[:, None], near.shape)[near]
+    second = found[rows][near].astype(np.int64)
     other = first != second  # of points in one place, none may find itself first
     low, high = np.minimum(first, second)[other], np.maximum(first, second)[other]
-    keys = np.sort(low.astype(np.int64) * len(points) + high)  # quicker than np.unique, which hashes
-    keys = keys[np.diff(keys, prepend=-1) > 0]
-    return np.stack(np.divmod(keys, len(points)), axis=1).astype(np.int32)
+    return np.asarray(low * len(found) + high)

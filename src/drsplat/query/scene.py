@@ -400,8 +400,7 @@ class Scene:
 
     def _labelled(self, query: Query) -> Answer | None:
         """Exactly what people have given this name; None where they have not, or something is to be measured."""
-        wanted = (query.text or "").strip().casefold()
-        nodes = [node for node, label in self.labels.by_node.items() if label.name.casefold() == wanted]
+        nodes = self.labels.called(query.text or "")
         exact = bool(nodes) and query.is_default and not query.exclude
         return answer_of(self.field, nodes, LABEL) if exact else None
 

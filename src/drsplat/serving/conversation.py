@@ -299,7 +299,8 @@ class Conversation:
         if text.isascii() and text.isdecimal() and len(text) < 10:
             objects_of(self.scene.field).thing(int(text))  # or the error that says which there are
             return every[int(text)]
-        labelled = [one for one in every if one.label and one.label.casefold() == text.strip().casefold()]
+        named, things = self.scene.labels.called(text), objects_of(self.scene.field)
+        labelled = [one for one in every if one.object_id is not None and things.thing(one.object_id) in named]
         if labelled:
             return labelled[0]
         found = self.scene.locate(_text(text))
