@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from functools import lru_cache
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from drsplat.formats.tensors import map_tensors
 OFFICIAL_INDEX = Path(__file__).resolve().parents[2] / "shared/data/official/pq_index.faiss"
 TOY = EncoderIdentity("toy", 32, "w0")
 SCENE = "600-0123456789abcdef"
+SEED = "rng" if "rng" in signature(random_array).parameters else "random_state"  # before SciPy 1.15
 
 
 def unit_rows(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
@@ -26,7 +28,7 @@ def unit_rows(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
 
 
 def random_weights(rng: np.random.Generator, rows: int, columns: int, density: float) -> csr_array:
-    weights = random_array((rows, columns), density=density, format="csr", rng=rng, dtype=np.float32)
+    weights = random_array((rows, columns), density=density, format="csr", dtype=np.float32, **{SEED: rng})
     return csr_array(weights)
 
 

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csr_array, random_array
+from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
 from drsplat.kernels import Forest, MergeRule, agglomerate
 from drsplat.objects.neighbours import along_a_curve, neighbours
 from drsplat.reference import regions as twin
+from fields import random_weights
 
 RULE = MergeRule(soft=0.5, far=2.0, unit=0.7, smallest=3)
 THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
@@ -162,7 +163,7 @@ def test_neighbours_of_points_in_one_place_and_of_few() -> None:
 
 
 def test_random_sparse_votes_do_not_hurt() -> None:
-    w = csr_array(random_array((300, 60), density=0.1, rng=np.random.default_rng(3), dtype=np.float32))
+    w = random_weights(np.random.default_rng(3), 300, 60, 0.1)
     w.sort_indices()
     views = np.sort(np.random.default_rng(4).integers(0, 6, 60)).astype(np.int32)
     embeddings = np.eye(60, dtype=np.float32)[:, :8]
