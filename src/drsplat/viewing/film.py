@@ -139,8 +139,10 @@ class FilmControls:
         begin, lasts = time.monotonic(), path.seconds or SECONDS
         try:
             with suppress(Exception):
-                while self.is_playing and (passed := time.monotonic() - begin) < lasts + STEP_S:
-                    (key,) = path.at(np.array([min(passed / lasts, 1.0)]))
+                at = 0.0
+                while self.is_playing and at < 1.0:
+                    at = min((time.monotonic() - begin) / lasts, 1.0)
+                    (key,) = path.at(np.array([at]))
                     self.window.stand(client, key)
                     time.sleep(STEP_S)
         finally:
