@@ -121,7 +121,7 @@ def test_another_scene_is_refused():
     scene, labels = boxes_scene([(0, 0, 0), (2, 0, 0)])
     field = field_of(scene, labels)
     other, _ = boxes_scene([(0, 0, 0), (2, 0, 0)], seed=1)
-    with pytest.raises(MismatchError, match="row order"):
+    with pytest.raises(MismatchError, match="in another order"):
         locate(Answer.of(field, field.scores(unit(0)), 0.5), other)
 
 
