@@ -1,6 +1,7 @@
 """Fixtures that are costly enough to be made once."""
 
 import shutil
+import signal
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,6 +14,12 @@ from furnished.story import Setup, Story, tell
 collect_ignore = [] if find_spec("msgspec") else ["test_view.py"]  # whose imports need the extra drsplat[viewer]
 COSTLY = "household_story"
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
+
+
+def pytest_configure() -> None:
+    """What a shell starts in the background may ignore ctrl-C, and so would the programs that tests start."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)
