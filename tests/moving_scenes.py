@@ -118,6 +118,15 @@ def passing_scene(objects: bool = False) -> Scene:
     return Scene(field, moving, views)
 
 
+def passing_red_scene() -> Scene:
+    """With objects, and the thing that moves in red, so that a picture tells."""
+    made = passing_scene(objects=True)
+    moving: Moving = made.moving
+    red = np.where(np.arange(300)[:, None, None] < 100, [[[1.7, -1.7, -1.7]]], 0).astype(np.float32)
+    moving.canonical.sh[:] = red
+    return made
+
+
 def write_film(folder: Path) -> None:
     """The passing car: numbered PLY files, photos by camera and frame, whose names alone have times."""
     moving = passing()

@@ -10,21 +10,16 @@ import pytest
 from browsing import a_browser, a_page, eventually, near, needs_chromium, pixels_of
 from drsplat.editing import Edit, Everything, Move, Remove
 from drsplat.query import Scene
-from drsplat.scene.moving import Moving
 from drsplat.viewing.playing import placed_now
 from drsplat.viewing.session import Mode, Session
-from moving_scenes import passing_scene
+from moving_scenes import passing_red_scene
 
 CAR = np.arange(100)
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    made = passing_scene(objects=True)
-    moving: Moving = made.moving
-    red = np.where(np.arange(300)[:, None, None] < 100, [[[1.7, -1.7, -1.7]]], 0).astype(np.float32)
-    moving.canonical.sh[:] = red  # so that a picture tells
-    return made
+    return passing_red_scene()
 
 
 def test_what_is_shown_moves_with_the_time(scene: Scene) -> None:

@@ -20,7 +20,7 @@ from drsplat.scene.moving import Moving
 from drsplat.viewing import page_times
 from drsplat.viewing.page_times import boxes_of, times_of_page
 from drsplat.viewing.session import Session
-from moving_scenes import passing_scene
+from moving_scenes import passing_red_scene
 
 UP = np.array([0.0, 0, 1])
 CAR = np.arange(100)
@@ -29,11 +29,7 @@ SIZES = {"desk": (1000, 700), "hand": (390, 844)}
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    made = passing_scene(objects=True)
-    moving: Moving = made.moving
-    red = np.where(np.arange(300)[:, None, None] < 100, [[[1.7, -1.7, -1.7]]], 0).astype(np.float32)
-    moving.canonical.sh[:] = red  # so that a picture tells
-    return made
+    return passing_red_scene()
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,9 @@
 
 Source: Wu et al., OpenGaussian (NeurIPS 2024) Sec. 3: losses, 6 numbers, 64 coarse and 5 fine clusters, 10,000 steps
 for features and for the coarse level, 20,000 for the fine one. Departures: the weight of positions beside features,
-and that features begin nearly alike, are ours; clusters come from k-means of 20 rounds before each stage of fitting;
-what a photo shows of a cluster is what it shows most of at a pixel, in place of a rendering of the cluster alone.
+and that features begin nearly alike, are ours; clusters come from k-means of 20 rounds, `REFRESHED` times in a stage
+of fitting; what a photo shows of a cluster is what it shows most of at a pixel, in place of a rendering of the cluster
+alone.
 """
 
 from collections.abc import Callable, Sequence
