@@ -96,7 +96,7 @@ def run(cell: Cell, work: Path) -> dict[str, object]:
         return {"cell": cell.name, "result": "not to be had", "why": str(error)}
     python, numpy = said([inside, "-P", "-c", IMPORT]).split()
     done = subprocess.run(
-        [inside, "-P", "-m", "pytest", "-p", "no:cacheprovider", "-q", *QUICK],
+        [inside, "-P", "-m", "pytest", "-p", "no:cacheprovider", *QUICK],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     counted = {what: int(number) for number, what in re.findall(r"(\d+) (passed|failed|skipped|error)", done.stdout)}
