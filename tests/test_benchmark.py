@@ -73,7 +73,7 @@ def results() -> dict[str, Any]:
         "sweep": [0.2, 0.4, 0.6],
         "voxel_side": 0.05,
         "encoder": {"name": "e", "weights": "w", "threshold": 0.5},
-        "segmenter": {"name": "graph", "weights": "w"},
+        "segmenter": {"name": "graph", "version": 1, "weights": "w"},
         "scenes": dict.fromkeys("abcde", about),
         "records": records,
     }

@@ -11,7 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
-from world.segmenter.network import first_rule, learn_rule
+from safetensors.numpy import load_file
+from scipy.ndimage import correlate
+from skimage.segmentation import find_boundaries
+from world.segmenter.network import both, first_rule, learn_rule, padded
 from world.segmenter.scenes import Photo, halved
 from world.segmenter.scores import score, shared_pixels
 from world.segmenter.tuning import case, learned, save_rule
@@ -21,15 +24,30 @@ from drsplat.errors import InputError
 from drsplat.masks.masks import Masks, Segmenter
 from drsplat.masks.selection import paint
 from drsplat.models.graph import GraphSegmenter
-from drsplat.models.graph.features import pair_features
+from drsplat.models.graph.features import OF_NETWORK, pair_features
 from drsplat.models.graph.merging import Merging
+from drsplat.models.graph.network import BORDER_STEPS, LEVELS, TRAIT_STEPS, TRAITS, Sight, look, shipped_network
 from drsplat.models.graph.regions import WORKING_PIXELS, enlarged, lab_colors, small_regions, working_image
 from drsplat.models.graph.rule import MergeRule, shipped_rule
 from drsplat.models.graph.segmenter import GraphSettings, label_masks, segment_labels
-from drsplat.models.graph.statistics import AREA, AROUND, FRAME, LENGTH, STEP, RegionGraph, region_graph
+from drsplat.models.graph.statistics import (
+    AREA,
+    AROUND,
+    FRAME,
+    HISTOGRAM,
+    LENGTH,
+    SEEN,
+    STEP,
+    TRAIT,
+    TRAIT_SQUARE,
+    TRAIT_STEP,
+    RegionGraph,
+    region_graph,
+)
 from drsplat.models.point_masks import PointMaskSettings
 from drsplat.models.sam import load_segmenter
 
+NETWORK = shipped_network()[0]
 Y, X = np.mgrid[:240, :320]
 IMAGES = st.builds(
     lambda height, width, seed, cell: blocks(np.random.default_rng(seed), height, width, cell),
@@ -145,8 +163,8 @@ def test_enlarged_labels_are_those_of_the_nearest_pixel(h: int, w: int, m: int, 
 # Sums
 
 
-def plain_graph(labels: np.ndarray, lab: np.ndarray) -> dict[tuple[int, int], list[float]]:
-    """Borders pixel by pixel: length, colour steps."""
+def plain_graph(labels: np.ndarray, lab: np.ndarray, sight: Sight) -> dict[tuple[int, int], list[float]]:
+    """Borders pixel by pixel: length, colour steps, what the network says, steps of traits."""
     height, width = labels.shape
     found: dict[tuple[int, int], list[float]] = {}
     for y, x in np.ndindex(height, width):
@@ -154,11 +172,13 @@ def plain_graph(labels: np.ndarray, lab: np.ndarray) -> dict[tuple[int, int], li
             if y + dy >= height or x + dx >= width or labels[y, x] == labels[y + dy, x + dx]:
                 continue
             pair = sorted((int(labels[y, x]), int(labels[y + dy, x + dx])))
-            inner = lab[max(y - dy, 0), max(x - dx, 0)]
-            outer = lab[min(y + 2 * dy, height - 1), min(x + 2 * dx, width - 1)]
-            entry = found.setdefault((pair[0], pair[1]), [0.0, 0.0])
+            inner = max(y - dy, 0), max(x - dx, 0)
+            outer = min(y + 2 * dy, height - 1), min(x + 2 * dx, width - 1)
+            entry = found.setdefault((pair[0], pair[1]), [0.0, 0.0, 0.0, 0.0])
             entry[0] += 1
-            entry[1] += np.rint(np.sqrt(float(((inner - outer).astype(float) ** 2).sum())))
+            entry[2] += sight.borders[y, x] + sight.borders[y + dy, x + dx]
+            for place, values in ((1, lab), (3, sight.traits)):
+                entry[place] += np.rint(np.sqrt(float(((values[inner] - values[outer]).astype(float) ** 2).sum())))
     return found
 
 
@@ -167,21 +187,24 @@ def plain_graph(labels: np.ndarray, lab: np.ndarray) -> dict[tuple[int, int], li
 def test_sums_are_those_of_plain_loops(image: np.ndarray) -> None:
     lab = lab_colors(image)
     labels = small_regions(lab)
-    graph = region_graph(labels, lab)
-    expected = plain_graph(labels, lab)
+    sight = look(image, NETWORK)
+    graph = region_graph(labels, lab, sight)
+    expected = plain_graph(labels, lab, sight)
     assert [tuple(pair) for pair in graph.pairs.tolist()] == sorted(expected)
     for pair, border in zip(graph.pairs.tolist(), graph.borders, strict=True):
-        assert_array_equal(border[[LENGTH, STEP]], expected[pair[0], pair[1]])
+        assert_array_equal(border[[LENGTH, STEP, SEEN, TRAIT_STEP]], expected[pair[0], pair[1]])
     for i, sums in enumerate(graph.sums):
         mask = labels == i
         assert sums[AREA] == mask.sum()
         assert_array_equal(sums[1:4], lab[mask].sum(0))
         assert_array_equal(sums[4:7], (lab[mask].astype(float) ** 2).sum(0))
-        assert sums[AROUND] == sum(n for pair, (n, _) in expected.items() if i in pair)
+        assert sums[AROUND] == sum(n for pair, (n, *_) in expected.items() if i in pair)
         rows, columns = np.nonzero(mask)
         box = (columns.min(), rows.min(), -columns.max() - 1, -rows.max() - 1)
         assert_array_equal(graph.boxes[i], box)
-        assert sums[10:].sum() == 3 * mask.sum()
+        assert sums[HISTOGRAM].sum() == 3 * mask.sum()
+        assert_array_equal(sums[TRAIT], sight.traits[mask].sum(0))
+        assert sums[TRAIT_SQUARE] == (sight.traits[mask].astype(float) ** 2).sum()
     assert graph.sums[:, FRAME].sum() == 2 * sum(labels.shape)
 
 
@@ -189,7 +212,7 @@ def test_sums_are_those_of_plain_loops(image: np.ndarray) -> None:
 @given(IMAGES)
 def test_features_do_not_depend_on_the_order_of_a_pair(image: np.ndarray) -> None:
     lab = lab_colors(image)
-    graph = region_graph(small_regions(lab), lab)
+    graph = region_graph(small_regions(lab), lab, look(image, NETWORK))
     sums, boxes = graph.sums[graph.pairs.T], graph.boxes[graph.pairs.T]
     uneven = sums[0, :, AREA] != sums[1, :, AREA]
     found = pair_features(sums, boxes, graph.borders, graph.pixels)
@@ -198,12 +221,72 @@ def test_features_do_not_depend_on_the_order_of_a_pair(image: np.ndarray) -> Non
     assert_array_equal(found[uneven], swapped[uneven])
 
 
+# The network
+
+
+def test_what_the_network_sees_is_that_of_plain_loops() -> None:
+    image = blocks(np.random.default_rng(1), 33, 40, 7)
+    sight = look(image, NETWORK)
+    assert sight.borders.shape == (33, 40)
+    assert sight.traits.shape == (33, 40, TRAITS)
+    padded = np.pad(image, ((0, 31), (0, 24), (0, 0)), mode="edge").astype(np.float64) / 127.5 - 1
+    out = plain_network(padded)
+    borders, traits = BORDER_STEPS / (1 + np.exp(-out[0])), out[1:] * TRAIT_STEPS
+    assert_allclose(sight.borders, borders[:33, :40], atol=0.51)
+    assert_allclose(sight.traits, traits[:, :33, :40].transpose(1, 2, 0), atol=0.51)
+
+
+def plain_network(pixels: np.ndarray) -> np.ndarray:
+    """(9, h, w), channel by channel, in float64."""
+    x = np.stack([pixels[y::2, x::2, channel] for channel in range(3) for y in (0, 1) for x in (0, 1)])
+    x, seen = plain_layer(x, "stem"), []
+    for level in range(LEVELS):
+        if level:
+            x = np.max([x[:, y::2, x0::2] for y in (0, 1) for x0 in (0, 1)], axis=0)
+        x = plain_layer(plain_layer(x, f"down{level}a"), f"down{level}b")
+        seen.append(x)
+    for level in reversed(range(LEVELS - 1)):
+        x = np.concatenate([seen[level], np.kron(x, np.ones((2, 2)))])
+        x = plain_layer(plain_layer(x, f"up{level}a"), f"up{level}b")
+    last = np.tensordot(NETWORK["head.weight"].T, x, 1) + NETWORK["head.bias"][:, None, None]
+    out = np.zeros((len(last) // 4, 2 * x.shape[1], 2 * x.shape[2]))
+    for place, channel in enumerate(last):
+        out[place // 4, place // 2 % 2 :: 2, place % 2 :: 2] = channel
+    return out
+
+
+def plain_layer(x: np.ndarray, name: str) -> np.ndarray:
+    weight, bias = NETWORK[f"{name}.weight"].astype(float), NETWORK[f"{name}.bias"].astype(float)
+    kernels = weight.reshape(3, 3, len(x), -1)
+    out = np.zeros((kernels.shape[3], *x.shape[1:])) + bias[:, None, None]
+    for place, kernel in enumerate(kernels.transpose(3, 2, 0, 1)):
+        for channel, taps in zip(x, kernel, strict=True):
+            out[place] += correlate(channel, taps, mode="constant")
+    return np.maximum(out, 0)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 70), (31, 33)])
+def test_it_sees_photos_of_any_size(size: tuple[int, int]) -> None:
+    sight = look(np.full((*size, 3), 90, np.uint8), NETWORK)
+    assert sight.borders.shape == size
+    assert 0 <= sight.borders.min() <= sight.borders.max() <= BORDER_STEPS
+
+
+def test_it_sees_where_a_thing_ends_and_what_it_is_made_of() -> None:
+    image, truth = flat_squares()
+    sight = look(image, NETWORK)
+    across = truth[:, 1:] != truth[:, :-1]
+    assert sight.borders[:, 1:][across].mean() > 5 * sight.borders.mean()
+    traits = [sight.traits[truth == thing].mean(0) for thing in range(3)]
+    spread = max(sight.traits[truth == thing].std(0).max() for thing in range(3))
+    assert min(np.linalg.norm(traits[a] - traits[b]) for a, b in ((0, 1), (0, 2), (1, 2))) > spread
+
+
 # Merging
 
 
-def merged_plainly(labels: np.ndarray, lab: np.ndarray, rule: MergeRule, threshold: float) -> np.ndarray:
+def merged_plainly(labels: np.ndarray, whole: RegionGraph, rule: MergeRule, threshold: float) -> np.ndarray:
     """All sums anew from region sums after each merge, all pairs scored each time, no queue."""
-    labels, whole = labels.copy(), region_graph(labels, lab)
     owner = np.arange(len(whole.sums))
     while True:
         graph = contracted(whole, owner)
@@ -235,7 +318,7 @@ def contracted(whole: RegionGraph, owner: np.ndarray) -> RegionGraph:
         else:
             borders[a, b] = borders.get((a, b), 0) + border
     pairs = sorted(borders)
-    rows = np.array([borders[pair] for pair in pairs]).reshape(-1, 3)
+    rows = np.array([borders[pair] for pair in pairs]).reshape(-1, whole.borders.shape[1])
     return RegionGraph(whole.pixels, sums, boxes, np.array(pairs, int).reshape(-1, 2), rows)
 
 
@@ -245,9 +328,10 @@ def test_merging_is_that_of_plain_loops(image: np.ndarray, threshold: float) -> 
     rule = shipped_rule()[0]
     lab = lab_colors(image)
     labels = small_regions(lab)
-    merging = Merging(region_graph(labels, lab), rule.likelihood)
+    graph = region_graph(labels, lab, look(image, NETWORK))
+    merging = Merging(graph, rule.likelihood)
     merging.merge_above(threshold)
-    assert_array_equal(merging.labels()[labels], merged_plainly(labels, lab, rule, threshold))
+    assert_array_equal(merging.labels()[labels], merged_plainly(labels, graph, rule, threshold))
 
 
 @settings(max_examples=15, deadline=None)
@@ -255,7 +339,7 @@ def test_merging_is_that_of_plain_loops(image: np.ndarray, threshold: float) -> 
 def test_no_small_region_stays(image: np.ndarray, least: float) -> None:
     lab = lab_colors(image)
     labels = small_regions(lab)
-    merging = Merging(region_graph(labels, lab), shipped_rule()[0].likelihood)
+    merging = Merging(region_graph(labels, lab, look(image, NETWORK)), shipped_rule()[0].likelihood)
     merging.merge_small(least)
     areas = np.bincount(merging.labels()[labels].ravel())
     assert areas.min() >= min(least, labels.size)
@@ -265,8 +349,9 @@ def test_no_narrow_region_stays() -> None:
     labels = np.zeros((40, 40), np.int64)
     labels[:, 20:22], labels[:, 22:] = 1, 2
     lab = np.random.default_rng(0).integers(0, 1600, (40, 40, 3)).astype(np.int32)
+    graph = region_graph(labels, lab, Sight(np.zeros((40, 40), np.int32), np.zeros((40, 40, TRAITS), np.int32)))
     for width, count in ((1.9, 3), (2.1, 2)):
-        merging = Merging(region_graph(labels, lab), shipped_rule()[0].likelihood)
+        merging = Merging(graph, shipped_rule()[0].likelihood)
         merging.merge_small(0.0, width)
         assert merging.labels().max() + 1 == count
 
@@ -275,10 +360,10 @@ def test_everything_merges_at_threshold_zero_and_nothing_at_one() -> None:
     image = blocks(np.random.default_rng(0), 60, 60, 12)
     rule = shipped_rule()[0]
     labels = small_regions(lab_colors(image))
-    none = segment_labels(image, rule, GraphSettings(0.0, 0.0, 1.0))
+    none = segment_labels(image, rule, NETWORK, GraphSettings(0.0, 0.0, 1.0))
     assert_array_equal(np.unique(none), np.unique(labels))
     eager = replace(rule, output_bias=np.array([60.0]))
-    assert segment_labels(image, eager, GraphSettings(0.0, 0.0, 0.5)).max() == 0
+    assert segment_labels(image, eager, NETWORK, GraphSettings(0.0, 0.0, 0.5)).max() == 0
 
 
 def test_masks_of_labels() -> None:
@@ -297,7 +382,7 @@ def test_identity_changes_with_every_setting() -> None:
     assert usual != GraphSegmenter(GraphSettings(least_area=61.0)).identity
     assert usual != GraphSegmenter(GraphSettings(least_width=3.0)).identity
     assert usual != GraphSegmenter(GraphSettings(threshold=0.4)).identity
-    assert usual["weights"] == shipped_rule()[1]
+    assert (usual["weights"], usual["network"]) == (shipped_rule()[1], shipped_network()[1])
 
 
 @pytest.mark.parametrize("wrong", [{"least_area": -1.0}, {"threshold": 1.5}, {"least_area": float("nan")}])  # fmt: skip
@@ -347,8 +432,8 @@ def captured(tmp_path: Path) -> Path:
 # Learning
 
 
-def made_photo(seed: int) -> Photo:
-    """Squares of random colours on a striped floor."""
+def made_photo(seed: int, times: int = 1) -> Photo:
+    """Squares of random colours on a striped floor, so many times as large as 160x120."""
     rng = np.random.default_rng(seed)
     truth = np.ones((120, 160), np.int64)
     image = np.where((np.arange(160) // 6 % 2)[None, :, None] == 0, 110, 140) + np.zeros((120, 1, 3))
@@ -357,16 +442,17 @@ def made_photo(seed: int) -> Photo:
         truth[y : y + 36, x : x + 36] = thing
     image[truth > 1] = rng.integers(0, 256, (5, 3))[truth][truth > 1]
     noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-    return Photo(str(seed), noisy, truth, np.array([False, False, True, True, True]))
+    large, owners = (array.repeat(times, 0).repeat(times, 1) for array in (noisy, truth))
+    return Photo(str(seed), large, owners, np.array([False, False, True, True, True]))
 
 
 def test_a_rule_is_learned_written_and_better_than_none(tmp_path: Path) -> None:
-    cases = [case(made_photo(seed)) for seed in range(3)]
+    cases = [case(made_photo(seed), NETWORK) for seed in range(3)]
     rule = learned(cases, cases[:1], rounds=2, hidden=4, steps=60)
     save_rule(rule, tmp_path / "rule.safetensors")
     assert (tmp_path / "rule.safetensors").stat().st_size < 10_000
     photo = made_photo(99)
-    labels = segment_labels(photo.image, rule, GraphSettings())
+    labels = segment_labels(photo.image, rule, NETWORK, GraphSettings())
     found = score(shared_pixels(labels, photo.truth, 5), photo.is_object)
     plain = small_regions(lab_colors(photo.image))
     assert found.best.min() > 0.9
@@ -375,8 +461,6 @@ def test_a_rule_is_learned_written_and_better_than_none(tmp_path: Path) -> None:
 
 def test_the_shipped_rule_is_of_the_learned_form(tmp_path: Path) -> None:
     from importlib.resources import files
-
-    from safetensors.numpy import load_file
 
     rule = shipped_rule()[0]
     save_rule(rule, tmp_path / "again.safetensors")
@@ -387,12 +471,70 @@ def test_the_shipped_rule_is_of_the_learned_form(tmp_path: Path) -> None:
     }
 
 
-def test_the_network_is_learned_by_its_true_slopes() -> None:
+def test_the_network_is_written_as_it_is_read(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    from world.segmenter.sight import learned as learned_network
+    from world.segmenter.sight import save_network
+
+    net = learned_network([made_photo(seed, times=2) for seed in range(2)], 2)
+    save_network(net, tmp_path / "network.safetensors")
+    weights = {name: a.astype(np.float32) for name, a in load_file(tmp_path / "network.safetensors").items()}
+    assert {name: a.shape for name, a in weights.items()} == {name: a.shape for name, a in NETWORK.items()}
+    image = made_photo(99).image[:96]
+    with torch.no_grad():
+        out = net(torch.from_numpy(image / np.float32(127.5) - 1).permute(2, 0, 1)[None])[0].numpy()
+    sight = look(image, weights)
+    assert_allclose(sight.traits, out[1:].transpose(1, 2, 0) * TRAIT_STEPS, atol=1)
+    assert_allclose(sight.borders, BORDER_STEPS / (1 + np.exp(-out[0])), atol=1)
+
+
+def test_what_the_network_is_to_learn_has_no_loss() -> None:
+    torch = pytest.importorskip("torch")
+    from world.segmenter.sight import Batch, batches, border_loss, touching, trait_loss
+
+    batch: Batch = next(batches([made_photo(seed, times=2) for seed in range(4)], np.random.default_rng(0)))
+    truth = touching(batch.things)
+    labels = batch.things[0].numpy()
+    assert_array_equal(truth[0].numpy() > 0, find_boundaries(labels, connectivity=1, mode="thick"))
+    right, wrong = border_loss(20 * truth - 10, batch), border_loss(10 - 20 * truth, batch)
+    assert right < 1e-3
+    assert wrong > 9
+    own = torch.nn.functional.one_hot(batch.things, TRAITS).permute(0, 3, 1, 2).float()
+    torch.manual_seed(0)
+    assert trait_loss(5 * own, batch, torch.tensor(9.0)) < 1e-3
+    assert trait_loss(0 * own, batch, torch.tensor(9.0)) > 4
+
+
+def test_the_rule_is_learned_by_its_true_slopes() -> None:
     rng = np.random.default_rng(0)
     features = rng.normal(size=(2000, 5))
     together = features[:, 0] * features[:, 1] > 0  # no line divides these
     rule = learn_rule(first_rule(features, 8), features, together, np.ones(2000), 200)
     assert ((rule.likelihood(features) > 0.5) == together).mean() > 0.97
+
+
+def test_the_mean_of_two_rules() -> None:
+    rng = np.random.default_rng(0)
+    features = rng.normal(3, 2, (500, 7))
+    blind, seeing = first_rule(features[:, :5] * 1.1, 4), first_rule(features, 6)
+    blind = replace(blind, output_bias=np.array([0.7]))
+
+    def logit(rule: MergeRule, given: np.ndarray) -> np.ndarray:
+        likely = rule.likelihood(given)
+        return np.log(likely / (1 - likely))
+
+    assert_array_equal(padded(blind, 7).likelihood(features), blind.likelihood(features[:, :5]))
+    mean = (logit(blind, features[:, :5]) + logit(seeing, features)) / 2
+    assert_allclose(logit(both(blind, seeing), features), mean, atol=1e-4)
+
+
+def test_a_blind_rule_does_not_look_at_what_the_network_sees() -> None:
+    cases = [case(made_photo(seed), NETWORK) for seed in range(2)]
+    rule = learned(cases, cases[:1], rounds=2, hidden=3, steps=20, blind=True)
+    features = np.random.default_rng(0).normal(size=(50, len(rule.center)))
+    other = features.copy()
+    other[:, -OF_NETWORK:] += 5
+    assert_array_equal(rule.likelihood(features), rule.likelihood(other))
 
 
 def test_scores_by_hand() -> None:

@@ -160,7 +160,8 @@ def _versions(results: Results) -> str:
     encoder, segmenter = results["encoder"], results["segmenter"]
     return (
         f"Made with drsplat {results['drsplat']}, encoder {encoder['name']} (weights `{encoder['weights']}`), "
-        f"segmenter {segmenter['name']} (weights `{segmenter['weights']}`), label set {results['label_set']}. Scenes:"
+        f"segmenter {segmenter['name']}, version {segmenter['version']} (weights `{segmenter['weights']}`), label set "
+        f"{results['label_set']}. Scenes:"
     )
 
 

@@ -1,6 +1,7 @@
 """The rule's network learned from pairs: weighted cross-entropy, L-BFGS."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
@@ -49,6 +50,27 @@ def learn_rule(
     start = np.concatenate([part.ravel() for part in parts])
     best = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": steps})
     return MergeRule(rule.center, rule.width, *_split(best.x, parts), rule.threshold)
+
+
+def padded(rule: MergeRule, count: int) -> MergeRule:
+    """The same rule for so many features, of which it does not look at the last ones."""
+    more = count - len(rule.center)
+    center, width = np.append(rule.center, np.zeros(more)), np.append(rule.width, np.ones(more))
+    return replace(rule, center=center, width=width, hidden=np.pad(rule.hidden, ((0, more), (0, 0))))
+
+
+def both(first: MergeRule, second: MergeRule) -> MergeRule:
+    """One rule whose logit is the mean of those of two, but for features that are further out than is looked at."""
+    first = padded(first, len(second.center))
+    inner = first.hidden * (second.width / first.width)[:, None]
+    bias = first.hidden_bias + ((second.center - first.center) / first.width) @ first.hidden
+    return replace(
+        second,
+        hidden=np.concatenate([inner, second.hidden], axis=1),
+        hidden_bias=np.append(bias, second.hidden_bias),
+        output=np.append(first.output, second.output) / 2,
+        output_bias=(first.output_bias + second.output_bias) / 2,
+    )
 
 
 def _split(flat: Float32[np.ndarray, " p"] | Float64[np.ndarray, " p"], like: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -3,16 +3,34 @@
 import numpy as np
 from jaxtyping import Float64
 
+from .network import BORDER_STEPS, TRAIT_STEPS
 from .regions import LAB_STEPS
-from .statistics import AREA, AROUND, BINS, FRAME, HISTOGRAM, LENGTH, MEAN, SQUARE, STEP, STEP_CHROMA, TEXTURE
+from .statistics import (
+    AREA,
+    AROUND,
+    BINS,
+    FRAME,
+    HISTOGRAM,
+    LENGTH,
+    MEAN,
+    SEEN,
+    SQUARE,
+    STEP,
+    STEP_CHROMA,
+    TEXTURE,
+    TRAIT,
+    TRAIT_SQUARE,
+    TRAIT_STEP,
+)
 
+OF_NETWORK = 6  # the last features: what the network sees
 _NOISE = 1.0  # CIELAB units that even flat colours differ by
 
 
 def pair_features(
     sums: Float64[np.ndarray, "2 e c"],
     boxes: Float64[np.ndarray, "2 e 4"],
-    borders: Float64[np.ndarray, "e 3"],
+    borders: Float64[np.ndarray, "e 5"],
     pixels: int,
 ) -> Float64[np.ndarray, "e f"]:
     """One row per pair; the smaller region counts as first, whichever comes first.
@@ -24,10 +42,23 @@ def pair_features(
     boxes = np.where(swapped[:, None], boxes[::-1], boxes)
     colors = _colors(sums, borders)
     shapes = _shapes(sums, boxes, borders, pixels)
-    return np.concatenate([colors, shapes], 0).T
+    return np.concatenate([colors, shapes, _seen(sums, borders)], 0).T
 
 
-def _colors(sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 3"]) -> Float64[np.ndarray, "f e"]:
+def _seen(sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 5"]) -> Float64[np.ndarray, "f e"]:
+    """What the network says of the border, and how far apart and how spread its traits of the two regions are."""
+    area, sides = sums[..., AREA], borders[:, LENGTH]
+    mean = sums[..., TRAIT] / (area[..., None] * TRAIT_STEPS)
+    spread = np.maximum(sums[..., TRAIT_SQUARE] / (area * TRAIT_STEPS**2) - np.square(mean).sum(-1), 0)
+    apart = np.square(mean[0] - mean[1]).sum(-1)
+    rows = [
+        borders[:, SEEN] / (2 * BORDER_STEPS * sides), np.sqrt(borders[:, TRAIT_STEP] / (TRAIT_STEPS * sides)),
+        np.sqrt(apart), apart / (1 + spread[0] + spread[1]), np.sqrt(spread[0]), np.sqrt(spread[1]),
+    ]  # fmt: skip
+    return np.stack(rows)
+
+
+def _colors(sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 5"]) -> Float64[np.ndarray, "f e"]:
     area = sums[..., AREA, None]
     mean = sums[..., MEAN] / (area * LAB_STEPS)
     spread = sums[..., SQUARE] / (area * LAB_STEPS**2) - mean**2
@@ -56,7 +87,7 @@ def _colors(sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 
 def _shapes(
     sums: Float64[np.ndarray, "2 e c"],
     boxes: Float64[np.ndarray, "2 e 4"],
-    borders: Float64[np.ndarray, "e 3"],
+    borders: Float64[np.ndarray, "e 5"],
     pixels: int,
 ) -> Float64[np.ndarray, "f e"]:
     area, around, frame = sums[..., AREA], sums[..., AROUND], sums[..., FRAME]

@@ -32,8 +32,11 @@ class MergeRule:
 
 def shipped_rule() -> tuple[MergeRule, str]:
     """The one in the package, and the BLAKE2b hash of its file."""
+    data = (files(__package__) / "rule.safetensors").read_bytes()
+    return read_rule(data), hashlib.blake2b(data, digest_size=8).hexdigest()
+
+
+def read_rule(data: bytes) -> MergeRule:
     from safetensors.numpy import load
 
-    data = (files(__package__) / "rule.safetensors").read_bytes()
-    arrays = {name: array.astype(np.float64) for name, array in load(data).items()}
-    return MergeRule(**arrays), hashlib.blake2b(data, digest_size=8).hexdigest()
+    return MergeRule(**{name: array.astype(np.float64) for name, array in load(data).items()})

@@ -10,6 +10,7 @@ from ...errors import InputError
 from ...masks.masks import Masks
 from . import regions
 from .merging import Merging
+from .network import Tensors, look, shipped_network
 from .rule import MergeRule, shipped_rule
 from .statistics import RegionGraph, region_graph
 
@@ -46,9 +47,10 @@ class GraphSegmenter:
 
     def __init__(self, settings: GraphSettings | None = None) -> None:
         self.settings = settings or GraphSettings()
+        self.network, seen = shipped_network()
         self.rule, weights = shipped_rule()
         self.identity: Mapping[str, object] = {
-            "name": self.name, "version": 1, "weights": weights,
+            "name": self.name, "version": 2, "weights": weights, "network": seen,
             "scale": regions.SCALE, "sigma": regions.SIGMA, "region_area": regions.LEAST_AREA,
             "working_pixels": regions.WORKING_PIXELS, **asdict(self.settings),
         }  # fmt: skip
@@ -61,17 +63,17 @@ class GraphSegmenter:
         height, width = image.shape[:2]
         if not height * width:
             raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
-        labels = segment_labels(regions.working_image(image), self.rule, self.settings)
+        labels = segment_labels(regions.working_image(image), self.rule, self.network, self.settings)
         return {"large": label_masks(regions.enlarged(labels, height, width))}
 
 
 def segment_labels(
-    image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, settings: GraphSettings
+    image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, weights: Tensors, settings: GraphSettings
 ) -> Int64[np.ndarray, "h w"]:
     """A number from 0 for each thing."""
     lab = regions.lab_colors(image)
     labels = regions.small_regions(lab)
-    owner = merged(region_graph(labels, lab), rule, settings)
+    owner = merged(region_graph(labels, lab, look(image, weights)), rule, settings)
     return np.asarray(owner[labels], np.int64)
 
 

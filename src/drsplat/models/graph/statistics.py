@@ -5,13 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
+from .network import TRAITS, Sight
 from .regions import LAB_STEPS
 
 BINS = 12  # of each channel's histogram
 AREA, MEAN, SQUARE, FRAME, AROUND, TEXTURE = 0, slice(1, 4), slice(4, 7), 7, 8, 9
 HISTOGRAM = slice(10, 10 + 3 * BINS)
-COLUMNS = HISTOGRAM.stop
-LENGTH, STEP, STEP_CHROMA = 0, 1, 2
+TRAIT = slice(HISTOGRAM.stop, HISTOGRAM.stop + TRAITS)
+TRAIT_SQUARE = TRAIT.stop
+COLUMNS = TRAIT_SQUARE + 1
+LENGTH, STEP, STEP_CHROMA, SEEN, TRAIT_STEP = range(5)
 _RANGES = ((0.0, 100.0), (-60.0, 60.0), (-60.0, 60.0))
 
 
@@ -28,12 +31,12 @@ class RegionGraph:
     sums: Float64[np.ndarray, "n c"]
     boxes: Float64[np.ndarray, "n 4"]
     pairs: Int64[np.ndarray, "e 2"]
-    borders: Float64[np.ndarray, "e 3"]
+    borders: Float64[np.ndarray, "e 5"]
 
 
-def region_graph(labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"]) -> RegionGraph:
+def region_graph(labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
     count = int(labels.max()) + 1
-    pairs, borders = _borders(labels, lab)
+    pairs, borders = _borders(labels, lab, sight)
     sums = np.zeros((count, COLUMNS))
     flat, colors = labels.ravel(), lab.reshape(-1, 3)
     sums[:, AREA] = np.bincount(flat, minlength=count)
@@ -47,6 +50,10 @@ def region_graph(labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3
     for side in (0, 1):
         sums[:, AROUND] += np.bincount(pairs[:, side], borders[:, LENGTH], count)
     sums[:, TEXTURE] = np.bincount(flat, _texture(lab[..., 0]).ravel(), count)
+    traits = sight.traits.reshape(-1, TRAITS).astype(np.float64)
+    for k in range(TRAITS):
+        sums[:, TRAIT.start + k] = np.bincount(flat, traits[:, k], count)
+    sums[:, TRAIT_SQUARE] = np.bincount(flat, (traits**2).sum(1), count)
     return RegionGraph(labels.size, sums, _boxes(labels, count), pairs, borders)
 
 
@@ -81,10 +88,11 @@ def _boxes(labels: Int64[np.ndarray, "h w"], count: int) -> Float64[np.ndarray, 
 
 
 def _borders(
-    labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"]
-) -> tuple[Int64[np.ndarray, "e 2"], Float64[np.ndarray, "e 3"]]:
+    labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight
+) -> tuple[Int64[np.ndarray, "e 2"], Float64[np.ndarray, "e 5"]]:
     """Touching regions and the sums over their border: see RegionGraph."""
-    across, down = _sides(labels, lab), _sides(labels.T, lab.transpose(1, 0, 2))
+    turned = Sight(sight.borders.T, sight.traits.transpose(1, 0, 2))
+    across, down = _sides(labels, lab, sight), _sides(labels.T, lab.transpose(1, 0, 2), turned)
     ends = np.concatenate([across[0], down[0]])
     steps = np.concatenate([across[1], down[1]])
     count = int(labels.max()) + 1
@@ -94,15 +102,18 @@ def _borders(
 
 
 def _sides(
-    labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"]
-) -> tuple[Int64[np.ndarray, "s 2"], Float64[np.ndarray, "s 3"]]:
-    """Pixel sides between two columns where regions meet: both regions, and 1, colour step, chroma step.
+    labels: Int64[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight
+) -> tuple[Int64[np.ndarray, "s 2"], Float64[np.ndarray, "s 5"]]:
+    """Pixel sides between two columns where regions meet: both regions, and 1, steps of colour, of chroma, what the
+    network says of the two pixels, step of traits.
 
-    The step is taken one pixel farther out on both sides, since an edge is blurred over two pixels.
+    Steps are taken one pixel farther out on both sides, since an edge is blurred over two pixels.
     """
     y, x = np.nonzero(labels[:, 1:] != labels[:, :-1])
     ends = np.stack([labels[y, x], labels[y, x + 1]], 1)
     inner, outer = np.maximum(x - 1, 0), np.minimum(x + 2, labels.shape[1] - 1)
     square = (lab[y, inner] - lab[y, outer]).astype(np.float64) ** 2
     step, chroma = np.rint(np.sqrt(square.sum(1))), np.rint(np.sqrt(square[:, 1:].sum(1)))
-    return ends, np.stack([np.ones(len(y)), step, chroma], 1)
+    apart = np.square((sight.traits[y, inner] - sight.traits[y, outer]).astype(np.float64)).sum(1)
+    seen = (sight.borders[y, x] + sight.borders[y, x + 1]).astype(np.float64)
+    return ends, np.stack([np.ones(len(y)), step, chroma, seen, np.rint(np.sqrt(apart))], 1)

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float32
 
+from ..convolving import convolve
+
 SIDE = 64  # pixels of what it looks at
 STRIDES = (2, 2, 1, 2, 1, 2, 1)
 """Of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
@@ -20,18 +22,7 @@ def embed_images(pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors) -> Fl
     """
     x = pixels
     for layer, stride in enumerate(STRIDES):
-        x = _convolve(x, weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"], stride)
+        x = convolve(x, weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"], stride)
     pooled = np.concatenate([x.mean((1, 2)), x.max((1, 2))], axis=1)
     out = pooled @ weights["projection"]
     return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
-
-
-def _convolve(
-    x: Float32[np.ndarray, "n h w c"], weight: Float32[np.ndarray, "k o"], bias: Float32[np.ndarray, " o"], stride: int
-) -> Float32[np.ndarray, "n _ _ o"]:
-    padded = np.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
-    windows = windows[:, ::stride, ::stride].transpose(0, 1, 2, 4, 5, 3)
-    rows = windows.reshape(-1, weight.shape[0]) @ weight + bias
-    out: np.ndarray = np.maximum(rows, 0).reshape(*windows.shape[:3], -1)
-    return out
