@@ -505,6 +505,28 @@ def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> No
     assert found(catalogue, "white lamp") == [("o'hara", 2)]
 
 
+@pytest.mark.parametrize("left", ["data/rows.lance", "_transactions/0-one.txn"])
+def test_a_writer_killed_before_its_first_version_leaves_an_empty_catalogue(
+    left: str, scenes: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "c" / "objects.lance" / left
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"half")
+    assert not list(Catalogue.open(tmp_path / "c").scenes())
+    Catalogue.open(tmp_path / "c").add(scenes / "kitchen")
+    assert [one.num_objects for one in Catalogue.open(tmp_path / "c").scenes()] == [3]
+
+
+def test_a_catalogue_that_lost_its_versions_is_damaged(scenes: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    catalogue.add(scenes / "kitchen")
+    catalogue.add(scenes / "o'hara")
+    for manifest in (tmp_path / "c").glob("*/_versions/*"):
+        manifest.unlink()
+    with pytest.raises(FormatError, match="damaged"):
+        Catalogue.open(tmp_path / "c")
+
+
 def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
     path = tmp_path / "c"
     Catalogue.open(path).add(scenes / "kitchen")

@@ -170,10 +170,18 @@ def opened(path: Path) -> Snapshot | None:
         raise FormatError(
             f"{path}: expected a catalogue, a folder with {NAME}.lance: `drsplat catalogue add` makes one"
         )
+    if _is_begun(path / f"{NAME}.lance"):
+        return None
     with reading(path):
         table = lancedb.connect(path, session=_session()).open_table(NAME)
         schema = table.schema
     return Snapshot(path, table, _checked(path, schema))
+
+
+def _is_begun(table: Path) -> bool:
+    """No version of it was finished: whoever made it was killed, and the next one makes it anew."""
+    changes = (change.name for change in table.glob("_transactions/*"))
+    return not any(table.glob("_versions/*.manifest")) and all(name.startswith("0-") for name in changes)
 
 
 def replace_scene(path: Path, name: str, rows: Any, encoder: EncoderIdentity) -> None:
