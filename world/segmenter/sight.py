@@ -44,7 +44,7 @@ class Block(nn.Module):
 
 
 class SightNet(nn.Module):
-    """(B, 3, H, W) from -1 to 1 to (B, 1 + TRAITS, H, W): the logit of a border, then traits. H, W: by 2^LEVELS."""
+    """(B, 3, H, W) from -1 to 1 to (B, 1 + TRAITS, H, W): the logit of a border, then traits. H, W: even."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -41,8 +41,11 @@ def shipped_network() -> tuple[Tensors, str]:
 
 
 def look(image: UInt8[np.ndarray, "h w 3"], weights: Tensors) -> Sight:
-    """weights: stem, down<i>a, down<i>b, up<i>a, up<i>b as `convolve` has them, `.weight` and `.bias`; head (C, 4 (1 +
-    TRAITS)): for each pixel of a 2x2 block, rows first, within each channel."""
+    """What the network sees in an image of any size.
+
+    weights: stem, down<i>a, down<i>b, up<i>a, up<i>b as `convolve` has them, `.weight` and `.bias`; head (C, 4 (1 +
+    TRAITS)): for each pixel of a 2x2 block, rows first, within each channel.
+    """
     height, width = image.shape[:2]
     step = 2**LEVELS
     padding = ((0, -height % step), (0, -width % step), (0, 0))

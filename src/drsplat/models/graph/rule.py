@@ -37,6 +37,7 @@ def shipped_rule() -> tuple[MergeRule, str]:
 
 
 def read_rule(data: bytes) -> MergeRule:
+    """From the bytes of a file as `world.segmenter.tuning` writes it."""
     from safetensors.numpy import load
 
     return MergeRule(**{name: array.astype(np.float64) for name, array in load(data).items()})

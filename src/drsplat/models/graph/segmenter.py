@@ -38,9 +38,9 @@ class GraphSettings:
 class GraphSegmenter:
     """Cuts an image into things by colour, borders and shape; one mask per pixel, on the level `large`.
 
-    Regions of like colour are merged as long as a learned rule finds it likely that they belong to one
-    thing. The rule knows renderings of the small world. Images of more than 640x480 pixels are cut at
-    that size. The same image gives the same masks.
+    Regions of like colour are merged as long as a learned rule, which is told what a small network sees,
+    finds it likely that they belong to one thing. Both know renderings of the small world. Images of more
+    than 640x480 pixels are cut at that size. The same image gives the same masks.
     """
 
     name = "graph"
