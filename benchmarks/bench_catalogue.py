@@ -31,6 +31,7 @@ from machine import arguments
 
 from drsplat import DrSplatWarning, Query
 from drsplat.catalogue import Catalogue, Where, table
+from drsplat.query.sketch import Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10
 OFTEN = (38, 64, 75, 48)  # objects of 1 to 4 descriptors, of the room of `drsplat demo` and of a phone's capture
@@ -81,8 +82,22 @@ def rows_of(names: list[str], parts: list[np.ndarray], each: int, thumbnail: obj
         "mask": [7] * rows, "name": ["mug"] * rows, "extent": [[0.1, 0.2, 0.3]] * rows,
         "axes": [[1.0, 0, 0, 0, 1, 0, 0, 0, 1]] * rows,
         "thumbnail": [thumbnail() if number >= 0 else None for number in numbers],  # type: ignore[operator]
+        "sketch": [
+            data
+            for at in range(len(names))
+            for data in [*[None] * each, sketch(parts[at * each : (at + 1) * each]).to_bytes()]
+        ],
     }  # fmt: skip
     return table.batch(columns, descriptors, CLIP)
+
+
+def sketch(parts: list[np.ndarray]) -> Sketch:
+    """A scene whose Gaussians are as the descriptors of their objects are."""
+    vectors = np.concatenate(parts).astype(np.float32)
+    numbers = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part) for part in parts])
+    solid = np.full(len(parts), 40, np.int32)
+    pictures = vectors[:128] / np.linalg.norm(vectors[:128], axis=1, keepdims=True)
+    return Sketch(vectors, np.full(len(vectors), 40, np.int32), numbers, pictures, vectors[:0], solid)
 
 
 def marked(name: str, vector: np.ndarray) -> object:

@@ -34,6 +34,7 @@ from drsplat import LanguageField, MiniEncoder, Mixture, Scene, load_field, regi
 from drsplat.masks.crops import crop
 from drsplat.models.mini.lexicon import COLORS, NAMES
 from drsplat.query.contrast import contrast, relevancy_threshold
+from drsplat.query.naming import fit_of
 from drsplat.query.thresholds import PEAK, peak_score, threshold_above
 from drsplat.query.word_list import list_vectors
 
@@ -152,7 +153,10 @@ def main() -> None:
     if arguments.rooms:
         study(arguments.rooms, arguments.kept)
     if arguments.field:
-        ask(load_field(arguments.field), arguments.ask)
+        field = load_field(arguments.field)
+        print(f"cosine of the best noun that half of the features reach: {fit_of(MINI, field):.3f}")
+        if arguments.ask:
+            ask(field, arguments.ask)
     if arguments.outline:
         fit(arguments.outline[0], arguments.outline[1:], arguments.ask)
 

@@ -25,7 +25,6 @@ FEW = (
     "registration",
     "system",
 )
-SHAPES = "--jaxtyping-packages=drsplat,beartype.beartype"
 
 
 def refuse_the_checkout(checkout: Path) -> Path:
@@ -57,7 +56,7 @@ def main(arguments: list[str]) -> int:
     everything = "--all" in rest
     chosen = [] if everything else [f"tests/test_{name}.py" for name in FEW]
     rest = [argument for argument in rest if argument != "--all"]
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", SHAPES, *chosen, *rest]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *chosen, *rest]
     return subprocess.run(command, cwd=checkout, check=False).returncode
 
 

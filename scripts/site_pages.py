@@ -125,7 +125,7 @@ def python_names() -> str:
 
 
 def command_line() -> str:
-    """--help of every verb, from the parsers themselves."""
+    """Return --help-all of every verb, from the parsers themselves."""
     from drsplat.cli import make_parser
 
     parser = make_parser()

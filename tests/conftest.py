@@ -1,23 +1,39 @@
-"""Fixtures that are costly enough to be made once."""
+"""Fixtures that are costly enough to be made once, and how the suite is spread over processes."""
 
+import os
 import shutil
 import signal
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+import last_skipped
 from drsplat.demo import story as household
 from edited_rooms import write_room
 from furnished.story import Setup, Story, tell
 
-collect_ignore = [] if find_spec("msgspec") else ["test_view.py"]  # whose imports need the extra drsplat[viewer]
 COSTLY = "household_story"
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))
+MAX_PROCESSES = 8  # each makes the costly fixtures of its files anew
 
 
-def pytest_configure() -> None:
-    """What a shell starts in the background may ignore ctrl-C, and so would the programs that tests start."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    last_skipped.add_option(parser)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Run the whole suite in a process for each core, and single files in this one; `-n` overrides both."""
+    is_worker = hasattr(config, "workerinput")  # which would start workers of its own
+    if not is_worker and not config.option.file_or_dir and getattr(config.option, "numprocesses", 0) is None:
+        config.option.numprocesses, config.option.maxprocesses = "logical", MAX_PROCESSES
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let tests interrupt the programs they start, also where a shell runs pytest in the background."""
+    last_skipped.register(config, whole_suite=not config.option.file_or_dir)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

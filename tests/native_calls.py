@@ -205,6 +205,11 @@ def rows(rogue: Rogue) -> Call:
     return partial(_native.weighted_rows, *given, *rogue.how())
 
 
+def dense(rogue: Rogue) -> Call:
+    n, k, m = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 33))), int(rogue.one((0, 16, 32, 33))))
+    return partial(_native.dense_rows, rogue.floats(n, k), rogue.floats(k, m), *rogue.how())
+
+
 def columns(rogue: Rogue) -> Call:
     n, m = (int(rogue.one((0, 1, 17, 300))) for _ in range(2))
     matrices = []
@@ -305,6 +310,7 @@ FAMILIES = (
     encoding,
     neighbours,
     rows,
+    dense,
     boxes,
     columns,
     merges,

@@ -13,7 +13,7 @@ from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
 from drsplat.evidence.aggregation import Aggregated, Aggregator, aggregator
 from drsplat.evidence.aggregation.reliability import reliability
-from drsplat.evidence.aggregation.voting import ModeVoting
+from drsplat.evidence.aggregation.voting import SAME, ModeVoting
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
 from drsplat.scene.gaussians import Gaussians
@@ -43,7 +43,7 @@ def slow_donors(voting: ModeVoting, evidence: Evidence, gaussians: Gaussians, re
             alike = np.exp((features[near] @ features[j] - 1) / voting.bandwidth)
             support[j] = trust[j] * (trust[near] * close * alike).sum()
         best = max(near, key=lambda j: support[j])
-        if support[best] > (1 + voting.margin) * support.get(i, 0.0):
+        if support[best] > (1 + voting.margin) * (1 + SAME) * support.get(i, 0.0):
             donors[i] = best
     return donors
 

@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
-from drsplat.kernels.algebra import changed_columns
+from drsplat.kernels.algebra import changed_columns, dense_rows
 from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
+from test_views_hostile import unchecked_types
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 few = settings(derandomize=True, deadline=None, max_examples=40)
@@ -56,6 +58,22 @@ def test_rows_that_cancel_or_are_empty_stay_zero() -> None:
     embeddings = np.array([[1, 0], [-1, 0]], np.float32)
     csr = np.array([0, 2, 2, 3]), np.array([0, 1, 1], np.int32), np.array([2, 2, 0], np.float32)
     assert_array_equal(weighted_rows(*csr, embeddings, 0, 3), np.zeros((3, 2)))
+
+
+@every_isa
+@few
+@given(st.integers(0, 70), st.integers(0, 200), st.integers(0, 70), st.integers(0, 99))
+def test_dense_rows_are_those_of_the_twin(isa: str, rows: int, depth: int, width: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = (rng.standard_normal(shape).astype(np.float32) for shape in ((rows, depth), (depth, width)))
+    assert_allclose(dense_rows(a, b, isa=isa), reference_algebra.dense_rows(a, b), rtol=0, atol=1e-4)
+    part = slice(rows // 3, rows)
+    assert_array_equal(dense_rows(a[part], b, threads=2, isa=isa), dense_rows(a, b, threads=1, isa=isa)[part])
+
+
+def test_matrices_that_do_not_fit_are_refused() -> None:
+    with unchecked_types(), pytest.raises(InputError, match=r"got \(3, 4\) and \(5, 6\)"):
+        dense_rows(np.zeros((3, 4), np.float32), np.zeros((5, 6), np.float32))
 
 
 @every_isa

@@ -24,14 +24,16 @@ from catalogued import boxes_of, write_scene
 from drsplat import EncoderIdentity, Query, Scene, WordEncoder, load_field, read_gaussians
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
+from drsplat.formats.checksums import sealed
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
+from drsplat.query.sketch import Sketch
 from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.catalogue import Catalogue, Where, table
+from drsplat.catalogue import Catalogue, Where, record, table
 from drsplat.catalogue.conditions import quoted
 from drsplat.catalogue.thumbnails import MOST_BYTES, thumbnail
 
@@ -74,8 +76,16 @@ def rows_of(name: str, vectors: np.ndarray, encoder: EncoderIdentity, each: int 
         "axes": [[1.0, 0, 0, 0, 1, 0, 0, 0, 1]] * count + [None],
         "extent": [[1.0, 1, 1]] * count + [None],
     }
+    columns["sketch"] = [None] * count + [plain_sketch(vectors, count).to_bytes()]
     descriptors = np.split(vectors.astype(np.float16), count) if count else []
     return table.batch(columns, [*descriptors, np.empty((0, encoder.dim), np.float16)], encoder)
+
+
+def plain_sketch(vectors: np.ndarray, count: int) -> Sketch:
+    """Of objects whose Gaussians are as their descriptors are."""
+    numbers = np.repeat(np.arange(count, dtype=np.int32), len(vectors) // max(count, 1))
+    picture, many = np.eye(1, vectors.shape[1], dtype=np.float32), np.full(len(vectors), 40, np.int32)
+    return Sketch(np.nan_to_num(vectors), many, numbers, picture, vectors[:0], np.full(count, 40, np.int32))
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -286,8 +296,9 @@ def test_removing(scenes: Path, tmp_path: Path) -> None:
         catalogue.add(scenes / name)
     assert catalogue.remove("o'hara") == 3
     assert found(catalogue, "mug") == [("kitchen", 0)]
-    with pytest.raises(InputError, match=r"there is no scene \"o'hara\""):
-        catalogue.remove("o'hara")
+    assert catalogue.remove("o'hara") is None  # a killed command is given again
+    with pytest.raises(InputError, match=r"there is no scene \"o'neill\""):
+        catalogue.remove("o'neill")
     catalogue.remove("kitchen")
     assert (len(catalogue), catalogue.scenes(), catalogue.ask("mug")) == (0, [], [])
 
@@ -573,10 +584,11 @@ def test_a_table_of_somebody_else(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("document", "said"),
     [
-        ({"version": 2, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 2"),
-        ({"version": 1, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "other columns"),
-        ({"version": 1, "encoder": {"name": "a", "dim": 10**9, "weights": ""}}, "not of a catalogue"),
-        ({"version": 1, "encoder": {"name": 7, "dim": 4, "weights": ""}}, "not of a catalogue"),
+        ({"version": 1, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 1.*add its scenes again"),
+        ({"version": 3, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 3"),
+        ({"version": 2, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "other columns"),
+        ({"version": 2, "encoder": {"name": "a", "dim": 10**9, "weights": ""}}, "not of a catalogue"),
+        ({"version": 2, "encoder": {"name": 7, "dim": 4, "weights": ""}}, "not of a catalogue"),
         ([], "not of a catalogue"),
     ],
 )
@@ -685,3 +697,178 @@ def test_the_command_line(
     ):
         assert main(["catalogue", *argv]) == 1
         assert message in capsys.readouterr().err
+
+
+# --- checksums ---
+
+
+def two_rooms(folder: Path) -> Catalogue:
+    """A catalogue of two scenes, added one after the other."""
+    rng, encoder, path = np.random.default_rng(5), EncoderIdentity("test", 16), folder / "c"
+    for name in ("one", "two"):
+        with claimed_output(path):
+            table.replace_scene(path, name, rows_of(name, unit(rng, 8, 16), encoder), encoder)
+    return Catalogue.open(path)
+
+
+def answer_to(catalogue: Catalogue, seed: int = 6) -> list[tuple[str, int, float]]:
+    """All objects as a vector ranks them."""
+    answer = catalogue.answer(Query(vector=unit(np.random.default_rng(seed), 16), threshold=-1.0), top=50)
+    return [(entry.scene, entry.object_id, entry.score) for entry in answer.entries]
+
+
+def test_a_flipped_bit_never_changes_an_answer(tmp_path: Path) -> None:
+    catalogue, rng = two_rooms(tmp_path), np.random.default_rng(8)
+    expected = answer_to(catalogue)
+    for file in sorted(path for path in catalogue.path.rglob("*") if path.is_file()):
+        good = file.read_bytes()
+        for at in (0, len(good) - 1, *rng.integers(0, len(good), 4).tolist()):
+            damaged = bytearray(good)
+            damaged[at] ^= 1 << int(rng.integers(8))
+            file.write_bytes(damaged)
+            with pytest.raises(FormatError, match=re.escape(file.name)):
+                answer_to(Catalogue.open(catalogue.path))
+        file.write_bytes(good)
+    assert answer_to(catalogue) == expected
+
+
+def test_a_table_without_its_latest_version_is_refused(tmp_path: Path) -> None:
+    catalogue = two_rooms(tmp_path)
+    latest = min((catalogue.path / "objects.lance/_versions").glob("*.manifest"))  # they count down
+    latest.unlink()
+    with pytest.raises(FormatError, match=r"version 1 is the newest that is here, and version 2 was written"):
+        catalogue.ask(Query(vector=np.ones(16, np.float32)))
+    with pytest.raises(FormatError, match="version 1 is the newest"):
+        catalogue.remove("one")
+
+
+def test_a_missing_file_of_a_large_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record, "SMALL_BYTES", 0)
+    catalogue = two_rooms(tmp_path)
+    rows = min((catalogue.path / "objects.lance/data").iterdir())
+    content = rows.read_bytes()
+    rows.unlink()
+    with pytest.raises(FormatError, match=f"{rows.name}: missing"):
+        Catalogue.open(catalogue.path)
+    rows.write_bytes(content[:-1])
+    with pytest.raises(FormatError, match=f"{rows.name}: damaged"):
+        Catalogue.open(catalogue.path)
+    rows.write_bytes(bytes(len(content)))  # of the same size: only `verify` reads all of a large table
+    Catalogue.open(catalogue.path)
+    with pytest.raises(FormatError, match=f"{rows.name}: damaged"):
+        catalogue.verify()
+
+
+KILLED = """
+import os, sys
+import numpy as np
+from drsplat.catalogue import Catalogue, table
+def killed(*given, **how):
+    os.kill(os.getpid(), 9)
+moment, path, scene = sys.argv[1:]
+if moment == "before the record":
+    table.write_record = killed
+else:
+    table.record = killed
+Catalogue.open(path).remove("kitchen") if moment == "before the intent" else Catalogue.open(path).add(scene)
+"""
+
+
+def test_a_writer_killed_before_its_record(scenes: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    catalogue.add(scenes / "kitchen")
+    for moment, names in (("before the record", ["kitchen", "o'hara"]), ("before the intent", ["kitchen", "o'hara"])):
+        command = [sys.executable, "-W", "ignore", "-c", KILLED, moment, str(catalogue.path), str(scenes / "o'hara")]
+        assert subprocess.run(command, check=False).returncode == -9
+        assert [one.scene for one in catalogue.scenes()] == names
+    catalogue.verify()  # what was recorded is as it was
+    before = record.read_record(catalogue.path)
+    assert before is not None
+    assert before.version == 1
+    catalogue.add(scenes / "o'hara")  # the same command again
+    after = record.read_record(catalogue.path)
+    assert after is not None
+    assert after.version == 3
+    assert len(catalogue.verify()) == 1 + sum(file.is_file() for file in (catalogue.path / "objects.lance").rglob("*"))
+
+
+REMOVED = """
+import os, sys
+from drsplat.catalogue import Catalogue, table
+real, times = table.record, []
+def second(*given, **how):
+    times.append(1)
+    os.kill(os.getpid(), 9) if len(times) == 2 else real(*given, **how)
+table.record = second
+Catalogue.open(sys.argv[1]).remove("kitchen")
+"""
+
+
+def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue.open(tmp_path / "c")
+    for name in WORDS:
+        catalogue.add(scenes / name)
+    killed = subprocess.run([sys.executable, "-c", REMOVED, str(catalogue.path)], check=False)
+    assert killed.returncode == -9
+    assert [one.scene for one in catalogue.scenes()] == ["o'hara"]
+    assert catalogue.remove("kitchen") is None
+    catalogue.add(scenes / "kitchen")
+    assert catalogue.remove("kitchen") == 3
+
+
+def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As putting files together removes them, at the same version of the table or at a newer one."""
+    monkeypatch.setattr(table, "OUTDATED", timedelta(milliseconds=1))
+    monkeypatch.setattr(table, "FRAGMENTS", 1)
+    catalogue = two_rooms(tmp_path)
+    expected = answer_to(catalogue)
+    table.tidy(catalogue.path)
+    assert answer_to(catalogue) == expected
+    kept = record.read_record(catalogue.path)
+    assert kept is not None
+    assert kept.version > 2
+    assert len(list((catalogue.path / "objects.lance/data").iterdir())) < 3
+    catalogue.verify()
+
+
+def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path: Path) -> None:
+    catalogue = two_rooms(tmp_path)
+    (catalogue.path / record.RECORD).unlink()  # as older versions leave it
+    assert (len(catalogue), catalogue.verify()) == (8, [])
+    catalogue.remove("one")
+    assert len(catalogue.verify()) > 4
+
+
+def test_what_is_asked_while_others_write_is_no_damage(tmp_path: Path) -> None:
+    """Whoever asks reads the record of one version and may open the next one."""
+    catalogue, path = two_rooms(tmp_path), tmp_path / "c"
+    rng, encoder, ended = np.random.default_rng(9), EncoderIdentity("test", 16), threading.Event()
+
+    def write() -> None:
+        for number in range(12):
+            with claimed_output(path, 60):
+                table.replace_scene(
+                    path, f"s{number % 3}", rows_of(f"s{number % 3}", unit(rng, 4, 16), encoder), encoder
+                )
+        ended.set()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    asked = 0
+    while not ended.is_set():
+        assert len(catalogue) >= 8
+        asked += 1
+    writer.join()
+    assert asked > 1
+    catalogue.verify()
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "a//b", "data/..", 5])
+def test_records_that_are_none(name: Any, tmp_path: Path) -> None:
+    catalogue = two_rooms(tmp_path)
+    path = catalogue.path / record.RECORD
+    document = json.loads(path.read_text())
+    del document["crc32"]
+    path.write_text(json.dumps(sealed({**document, "files": {str(name): [1, "0"] if name != 5 else [1]}})))
+    with pytest.raises(FormatError, match="expected the size and the checksum of a file"):
+        catalogue.ask(Query(vector=np.ones(16, np.float32)))

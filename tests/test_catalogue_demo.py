@@ -1,4 +1,4 @@
-"""What a catalogue of the demo's room answers, by descriptors alone, and what the room does by its Gaussians."""
+"""What a catalogue of the demo's room answers, by descriptors and a sketch, and what the room does by its Gaussians."""
 
 from pathlib import Path
 
@@ -14,6 +14,11 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 from drsplat.catalogue import Catalogue
 
 WORDS = ("apple", "candle", "plant", "sofa", "table", "toy car", "toy duck", "red vase", "orange sofa", "green toy car")
+MANY = (
+    *WORDS, "banana", "book", "bookcase", "bottle", "bowl", "box", "carrot", "chair", "clock", "couch", "cup", "duck",
+    "floor", "fork", "furniture", "green cup", "knife", "lamp", "laptop", "mug", "pillow", "plate", "shelf", "spoon",
+    "something to eat", "stool", "teddy bear", "toys", "vase", "wall", "white lamp", "window", "brown table",
+)  # fmt: skip
 NOTHING = ("banana", "basket", "book", "bread", "chair", "cushion", "pan", "teapot", "teddy bear")
 
 
@@ -32,3 +37,16 @@ def test_the_best_object_is_mostly_that_of_the_room(
     absent = [word for word in NOTHING if word not in there]
     assert len(absent) >= 5
     assert sum(not catalogue.ask(word) for word in absent) >= 0.75 * len(absent)
+
+
+def test_nothing_is_answered_that_the_room_does_not_answer_with(
+    household_story: Story, household_folder: Path, tmp_path: Path
+) -> None:
+    room = open_scene(household_folder)
+    catalogue = Catalogue.open(tmp_path / "c")
+    with pytest.warns(DrSplatWarning, match="no thumbnails"):
+        catalogue.add(Scene(room.field, room.gaussians, name="room"))
+    own = {word: {match.object_id for match in room.locate(word)} for word in MANY}
+    here = {word: {entry.object_id for entry in catalogue.ask(word, top=100)} for word in MANY}
+    assert {word: here[word] - own[word] for word in MANY if here[word] - own[word]} == {}
+    assert sum(bool(here[word]) for word in WORDS) >= 7

@@ -69,6 +69,8 @@ def test_filters_and_what_is_not_there(app: Any) -> None:
     assert scenes(scenes=["o'hara"]) == ["o'hara"]
     assert scenes(box=[-1, -1, -1, 1, 1, 1]) == ["kitchen"]
     assert scenes(since="2999-01-01T00:00:00Z") == []
+    assert scenes(since="0500-01-01T00:00:00Z") == ["kitchen", "o'hara"]
+    assert scenes(since="0001-01-01T00:00:00Z") == ["kitchen", "o'hara"]
     assert scenes(exclude=["red"]) == ["o'hara"]
     assert scenes(scenes=["x' OR 1 = 1 --"]) == []
     nothing = asked(app, "POST", "/catalogue/ask", json={"text": "elephant"}).json()
@@ -96,6 +98,8 @@ def test_the_scenes_of_it(app: Any, folder: Path) -> None:
         ({"text": "mug", "box": [1, 0, 0, 0, 1, 1]}, "box"),
         ({"text": "mug", "since": "yesterday"}, "since"),
         ({"text": "mug", "since": "2026-01-01"}, "with its zone"),
+        ({"text": "mug", "since": "0001-01-01T00:00:00+14:00"}, "years 1 to 9999"),
+        ({"text": "mug", "since": "9999-12-31T23:59:59-14:00"}, "years 1 to 9999"),
         ({"vector": [1.0, 2.0]}, "the query has 2 numbers"),
         ({"image": "no base64"}, "expected base64"),
     ],

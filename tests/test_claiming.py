@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from command_line import error_of
+from drsplat import system
 from drsplat.errors import InputError
 from drsplat.formats.claiming import claimed_folder, claimed_output
 
@@ -38,6 +39,19 @@ def test_another_process_is_refused_until_this_one_is_killed(kind, claim, lock, 
     with claim(tmp_path / "out"):
         assert json.loads((tmp_path / lock).read_text())["pid"] == os.getpid()
     assert not (tmp_path / lock).exists()
+
+
+@kinds
+def test_what_a_killed_process_left_is_swept_though_nothing_is_written(kind, claim, lock, tmp_path):
+    folder = tmp_path / "out" if kind == "folder" else tmp_path
+    folder.mkdir(exist_ok=True)
+    dead, living = folder / ".a.field.0123456789abcdef.tmp", folder / ".0123456789abcdee.tmp"
+    dead.mkdir()
+    with open(living, "xb") as file:
+        system.lock(file.fileno())  # as who writes it holds it
+        with claim(tmp_path / "out"):
+            assert not dead.exists()
+            assert living.exists()
 
 
 @kinds

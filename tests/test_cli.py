@@ -64,7 +64,7 @@ def test_help_is_complete(verb: str, capsys: Capture) -> None:
 
 
 def test_level_help_warns_of_the_trap(capsys: Capture) -> None:
-    out = " ".join(text_of(capsys, "register", "--help").split())
+    out = " ".join(text_of(capsys, "register", "--help-all").split())
     assert "level 1 is *small* in features made by LangSplat" in out
 
 
@@ -94,7 +94,7 @@ def test_bad_usage_is_2(argv: list[str], capsys: Capture) -> None:
 def test_bad_usage_is_json_too(capsys: Capture) -> None:
     answer = answer_of(capsys, "register", "scene.ply", code=2)
     assert answer["kind"] == "usage"
-    assert "capture" in answer["error"]
+    assert "CAPTURE" in answer["error"]
 
 
 def test_an_error_is_1_a_line_and_json(tmp_path: Path, capsys: Capture) -> None:
@@ -117,6 +117,27 @@ def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> N
     monkeypatch.setattr(cli, "_run", interrupted)
     assert main(["demo"]) == 130
     assert capsys.readouterr().err == "drsplat: interrupted\n"
+
+
+@pytest.mark.parametrize("debug", [[], ["--debug"]])
+def test_warnings_of_libraries_are_for_programmers(
+    debug: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """But NumPy's of numbers that went wrong are said, once, in our words."""
+
+    def run(_: object) -> dict[str, object]:
+        warnings.warn("use something else", FutureWarning, stacklevel=1)
+        return {"infinite": [float(np.float32(value) * np.float32(1e38)) for value in (1e38, 2e38)]}
+
+    monkeypatch.setattr("drsplat.commands.inspect.run", run)
+    monkeypatch.setattr("drsplat.commands.inspect.show", lambda _: None)
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        assert main(["inspect", str(tmp_path), *debug]) == 0
+    expected = {FutureWarning, RuntimeWarning} if debug else set()
+    assert {warning.category for warning in shown} == expected
+    said = capsys.readouterr().err
+    assert said.count("drsplat: warning: some numbers became too large") == (0 if debug else 1)
 
 
 def test_closed_pipe_is_quiet(room: Path) -> None:
@@ -151,9 +172,11 @@ def test_inspect_tells_what_things_are(room: Path, story: Story, capsys: Capture
     assert scene["fingerprint"] == story.gaussians.fingerprint
     np.testing.assert_allclose(scene["lowest"], story.gaussians.means.min(0))
     assert scene["opacity"]["p50"] == pytest.approx(np.median(story.gaussians.opacities), rel=1e-5)
-    capture = answer_of(capsys, "inspect", room)
-    assert (capture["kind"], capture["num_views"], capture["num_photos"]) == ("capture", 12, 12)
-    np.testing.assert_allclose(capture["views"][0]["K"], story.views[0].K)
+    folder = answer_of(capsys, "inspect", room)  # a field, its scene and its photos
+    assert (folder["kind"], folder["num_views"], folder["num_photos"]) == ("scene folder", 12, 12)
+    assert (folder["field"], folder["scene"]) == (str(room / "room.field"), str(room / "scene.ply"))
+    assert (folder["num_registered"], folder["num_gaussians"]) == (len(story.field), len(story.gaussians))
+    np.testing.assert_allclose(folder["views"][0]["K"], story.views[0].K)
     features = answer_of(capsys, "inspect", room / "language_features")
     assert (features["kind"], features["dim"]) == ("features", 512)
     assert features["masks_per_level"]["large"] == story.num_masks
@@ -453,12 +476,12 @@ def test_render_one_and_all(room: Path, story: Story, tmp_path: Path, capsys: Ca
 
 def test_render_keeps_in_colour_what_a_query_finds(room: Path, tmp_path: Path, capsys: Capture) -> None:
     argv = ["render", room / "scene.ply", "--views", room, "--view", "photo_004", "--output-dir", tmp_path]
-    report = answer_of(capsys, *argv, "--query", room / "room.field", "green sofa")
+    report = answer_of(capsys, *argv, "--field", room / "room.field", "--query", "green sofa")
     pixels = pixels_of(report["files"][0])
     coloured = np.ptp(pixels, axis=-1) > 30
     assert 0.01 < coloured.mean() < 0.4
     assert report["num_selected"] > 100
-    absent = text_of(capsys, *argv, "--query", room / "room.field", "elephant", "--overwrite")
+    absent = text_of(capsys, *argv, "--field", room / "room.field", "--query", "elephant", "--overwrite")
     assert "No match to highlight" in absent
 
 

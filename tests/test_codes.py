@@ -212,6 +212,46 @@ def test_encoding_agrees_with_faiss_but_for_ties() -> None:
         assert pair[0] <= pair[1] * (1 + 1e-6)
 
 
+def faiss_index(book: Codebook):
+    """Return an IndexPQ of FAISS's with our centroids."""
+    import faiss
+
+    index = faiss.IndexPQ(book.encoder.dim, book.num_subvectors, 8)
+    faiss.copy_array_to_vector(book.centroids.ravel(), index.pq.centroids)
+    index.is_trained = True
+    return index
+
+
+@pytest.mark.oracle
+def test_our_codebook_serves_as_an_index_of_faiss(tmp_path: Path) -> None:
+    """It codes, decodes and searches alike there, and comes back from its file to the bit."""
+    faiss = pytest.importorskip("faiss")
+    rng = np.random.default_rng(13)
+    points, book = clustered(rng, 2000, 24), small_codebook()
+    index = faiss_index(book)
+    ours, theirs = book.encode(points), index.sa_encode(points)
+    clear = clear_cut(book, points)
+    assert clear.mean() > 0.99
+    assert_array_equal(ours.codes[clear], theirs[clear])
+    assert_allclose(book.decode(ours), index.sa_decode(ours.codes), rtol=0, atol=1e-7)
+
+    index.add(points)
+    distances, rows = index.search(points[:5], 3)
+    errors = ((points[:5, None] - book.decode(Codes(theirs, None))[None]) ** 2).sum(-1)
+    assert_allclose(np.sort(errors, axis=1)[:, :3], distances, atol=1e-5)
+    assert_allclose(np.take_along_axis(errors, rows, 1), distances, atol=1e-5)
+
+    faiss.write_index(index, str(tmp_path / "own.faiss"))
+    assert read_faiss_codebook(tmp_path / "own.faiss", SMALL).hash == book.hash
+
+
+def clear_cut(book: Codebook, points: np.ndarray) -> np.ndarray:
+    """Return in which parts the nearest centroid is nearer than the next by more than rounding."""
+    parts = points.reshape(len(points), book.num_subvectors, -1).astype(np.float64)
+    errors = np.sort(((parts[:, :, None] - book.centroids[None].astype(np.float64)) ** 2).sum(-1), axis=-1)
+    return np.asarray(errors[..., 1] - errors[..., 0] > 1e-6)
+
+
 def test_training_is_as_good_as_that_of_faiss() -> None:
     faiss = pytest.importorskip("faiss")
     rng = np.random.default_rng(4)

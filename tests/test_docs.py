@@ -53,6 +53,14 @@ def test_snippets_run(document, capture, tmp_path, monkeypatch):
     assert_is_the_mug(names["matches"])
 
 
+def test_the_readme_has_the_test_command_that_continuous_integration_runs() -> None:
+    ci = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    pattern = re.search(r"grep -x '(.*)' README.md", ci)
+    assert pattern
+    lines = [line for block in blocks("README.md", "bash") for line in block.splitlines()]
+    assert [line for line in lines if re.fullmatch(pattern[1], line)] == ['pip install ".[dev]" && pytest']
+
+
 def assert_is_the_mug(matches: list[ds.Match]) -> None:
     assert len(matches) == 1
     assert np.abs(matches[0].center - THINGS["red mug"]).max() < 0.1
@@ -65,7 +73,7 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
     endless = {"view", "serve", "mcp"}
     assert {command[1] for command in commands} - endless == set(VERBS) - endless - {"demo"}
-    left_out = {"train", "embed", "codebook", "evaluate", *endless} | (
+    left_out = {"train", "embed", "codebook", "evaluate", "field", *endless} | (
         {"catalogue"} if find_spec("lancedb") is None else set()
     )
     commands = [command[1:] for command in commands if command[1] not in left_out]

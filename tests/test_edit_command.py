@@ -10,6 +10,9 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Query, open_scene, read_gaussians
+from drsplat.cli import main
+from drsplat.editing import Duplicate, Edit, EditFile, EditList, Everything
+from drsplat.editing.draft import Draft
 from drsplat.field.labels import Label, LabelFile
 from drsplat.formats.npy import write_npy
 from toy_capture import PER_THING
@@ -25,9 +28,10 @@ def test_a_query_is_recoloured_and_undone(room: Path, capsys: Capture) -> None:
     scene, field = room / "scene.ply", room / "room.field"
     before, output = read_gaussians(scene), room / "edited.ply"
     words = ["--field", field, "--query", "red mug", "--recolour", "#2060ff"]
-    answer = answer_of(capsys, "edit", scene, *words, "--save", output)
+    answer = answer_of(capsys, "edit", scene, *words)
     assert (answer["num_edits"], answer["num_undone"]) == (1, 0)
     assert answer["edits"] == [{"number": 1, "do": "recolour", "of": "“red mug”", "done": True}]
+    answer_of(capsys, "edit", scene, "--field", field, "--save", output)
     after = read_gaussians(output)
     changed = np.flatnonzero((np.abs(after.sh - before.sh) > 1e-6).any(axis=(1, 2)))
     np.testing.assert_array_equal(changed, red(room))
@@ -93,7 +97,7 @@ def test_an_object_of_another_scene(room: Path, capsys: Capture) -> None:
     shutil.copytree(room, other)
     scene, field = room / "scene.ply", room / "room.field"
     given = ["--field", field, "--object", 0, "--replace", other, "--with-object", 1, "--up", "+z"]
-    answer = answer_of(capsys, "edit", scene, *given, "--save", room / "edited.ply")
+    answer = answer_of(capsys, "edit", scene, *given, "--save", room / "edited.ply", "--edits", "kept")
     assert answer["num_gaussians"] == answer["num_gaussians_before"]
     after = read_gaussians(room / "edited.ply")
     stands = after.subset(after.extra["object_id"] == 0).means
@@ -149,13 +153,14 @@ def test_a_field_does_not_fit_what_was_saved_and_says_what_does(room: Path, caps
         (["--remove"], "nothing to edit was named: pass --query WORDS"),
         (["--query", "red mug", "--remove"], "pass --field FIELD"),
         (["--everything", "--turn", 30], "pass --up DIRECTION"),
+        (["--everything", "--turn", 1e30, "--axis", "z"], "up to 1,000,000 degrees either way, got 1e+30"),
         (["--box", 0, 0, 0, 0, 1, 1, "--remove"], "lengths above 0"),
         (["--everything", "--remove", "--undo"], "one of them at a time"),
         (["--everything", "--fill"], "edit 1: fill: no ground and no wall"),
         (["--undo"], "no edit to undo"),
         (["--everything", "--recolour", "bluish"], "expected a colour, e.g. #2060ff"),
         (["--at", 1, 2, 3], "--annotate"),
-        (["--everything", "--replace", "none.ply", "--up", "+z"], "there is no file"),
+        (["--everything", "--replace", "none.ply", "--up", "+z"], "there is no such file"),
         (["--copies", 1, "--remove"], "edit 1 added nothing"),
     ],
 )  # fmt: skip
@@ -188,15 +193,147 @@ def test_what_moves_is_not_edited_as_a_file(room: Path, capsys: Capture) -> None
     assert "edit a PLY of one time" in said
 
 
-@pytest.mark.parametrize("given", [["--move", 1, 2], ["--object", 1, "--everything"]])
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["--move", 1, 2],
+        ["--object", 1, "--everything"],
+        ["--everything", "--turn", 3, "--axis", "w"],
+        ["--everything", "--turn", 3, "--axis", 0, "w", 1],
+        ["--everything", "--turn", 3, "--axis", 0, 1],
+    ],
+)
 def test_what_is_misspelt_is_misuse(room: Path, capsys: Capture, given: list[object]) -> None:
     error_of(capsys, "edit", room / "scene.ply", *given, code=2)
 
 
 def test_what_was_saved_of_a_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:
     """The rows are in the same places, and its name comes first."""
-    words = ["--query", "red mug", "--recolour", "#2060ff", "--save", room / "answer.ply"]
-    assert answer_of(capsys, "edit", room, *words)["num_edits"] == 1
+    recolour = ["--query", "red mug", "--recolour", "#2060ff"]
+    assert answer_of(capsys, "edit", room, *recolour, "--save", room / "answer.ply")["kept"] is False
     listed = answer_of(capsys, "edit", room, "--list")
-    assert (listed["scene"], listed["num_edits"]) == (str(room / "scene.ply"), 1)
+    assert (listed["scene"], listed["num_edits"]) == (str(room / "scene.ply"), 0)
+    assert answer_of(capsys, "edit", room, *recolour)["scene"] == str(room / "scene.ply")
     assert answer_of(capsys, "edit", room, "--undo")["num_undone"] == 1
+
+
+def notes_of(capsys: Capture, *argv: object) -> str:
+    """What a command says on stderr."""
+    capsys.readouterr()
+    assert main([*map(str, argv)]) == 0
+    return capsys.readouterr().err
+
+
+APPLIED = "drsplat: 1 kept edit applied (--edits none to leave them out)\n"
+LEFT_OUT = "drsplat: 1 kept edit left out (--edits kept to apply them)\n"
+
+
+def test_a_change_that_is_saved_is_done_alone_and_kept_edits_are_told(room: Path, capsys: Capture) -> None:
+    scene, ball = room / "scene.ply", ["--box", -0.7, 0, 0, 1, 1, 1]
+    count = len(read_gaussians(scene))
+    assert notes_of(capsys, "edit", scene, *ball, "--remove", "--save", room / "alone.ply") == ""
+    assert not (room / "scene.edits.json").exists()
+    assert len(read_gaussians(room / "alone.ply")) == count - PER_THING
+    assert notes_of(capsys, "edit", scene, *ball, "--remove") == ""
+    kept = (room / "scene.edits.json").read_bytes()
+    twice = ["edit", scene, "--everything", "--duplicate", 0, 0, 3, "--save"]
+    for output, more, said, rows in (
+        ("changed.ply", [], LEFT_OUT, 2 * count),
+        ("none.ply", ["--edits", "none"], LEFT_OUT, 2 * count),
+    ):
+        assert notes_of(capsys, *twice, room / output, *more) == said
+        assert len(read_gaussians(room / output)) == rows
+        assert (room / "scene.edits.json").read_bytes() == kept
+    assert notes_of(capsys, "edit", scene, "--save", room / "whole.ply") == APPLIED
+    assert len(read_gaussians(room / "whole.ply")) == count - PER_THING
+    assert notes_of(capsys, "edit", scene, "--save", room / "own.ply", "--edits", "none") == LEFT_OUT
+    assert len(read_gaussians(room / "own.ply")) == count
+    assert notes_of(capsys, *twice, room / "both.ply", "--edits", "kept") == APPLIED
+    assert len(read_gaussians(room / "both.ply")) == 2 * (count - PER_THING)
+    assert answer_of(capsys, "edit", scene, "--list")["num_edits"] == 2
+
+
+def test_what_is_printed_says_where_edits_are(room: Path, capsys: Capture) -> None:
+    scene, ball = room / "scene.ply", ["--box", -0.7, 0, 0, 1, 1, 1]
+    kept = text_of(capsys, "edit", scene, *ball, "--remove")
+    assert f"1 edit kept beside {scene}, 0 undone" in kept
+    assert f"drsplat edit {scene} --save OUT.ply applies the kept edits" in kept
+    saved = text_of(capsys, "edit", scene, *ball, "--remove", "--save", room / "out.ply")
+    assert saved.startswith("1 edit of this call\n")
+    assert "kept" not in saved
+    own = text_of(capsys, "edit", scene, "--save", room / "own.ply", "--edits", "none")
+    assert own.startswith("0 edits of this call\n")
+    assert " edit " not in own  # no table without rows
+
+
+def test_a_picture_shows_the_kept_edits_and_says_so(room: Path, capsys: Capture) -> None:
+    base = ["edit", room / "scene.ply", "--views", room / "capture", "--box", -0.7, 0, 0, 1, 1, 1]
+    notes_of(capsys, *base, "--remove")
+    assert notes_of(capsys, *base, "--opacity", 0.5, "--picture", room / "a.png") == APPLIED
+
+
+def test_annotations_stay_where_the_kept_edits_put_things(room: Path, capsys: Capture) -> None:
+    base = ["edit", room / "scene.ply", "--field", room / "room.field", "--query", "red mug"]
+    answer_of(capsys, *base, "--move", 0, 0, 2)
+    answer = answer_of(capsys, *base, "--move", 0, 5, 0, "--save", room / "a.ply", "--annotate", "up here")
+    np.testing.assert_allclose(answer["annotations"][0]["center"], (-0.7, 0, 2), atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--everything", "--remove", "--edits", "none"], "pass --save OUT.ply"),
+        (["--undo", "--edits", "none"], "drop --edits none"),
+        (["--copies", 1, "--remove", "--save", "out.ply"], "add --edits kept"),
+    ],
+)
+def test_what_would_go_nowhere_is_refused(
+    room: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, given: list[object], said: str
+) -> None:
+    monkeypatch.chdir(room)
+    assert said in error_of(capsys, "edit", "scene.ply", *given)
+    assert not (room / "scene.edits.json").exists()
+
+
+def test_a_page_and_a_rendering_say_which_edits_are_in_them(room: Path, capsys: Capture) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    answer_of(capsys, "edit", scene, "--box", -0.7, 0, 0, 1, 1, 1, "--remove")
+    page = ["view", field, "--scene", scene, "--ask", "blue plate", "--export"]
+    assert notes_of(capsys, *page, room / "edited.html") == APPLIED
+    assert notes_of(capsys, *page, room / "none.html", "--edits", "none") == ""
+    assert answer_of(capsys, *page, room / "a.html", "--edits", "kept")["num_edits"] == 1
+    drawn = ["render", scene, "--views", room / "capture", "--view", "photo_0", "--overwrite"]
+    said = notes_of(capsys, *drawn, "-o", room / "own")
+    assert said == "drsplat: 1 kept edit left out (`drsplat edit SCENE --save OUT.ply` writes the scene with them)\n"
+    (room / "scene.edits.json").unlink()
+    assert notes_of(capsys, *page, room / "bare.html") == ""
+    pages = [(room / f"{name}.html").read_bytes() for name in ("edited", "none", "bare")]
+    assert pages[1] == pages[2] != pages[0]
+    assert notes_of(capsys, *drawn, "-o", room / "bare") == ""
+    assert (room / "own" / "photo_0.png").read_bytes() == (room / "bare" / "photo_0.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("given", "stored"), [(["x"], [1, 0, 0]), (["+z"], [0, 0, 1]), (["=-y"], [0, -1, 0]), ([0, "-1", 2], [0, -1, 2])]
+)
+def test_an_axis_is_a_letter_or_three_numbers(
+    room: Path, capsys: Capture, given: list[object], stored: list[float]
+) -> None:
+    axis = [f"--axis{given[0]}"] if str(given[0]).startswith("=") else ["--axis", *given]
+    answer_of(capsys, "edit", room / "scene.ply", "--everything", "--turn", 30, *axis)
+    assert json.loads((room / "scene.edits.json").read_text())["edits"][0]["axis"] == stored
+
+
+def test_a_list_is_printed_and_undone_without_being_applied(
+    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stranger's list may ask for more than there is memory."""
+    scene = room / "scene.ply"
+    gaussians = read_gaussians(scene)
+    doubled = Edit(Everything(), Duplicate((1.0, 0.0, 0.0)))
+    EditFile.beside(scene).change(gaussians, lambda _: EditList(gaussians.fingerprint, (doubled,) * 20, 20))
+    said = error_of(capsys, "edit", scene, "--save", room / "out.ply")
+    assert "edit 12: adds 614,400 Gaussians to 614,400, and edits of this scene make up to 1,000,000" in said
+    monkeypatch.setattr(Draft, "of", lambda _: pytest.fail("applied"))
+    assert answer_of(capsys, "edit", scene, "--list")["num_gaussians"] is None
+    assert answer_of(capsys, "edit", scene, "--undo", 20)["num_undone"] == 20

@@ -30,6 +30,7 @@ from drsplat.editing import (
     Rows,
     Scale,
     Turn,
+    draft,
     edited,
 )
 from drsplat.editing.edits import Change
@@ -226,6 +227,57 @@ def block(center: tuple, size: tuple, count: int = 400, seed: int = 0, color: tu
     sh = np.broadcast_to((np.array(color) - 0.5) / SH_C0, (count, 1, 3)).astype(np.float32)
     quats = np.tile(np.float32([1, 0, 0, 0]), (count, 1))
     return Gaussians(means, quats, np.full((count, 3), 0.01, np.float32), np.full(count, 0.9, np.float32), sh)
+
+
+def test_edits_make_no_more_rows_than_they_may(scene: Gaussians, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(draft, "ROWS_AT_LEAST", 1000)
+    doubled = Edit(Everything(), Duplicate((1.0, 0.0, 0.0)))
+    assert len(edited(scene, [doubled] * 4)) == 16 * COUNT
+    with pytest.raises(InputError, match=r"edit 5: adds 960 Gaussians to 960, and .* make up to 1,000, removed ones"):
+        edited(scene, [doubled] * 5)
+    copied = Edit(Rows.of(np.arange(COUNT)), Duplicate((1.0, 0.0, 0.0)))
+    with pytest.raises(InputError, match="edit 17: adds 60 Gaussians to 960"):  # removed rows keep their numbers
+        edited(scene, [*[copied] * 15, Edit(Copies(1), Remove()), copied])
+    large = random_gaussians(600)
+    assert len(edited(large, [doubled, doubled])) == 4 * 600  # of a large scene, four times its own
+    replaced = Replace("large.ply", large.fingerprint, np.eye(4))
+    rows = Rows.of(np.arange(3))
+    assert len(edited(scene, [Edit(rows, replaced)] * 3, read=lambda _: large)) == COUNT - 3 + 3 * 600
+
+
+@pytest.mark.parametrize(
+    ("spans", "said"),
+    [
+        ([], "expected ascending rows of the other scene, one or more"),
+        ([[3, 3]], "expected ascending rows"),
+        ([[0, 2], [1, 4]], "expected ascending rows"),
+        ([[0, 61]], "has row 60 of other.ply, which has 60: undo this edit"),
+        ([[5, 2**31 + 4]], "has row 2,147,483,651 of other.ply"),
+    ],
+)
+def test_rows_of_the_other_scene_are_those_that_it_has(scene: Gaussians, spans: list[list[int]], said: str) -> None:
+    def replaced() -> Gaussians:
+        change = Replace("other.ply", scene.fingerprint, np.eye(4), np.array(spans, np.int64).reshape(-1, 2))
+        return edited(scene, [Edit(Rows.of(np.arange(3)), change)], read=lambda _: scene)
+
+    with pytest.raises(InputError, match=said):
+        replaced()
+
+
+@pytest.mark.parametrize(
+    "change", [(Move, (3e38, 0.0, 0.0)), (Duplicate, (0.0, 1e31, 0.0)), (Scale, 1e-6, (1e36, 0.0, 0.0))]
+)
+def test_what_cannot_be_computed_with_is_refused(scene: Gaussians, change: tuple) -> None:
+    with pytest.raises(InputError, match="beyond all numbers that a scene can hold"):
+        edited(scene, [of(np.arange(3), change)])
+
+
+def test_an_axis_of_any_length_is_a_direction(scene: Gaussians) -> None:
+    turned = [edited(scene, [Edit(Everything(), Turn(20, (x, x, 0.0)))]).means for x in (1.0, 1e-300, 1e300)]
+    np.testing.assert_allclose(turned[1], turned[0], atol=1e-5)
+    np.testing.assert_allclose(turned[2], turned[0], atol=1e-5)
+    with pytest.raises(InputError, match="up to 1,000,000 degrees"):
+        Turn(1e300, (0.0, 0.0, 1.0))
 
 
 def test_a_replacement_stands_where_the_object_stood(tmp_path: Path) -> None:

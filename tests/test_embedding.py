@@ -326,6 +326,25 @@ def test_files_that_are_not_as_recorded_are_made_again(views, tmp_path, damage):
     assert (rows.read_bytes(), maps.read_bytes()) == before
 
 
+@pytest.mark.parametrize(
+    ("form", "endings"), [("compact", [".features.safetensors"]), ("langsplat", ["_f.npy", "_s.npy"])]
+)
+def test_features_of_another_photo_are_refused(views, tmp_path, form, endings):
+    """Each file is whole, and under the name of the other: its masks would be laid on the wrong photo."""
+    folder = tmp_path / "out"
+    embed(views, folder, ColorSegmenter(), ThumbnailEncoder(), form=form)
+    whole = read_features(folder)["a"].embeddings
+    for ending in endings:
+        first, second = folder / f"a{ending}", folder / f"b{ending}"
+        content = first.read_bytes()
+        first.write_bytes(second.read_bytes())
+        second.write_bytes(content)
+    with pytest.raises(FormatError, match=r"out/a: its features are not those that drsplat embed made of this photo"):
+        _ = read_features(folder)["a"]
+    (folder / "embedding.json").unlink()  # what the message says to who put them there
+    assert not np.array_equal(read_features(folder)["a"].embeddings, whole)
+
+
 def test_old_files_stay_until_the_new_ones_are_there(views, tmp_path):
     """Stopped after a setting has changed: what is not made anew yet is whole, but does not count."""
     embed_quietly(views, tmp_path / "out")
@@ -488,13 +507,14 @@ def test_embed_register_query(three_balls, tmp_path):
 def fake_models(monkeypatch) -> None:
     from drsplat.models import loading, sam
 
-    def load_segmenter(name, device, settings):
+    def load_segmenter(name, device, settings, threads):
         assert device == "cpu"
+        assert threads == 0
         levels = {("large",): LargeSegmenter, LEVELS: ColorSegmenter}
         return levels[settings.levels](model=name)
 
     monkeypatch.setattr(sam, "load_segmenter", load_segmenter)
-    monkeypatch.setattr(loading, "load_encoder", lambda name, device: ThumbnailEncoder(name))
+    monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ThumbnailEncoder(name))
 
 
 def test_the_command_reports_and_resumes(three_balls, tmp_path, fake_models, capsys):
@@ -538,6 +558,6 @@ def test_where_the_command_writes_unless_told(named, three_balls, fake_models, c
 def test_an_encoder_of_words_alone_is_refused(three_balls, fake_models, monkeypatch, capsys):
     from drsplat.models import loading
 
-    monkeypatch.setattr(loading, "load_encoder", lambda name, device: ds.WordEncoder())
+    monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ds.WordEncoder())
     assert cli.main(["embed", str(three_balls), "--encoder", "drsplat-words", "--device", "cpu"]) == 1
     assert "embeds words, no images" in capsys.readouterr().err

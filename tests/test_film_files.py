@@ -82,8 +82,9 @@ def test_mp4_without_ffmpeg_says_what_to_do(tmp_path: Path, monkeypatch: pytest.
         ("film.webm", (64, 47), 30.0, "even width and height"),
         ("film.webp", (0, 48), 30.0, "size: expected 2x2"),
         ("film.gif", (64, 100_000), 30.0, "8192 pixels a side"),
-        ("film.webp", (64, 48), 0.0, "fps: expected above 0"),
-        ("film.webp", (64, 48), float("nan"), "fps: expected above 0"),
+        ("film.webp", (64, 48), 0.0, "fps: expected 0.01 to 240"),
+        ("film.gif", (64, 48), 1e-300, "fps: expected 0.01 to 240"),
+        ("film.webp", (64, 48), float("nan"), "fps: expected 0.01 to 240"),
         ("none/film.webp", (64, 48), 30.0, "there is no folder"),
     ],
 )

@@ -115,7 +115,17 @@ def test_what_no_path_can_be_made_of() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "fps"),
-    [(0.0, 30.0), (-1.0, 30.0), (1.0, 0.0), (1.0, -5.0), (1.0, 1e9), (1e9, 1.0), (np.nan, 1.0), (600.0, 240.0)],
+    [
+        (0.0, 30.0),
+        (-1.0, 30.0),
+        (1.0, 0.0),
+        (1.0, -5.0),
+        (1.0, 1e-300),
+        (1.0, 1e9),
+        (1e9, 1.0),
+        (np.nan, 1.0),
+        (600.0, 240.0),
+    ],
 )
 def test_no_number_of_pictures_fills_the_memory(seconds: float, fps: float) -> None:
     with pytest.raises(InputError):
@@ -276,7 +286,7 @@ BROKEN = {
     "a panorama": (changed(camera_type="equirectangular"), "camera_type 'equirectangular' is not supported"),
     "no fps": (changed(fps=0), "fps: expected a number above 0"),
     "fps in words": (changed(fps="fast"), "expected a number, got 'fast'"),
-    "too fast": (changed(fps=1e9), "up to 240"),
+    "too fast": (changed(fps=1e9), "0.01 to 240"),
     "too long": (changed(seconds=1e9), "seconds"),
     "a huge raster": (changed(render_width=10**9), "size: expected"),
     "no width": (changed(render_width=0), "size: expected"),
@@ -287,7 +297,7 @@ BROKEN = {
     "scaled": (with_camera(camera_to_world=[*(2 * np.eye(4)).ravel()[:15], 1]), "expected a rotation"),
     "mirrored": (with_camera(camera_to_world=np.diag([-1.0, 1, 1, 1]).ravel().tolist()), "expected a rotation"),
     "a last row": (with_camera(camera_to_world=[*np.eye(4).ravel()[:12], 1, 0, 0, 1]), "0 0 0 1"),
-    "far away": (with_camera(camera_to_world=[1, 0, 0, 1e300, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "beyond"),
+    "far away": (with_camera(camera_to_world=[1, 0, 0, 1e30, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "beyond"),
     "no lens": (with_camera(fov=0), "fov: expected 1 to 170"),
     "a lens behind": (with_camera(fov=200), "fov: expected 1 to 170"),
     "another version": (OURS | {"version": 2, "key_frames": [KEY, KEY]}, "of version 1"),

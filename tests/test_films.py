@@ -13,6 +13,7 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Query, cli, render
+from drsplat.drawing import labels
 from drsplat.drawing.labels import Mark, lines_of, marked
 from drsplat.drawing.pictures import as_pixels, titled
 from drsplat.drawing.plates import plates_of
@@ -25,7 +26,7 @@ from drsplat.query.sheets import attribute_row
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.moving import Moving
 from drsplat.scene.views import View
-from scenes import random_gaussians
+from scenes import look_at_view, random_gaussians
 from test_film_paths import nerfstudio_file
 from toy_capture import write_toy_capture
 from viewing_scenes import EACH, boxes_scene
@@ -70,6 +71,23 @@ def test_names_stay_within_the_picture_when_there_is_no_room() -> None:
     assert (found >= 0).all()
     assert (found <= [70, 30, 70, 30]).all()
     assert len(plates([(100, 100, 140, 120)] * 300, 300)) == 300
+
+
+@pytest.mark.parametrize("extent", [1e-300, 1e20, 1e30])
+def test_a_box_of_any_size_is_drawn_without_a_fault(extent: float) -> None:
+    view = look_at_view((0, -3, 0), (0, 0, 0), width=96, height=72)
+    box = Mark("box", np.full(3, 0.1), np.full(3, extent), np.eye(3))
+    far = Mark("far", np.array([extent, -extent, extent]))
+    spots = np.array(lines_of(box, view)).reshape(-1, 2)
+    assert np.isfinite(spots).all()
+    assert ((spots >= 0) & (spots <= (96, 72))).all()
+    assert marked(np.zeros((72, 96, 3), np.uint8), view, [box, far]).shape == (72, 96, 3)
+
+
+def test_a_picture_larger_than_memory_is_refused_before_it_is_made() -> None:
+    view = look_at_view((0, -3, 0), (0, 0, 0), width=60_000, height=60_000)
+    with pytest.raises(InputError, match=r"expected up to 134,217,728 pixels, got 60000x60000: .* max_side=PIXELS"):
+        render(random_gaussians(3), view)
 
 
 def test_a_title_and_its_note_do_not_meet() -> None:
@@ -141,6 +159,28 @@ def test_a_name_is_legible_on_black_and_white_and_stays_in_the_picture(paper: in
     whole = marked(blank, front(size=(320, 240)), [Mark("mug", np.zeros(3))])
     np.testing.assert_allclose(faint, (blank.astype(float) + whole) / 2, atol=1)
     assert marked(blank, front(size=(320, 240)), [Mark("mug", np.zeros(3))], share=0.0) is blank
+
+
+def test_names_behind_other_names_are_not_drawn(monkeypatch) -> None:
+    """Thousands at one place took a minute; the picture is the same to the bit."""
+    rng = np.random.default_rng(5)
+    marks = [Mark(f"name {number}", rng.uniform(-0.4, 0.4, 3)) for number in range(600)]
+    blank, view = np.zeros((72, 96, 3), np.uint8), front()
+    drawn: list[str] = []
+    draw = labels._draw_name
+    monkeypatch.setattr(
+        labels, "_draw_name", lambda pen, mark, *rest: (drawn.append(mark.text), draw(pen, mark, *rest))
+    )
+    picture, few = marked(blank, view, marks), len(drawn)
+    assert 10 < few < 300
+    monkeypatch.setattr(labels, "_in_sight", lambda far, *_: far)
+    np.testing.assert_array_equal(marked(blank, view, marks), picture)
+    assert len(drawn) == few + 600
+    monkeypatch.undo()
+    monkeypatch.setattr(labels, "_draw_name", lambda _, mark, *__: drawn.append(mark.text))
+    drawn.clear()
+    marked(blank, view, [Mark("one", np.zeros(3))] * 600)
+    assert len(drawn) < 100
 
 
 # --- pictures ---
@@ -278,7 +318,7 @@ def film_of(path: str) -> list[np.ndarray]:
 
 
 def test_a_film_from_the_command_line(room: Path, tmp_path: Path, capsys: Capture) -> None:
-    argv = called(room, "--path", "orbit", "--query", room / "room.field", "red mug", "--boxes")
+    argv = called(room, "--path", "orbit", "--field", room / "room.field", "--query", "red mug", "--boxes")
     argv += ["--fps", 5, "--seconds", 2, "--size", "64x48", "-o", tmp_path / "film.webp"]
     report = answer_of(capsys, *argv)
     assert (report["num_frames"], report["fps"], report["size"], report["film_seconds"]) == (10, 5, [64, 48], 2.0)
@@ -294,7 +334,7 @@ def test_a_film_from_the_command_line(room: Path, tmp_path: Path, capsys: Captur
 @pytest.mark.parametrize("around", ["match", "scene"])
 def test_a_swing_around_what_was_found(around: str, room: Path, tmp_path: Path, capsys: Capture) -> None:
     """The blue plate is in the middle of the picture all the way, where the swing is around it."""
-    argv = called(room, "--path", "swing", "--query", room / "room.field", "blue plate", "--around", around)
+    argv = called(room, "--path", "swing", "--field", room / "room.field", "--query", "blue plate", "--around", around)
     report = answer_of(capsys, *argv, "--fps", 4, "--seconds", 3, "--size", "80x60", "-o", tmp_path / "film.gif")
     blue = [np.argwhere((one[..., 2].astype(int) - one[..., 0]) > 60) for one in film_of(report["file"])]
     apart = [np.abs(where.mean(0) - (29.5, 39.5)).max() for where in blue]
@@ -319,11 +359,13 @@ def test_photos_and_files_of_key_frames(room: Path, tmp_path: Path, capsys: Capt
 
 
 def test_attributes_from_the_command_line(room: Path, tmp_path: Path, capsys: Capture) -> None:
-    argv = called(room, "--query", room / "room.field", "red mug", "--attributes", "red mug", "blue plate")
+    argv = called(room, "--field", room / "room.field", "--query", "red mug", "--attributes", "red mug", "blue plate")
     report = answer_of(capsys, *argv, "-o", tmp_path / "row.png")
     with Image.open(report["files"][0]) as row:
         assert row.size[0] > 3 * 400
-    argv = called(room, "--query", room / "room.field", "elephant", "--attributes", "red", "-o", tmp_path / "x.png")
+    argv = called(
+        room, "--field", room / "room.field", "--query", "elephant", "--attributes", "red", "-o", tmp_path / "x.png"
+    )
     assert "'elephant' has no match" in error_of(capsys, *argv)
 
 
@@ -332,8 +374,8 @@ def test_attributes_from_the_command_line(room: Path, tmp_path: Path, capsys: Ca
     [
         (["--path", "orbit"], "expected --output FILE"),
         (["--path", "orbit", "-o", "film.avi"], "films are written as .mp4, .webm, .webp or .gif"),
-        (["--path", "orbit", "-o", "film.webp", "--fps", "0"], "--fps: expected above 0"),
-        (["--path", "orbit", "-o", "film.webp", "--fps", "1e9"], "--fps: expected above 0, up to 240"),
+        (["--path", "orbit", "-o", "film.webp", "--fps", "0"], "--fps: expected 0.01 to 240"),
+        (["--path", "orbit", "-o", "film.webp", "--fps", "1e-300"], "--fps: expected 0.01 to 240"),
         (["--path", "orbit", "-o", "film.webp", "--seconds", "1e9"], "--seconds"),
         (["--path", "orbit", "-o", "film.webp", "--size", "99999x99999"], "--size: expected 2x2"),
         (["--path", "orbit", "-o", "film.webp", "--size", "65x48", "--side-by-side"], "a multiple of 2 across"),
@@ -343,12 +385,12 @@ def test_attributes_from_the_command_line(room: Path, tmp_path: Path, capsys: Ca
             "a multiple of 2 across",
         ),
         (["--path", "orbit", "-o", "film.webp", "--around", "match"], "--around: a match or an object is of a field"),
-        (["--path", "orbit", "-o", "film.webp", "--up", "z"], "--up: z: expected one of"),
+        (["--path", "orbit", "-o", "film.webp", "--up", "w"], "--up: w: expected one of"),
         (["--path", "orbit", "-o", "film.webp", "--depth"], "drop --depth and --alpha"),
-        (["--path", "orbit", "-o", "film.webp", "--boxes"], "give --query FIELD TEXT"),
-        (["--attributes", "red", "-o", "x.png"], "give --query FIELD TEXT"),
+        (["--path", "orbit", "-o", "film.webp", "--boxes"], "give --query WORDS"),
+        (["--attributes", "red", "-o", "x.png"], "give --query WORDS"),
         (["--view", "photo_0", "--fps", "3"], "--fps is of a film"),
-        ([], "expected --view NAME, --all, --path or --attributes"),
+        ([], "expected a point of view"),
     ],
 )
 def test_what_is_wrong_is_said_before_any_picture(
@@ -360,7 +402,7 @@ def test_what_is_wrong_is_said_before_any_picture(
 
 
 def test_stills_can_have_boxes_too(room: Path, tmp_path: Path, capsys: Capture) -> None:
-    argv = called(room, "--view", "photo_0", "--query", room / "room.field", "red mug", "-o", tmp_path)
+    argv = called(room, "--view", "photo_0", "--field", room / "room.field", "--query", "red mug", "-o", tmp_path)
     plain = np.asarray(Image.open(answer_of(capsys, *argv)["files"][0]))
     boxed = np.asarray(Image.open(answer_of(capsys, *argv, "--boxes", "--overwrite")["files"][0]))
     assert len(pixels_near(boxed, PINK)) > len(pixels_near(plain, PINK))

@@ -1,5 +1,6 @@
 """The built-in segmenter `graph`: sums, features, merging, masks, and how its rule is learned."""
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -551,3 +552,26 @@ def test_a_halved_photo_keeps_its_things() -> None:
     photo = made_photo(3)
     assert halved(photo).image.shape == (60, 80, 3)
     assert halved(photo).truth.shape == (60, 80)
+
+
+SEE = """
+import hashlib, numpy as np
+from drsplat import MiniEncoder
+from drsplat.models.graph.network import look, shipped_network
+image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
+sight = look(image, shipped_network()[0], threads={threads})
+rows = MiniEncoder(threads={threads}).encode_images([image[:90, :90], image])
+print([hashlib.sha256(part.tobytes()).hexdigest() for part in (sight.borders, sight.traits, rows)])
+"""
+
+
+def test_neither_threads_nor_the_blas_decide_a_bit() -> None:
+    """In processes of their own: a BLAS reads its number of threads once."""
+    seen = [
+        subprocess.run(
+            [sys.executable, "-c", SEE.format(threads=threads)],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": str(threads)}, capture_output=True, text=True, check=True,
+        ).stdout
+        for threads in (1, 2, 3)
+    ]  # fmt: skip
+    assert seen[1:] == seen[:1] * 2

@@ -234,7 +234,7 @@ def test_two_writers_do_not_share_a_field(tmp_path: Path):
     with claimed_output(path), pytest.raises(InputError, match=r"a\.field is being written by process"):
         change_field(path, scene(), lambda field: added(field, NAMES[3]))
     assert files_of(path) == before
-    with pytest.raises(InputError, match="there is no such field"):
+    with pytest.raises(InputError, match="there is no such file or folder"):
         change_field(tmp_path / "none.field", scene(), lambda field: added(field, NAMES[3]))
     assert sorted(one.name for one in tmp_path.iterdir()) == ["a.field"]
 

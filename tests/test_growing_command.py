@@ -18,6 +18,7 @@ import drsplat as ds
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import write_features
+from drsplat.formats.replacing import sweep
 from growing_fields import files_of
 from toy_capture import write_toy_capture
 
@@ -75,6 +76,17 @@ def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Pa
     others = others_than(files_of(field), files_of(register(room, capsys, "c.field", *PHOTOS[1:3], more=more)))
     assert others == {"field.json"}  # which remembers those two
     assert sorted(path.name for path in room.iterdir() if "parts" in path.name or path.name.startswith(".")) == []
+
+
+def test_a_field_that_views_were_taken_out_of_has_the_files_of_one_without_them(room: Path, capsys: Capture) -> None:
+    """Also where other views were left out of the two from the start: `field.json` says so, and nothing else."""
+    few = room / "few.txt"
+    fields = []
+    for name, left_out in (("a.field", ["photo_3"]), ("b.field", ["photo_0", "photo_3"])):
+        few.write_text("\n".join(left_out) + "\n")
+        fields.append(register(room, capsys, name, *PHOTOS, more=("--without", str(few))))
+    answer_of(capsys, *remove(room, fields[0], "photo_0"))
+    assert others_than(files_of(fields[0]), files_of(fields[1])) == {"field.json"}
 
 
 def test_what_people_read(room: Path, capsys: Capture) -> None:
@@ -163,7 +175,7 @@ def test_bad_input_changes_nothing(room: Path, capsys: Capture) -> None:
     ds.write_gaussians(room / "other.ply", other)
     argv = ["add", field, room / "capture", "--features", features, "--scene", room / "other.ply"]
     assert "belongs to a scene of 300 Gaussians" in error_of(capsys, *argv)
-    assert "there is no such field" in error_of(capsys, *add(room, room / "none.field", features))
+    assert "there is no such file or folder" in error_of(capsys, *add(room, room / "none.field", features))
     made = room / "mini"
     answer_of(capsys, "embed", room / "capture", "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", made)
     assert "was embedded by 'drsplat-mini" in error_of(capsys, *add(room, field, made))
@@ -221,6 +233,43 @@ def test_a_killed_run_loses_nothing_and_goes_on(moment: str, room: Path, capsys:
     assert len(answer_of(capsys, *argv)["added"]) == 2
     assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
     assert not (room / "a.field.parts").exists()
+
+
+KILLED_AFTERWARDS = """
+import os, signal
+from drsplat.formats import field_folder
+from drsplat.cli import main
+exchange = field_folder._exchange
+def killed(*folders):
+    exchange(*folders)
+    os.kill(os.getpid(), signal.SIGKILL)
+field_folder._exchange = killed
+main({argv})
+"""
+
+
+@pytest.mark.parametrize("verb", ["add", "remove"])
+def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb: str, room: Path, capsys: Capture) -> None:
+    field = register(room, capsys, "a.field", *PHOTOS[:3])
+    entries = sorted(room.iterdir())
+    argv = remove(room, field, "photo_0", "photo_1")
+    if verb == "add":
+        argv = add(room, field, room / "capture/language_features", "--views", "photo_3")
+    code = KILLED_AFTERWARDS.format(argv=[*map(str, argv)])
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    after = files_of(field)
+    assert len([path for path in room.iterdir() if path.name.endswith(".tmp")]) == 1  # the field as it was before
+    sweep.cache_clear()  # as in a process of its own
+    answer = answer_of(capsys, *argv)
+    assert (answer["added"], answer["removed"]) == ([], [])
+    assert answer["left_out"] == ([] if verb == "add" else ["photo_0.png", "photo_1.png"])
+    assert files_of(field) == after
+    assert sorted(room.iterdir()) == entries  # no folder of the killed process, no lock, no parts
+    text = text_of(capsys, *argv)
+    assert text.startswith("nothing to")
+    if verb == "remove":
+        assert "were removed before" in text
+        assert answer_of(capsys, *remove(room, field, "photo_*[01]"))["removed"] == []
 
 
 FULL = """

@@ -4,6 +4,7 @@ Outside the boundary band the same Gaussians must contribute to the same masks, 
 must agree in sum to 1e-6. Inside it, differences are counted and bounded.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -287,14 +288,41 @@ def test_contributions_sum_to_the_weights(first_hits):
 
 
 @every_isa
-def test_equal_depths_go_by_index(isa):
-    means = np.array([[0, 0, 4], [0, 0, 2], [0, 0, 2]], np.float32)
-    covariances = np.tile(np.array([4, 0, 0, 4, 0, 4], np.float32), (3, 1))
-    arrays = SplatArrays(means.T.copy(), covariances.T.copy(), np.full(3, 0.5, np.float32))
+def test_equal_depths_go_by_content(isa):
+    """By the bits of x, y, z, covariance and opacity, then by row: the last two rows are one Gaussian twice."""
+    means = np.array([[0, 0, 4], [1e-3, 0, 2], [0, 1e-3, 2], [0, 0, 2], [0, 0, 2], [0, 0, 2]], np.float32)
+    covariances = np.tile(np.array([1e3, 0, 0, 1e3, 0, 1e3], np.float32), (6, 1))
+    covariances[3, 5] = 2e3
+    arrays = SplatArrays(means.T.copy(), covariances.T.copy(), np.full(6, 0.5, np.float32))
     intrinsics = np.array([[8.0, 0, 0.5], [0, 8.0, 0.5], [0, 0, 1]])
-    nearest = topk_contributions(arrays, View("v", intrinsics, np.eye(4), 1, 1), 3, isa=isa)
-    assert_array_equal(nearest.ids[0, 0], [1, 2, 0])
-    assert_allclose(nearest.weights[0, 0], [0.5, 0.25, 0.125], rtol=1e-6)
+    view = View("v", intrinsics, np.eye(4), 1, 1)
+    nearest = topk_contributions(arrays, view, 6, isa=isa)
+    assert_array_equal(nearest.ids[0, 0], [4, 5, 3, 2, 1, 0])
+    assert_array_equal(reference.contributors(arrays, view).ids, [4, 5, 3, 2, 1, 0])
+    assert_allclose(nearest.weights[0, 0], 0.5 ** np.arange(1, 7), rtol=1e-5)
+
+
+@every_isa
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_order_of_rows_changes_no_bit(isa, threads):
+    """Half of the Gaussians lie on a few planes that face the camera, and so share their depths."""
+    gaussians, rng = random_gaussians(3000, 7), np.random.default_rng(0)
+    means = gaussians.means.copy()
+    means[::2, 2] = np.round(means[::2, 2])
+    gaussians = replace(gaussians, means=means)
+    pose = np.eye(4)
+    pose[2, 3] = 6
+    view = View("v", np.array([[90.0, 0, 64], [0, 90, 48], [0, 0, 1]]), pose, WIDTH, HEIGHT)
+    order = rng.permutation(3000)
+    maps = segments_of("outside")
+    given, turned = (
+        view_weights(splat_arrays(rows), view, maps, 20, threads=threads, isa=isa)
+        for rows in (gaussians, gaussians.subset(order))
+    )
+    back = np.lexsort((turned.mask_ids, order[turned.gaussian_ids]))
+    assert_array_equal(order[turned.gaussian_ids][back], given.gaussian_ids)
+    assert_array_equal(turned.mask_ids[back], given.mask_ids)
+    assert_array_equal(turned.weights[back], given.weights)
 
 
 VALUES = np.random.default_rng(0).normal(size=(3000, 33)).astype(np.float32)

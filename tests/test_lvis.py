@@ -399,7 +399,7 @@ def test_what_an_earlier_run_did_of_other_patches_is_not_used(tmp_path, changed)
 def fake_encoder(monkeypatch) -> None:
     from drsplat.models import loading
 
-    monkeypatch.setattr(loading, "load_encoder", lambda name, device: ThumbnailEncoder(name))
+    monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ThumbnailEncoder(name))
 
 
 def run(capsys, *arguments: object, code: int = 0) -> str:

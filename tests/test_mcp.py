@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -155,7 +156,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         assert absent["best"] is None
         assert "synonym" in absent["advice"]
         assert (await told(client, "count", text="laptop"))["count"] == 0
-        assert "It knows apple" in await refused(client, "locate", text="zeppelin")
+        assert "words: apple" in await refused(client, "locate", text="zeppelin")
         for name in ("../..", "/etc", "room/../room", "room\0"):
             assert f"there are: {room.name!r}" in await refused(client, "locate", text="toy", scene=name)
         assert "no match for 'laptop'" in await refused(client, "how_far_apart", first="laptop", second="candle")
@@ -216,6 +217,35 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
     over_stdio(room, talk)
 
 
+def test_malformed_lines_are_answered(tmp_path: Path) -> None:
+    lines: list[tuple[bytes, Any, int, str]] = [
+        (rb'{"jsonrpc":"2.0","id":5,"method":"tools/call","params":{"name":"\ud800"}}', 5, -32700, "hex escape"),
+        (rb'{"jsonrpc":"2.0","id":"five","method":"\udc00\ud800"}', "five", -32700, "hex escape"),
+        (rb'{"jsonrpc":"2.0","id":"\ud800","method":"ping"}', None, -32700, "hex escape"),
+        (b"[" * 100_000, None, -32700, "one JSON-RPC message a line"),
+        (b"\xff\xfe", None, -32700, "one JSON-RPC message a line"),
+        (b'{"jsonrpc":"1.0","id":1,"method":"ping"}', None, -32600, "expected a JSON-RPC message"),
+    ]
+    command = [sys.executable, *COMMAND, str(tmp_path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as server:  # type: ignore[call-overload]
+        ending = threading.Timer(120, server.kill)  # a line that gets no answer fails, and hangs nothing
+        ending.start()
+        for line, number, code, said in lines:
+            server.stdin.write(line + b"\n")
+            server.stdin.flush()
+            answer = json.loads(server.stdout.readline())
+            assert (answer["id"], answer["error"]["code"]) == (number, code), line[:80]
+            assert said in answer["error"]["message"]
+        # an empty line needs no answer
+        server.stdin.write(b'\n{"jsonrpc":"2.0","id":7,"method":"initialize","params":{}}\n')
+        server.stdin.flush()
+        assert json.loads(server.stdout.readline())["id"] == 7
+        server.stdin.close()
+        assert server.wait(60) == 0
+        ending.cancel()
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
 def test_a_signal_ends_it_while_it_waits_for_a_line(number: signal.Signals, code: int, tmp_path: Path) -> None:
     command = [sys.executable, *COMMAND, str(tmp_path)]
@@ -236,6 +266,12 @@ def test_other_machines_are_let_in_only_on_purpose(tmp_path: Path, capsys: Captu
     assert "--api-key-file" in error_of(capsys, *argv)
     (tmp_path / "key").write_text("short")
     assert "16 or more" in error_of(capsys, *argv, "--api-key-file", tmp_path / "key")
+
+
+def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: Capture) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert f"port {port} of '127.0.0.1' is taken" in error_of(capsys, "mcp", tmp_path, "--http", "--port", port)
 
 
 def test_a_key_is_asked_for(tmp_path: Path) -> None:

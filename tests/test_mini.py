@@ -119,7 +119,7 @@ def test_what_it_was_not_taught_is_an_error(mini: MiniEncoder, text: str) -> Non
 
 
 def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
-    with pytest.raises(InputError, match=r"'tabel'.*Did you mean table"):
+    with pytest.raises(InputError, match=r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
 
 

@@ -21,8 +21,8 @@ from drsplat.query.tracks import runs
 from drsplat.scene.moving import Frames, Moving
 from fields import random_evidence
 from growing_fields import features, scene, views
-from moving_scenes import label_masks, passing, passing_scene, passing_views
-from scenes import random_gaussians
+from moving_scenes import label_masks, passing, passing_scene, passing_views, still
+from scenes import look_at_view, random_gaussians
 
 
 @lru_cache
@@ -61,6 +61,53 @@ def test_relations_of_boxes_are_asked_at_each_time() -> None:
     found = played().when("red car", "next_to", "white vase")
     assert len(found) == 1
     assert 0 < found[0][0] <= 0.4 < 0.6 <= found[0][1] < 1
+
+
+def splintered() -> Scene:
+    """A vase that stands on a large table, which fits "brown table" a little worse than a splinter far away does."""
+    rng = np.random.default_rng(0)
+    counts, words = (100, 4000, 45), ("white vase", "brown wooden table", "brown table")
+    low, high = ((-0.2, -0.2, 0), (-1, -1.5, -0.2), (-4, 0, 0)), ((0.2, 0.2, 0.4), (1, 1.5, -0.05), (-3.8, 0.2, 0.2))
+    labels = np.repeat(np.arange(3), counts)
+    means = rng.uniform(np.array(low)[labels], np.array(high)[labels]).astype(np.float32)
+    gaussians = replace(random_gaussians(len(labels)), means=means, opacities=np.full(len(labels), 0.9, np.float32))
+    weights = csr_array((np.ones(len(labels), np.float32), (np.arange(len(labels)), labels)))
+    masks = MaskIds(("a.png",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
+    evidence = Evidence(weights, masks, np.asarray(WordEncoder().encode_texts(words), np.float32))
+    field = build_field(evidence, gaussians.fingerprint, WordEncoder.identity, Mixture())
+    tree = Tree(labels.astype(np.int32), np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
+    return Scene(field.with_objects(describe(field, gaussians, tree)), still(gaussians), [look_at_view((3, 0, 1.5))])
+
+
+def test_a_splinter_is_not_what_a_thing_stands_on() -> None:
+    scene = splintered()
+    table, splinter = scene.locate("brown table")
+    assert (len(table), len(splinter)) == (4000, 45)
+    assert splinter.score > table.score
+    assert scene.when("white vase", "on", "brown table") == ((0.0, 1.0),)
+    assert scene.when("white vase", "on", splinter) == ()
+    assert scene.when("brown table", "on", "white vase") == ()
+
+
+def test_a_relation_to_any_of_several_alike_is_one() -> None:
+    """What the car passes and what it is above have one name: either will do, not the first alone."""
+    moving = passing()
+    labels = np.repeat(np.arange(3), 100)
+    weights = csr_array((np.ones(300, np.float32), (np.arange(300), labels)))
+    masks = MaskIds(("a.png",), np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
+    vectors = np.asarray(WordEncoder().encode_texts(("red car", "vase", "vase")), np.float32)
+    field = build_field(
+        Evidence(weights, masks, vectors), moving.canonical.fingerprint, WordEncoder.identity, Mixture()
+    )
+    tree = Tree(labels.astype(np.int32), np.full(3, -1, np.int32), np.ones(3, np.uint8), np.ones(3, np.float32))
+    scene = Scene(field.with_objects(describe(field, moving.canonical, tree)), moving, passing_views(moving))
+    vase, table = scene.locate("vase")
+    both = [scene.when("red car", relation, "vase") for relation in ("next_to", "on")]
+    for relation, found in zip(("next_to", "on"), both, strict=True):
+        alone = [scene.when("red car", relation, one) for one in (vase, table)]
+        stamps = [time for time in moving.times if any(a <= time <= b for spans in alone for a, b in spans)]
+        assert [time for time in moving.times if any(a <= time <= b for a, b in found)] == stamps
+    assert both[1] != scene.when("red car", "on", vase) or both[0] != scene.when("red car", "next_to", vase)
 
 
 def test_what_cannot_be_told_is_said() -> None:

@@ -73,6 +73,7 @@ def calls() -> list[Callable[[], object]]:
         lambda: _native.mixture_encode(*atoms, floats(800, 32), starts, columns, further, 4, *how),
         lambda: [_native.nearest_centres(floats(800, 32), floats(50, 32), *how)],
         lambda: [_native.weighted_rows(starts, columns, floats(4000), floats(300, 32), *how)],
+        lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
         lambda: [_native.pq_encode(floats(800, 32), floats(8, 256, 4), *how)],
         trained,
     ]

@@ -126,6 +126,18 @@ def test_tables(room: Path, capsys: Capture) -> None:
     assert rows[0]["views"].split(";") == told["objects"][0]["views"]
 
 
+@pytest.mark.parametrize("label", ["=1+1", "+1", "-1", "@SUM(1)", '=HYPERLINK("http://evil.example","mug")'])
+def test_tables_hold_no_formulas(room: Path, capsys: Capture, label: str) -> None:
+    answer_of(capsys, *asked(room, "--save", room / "o.csv", f"--label={label}", "--id", 1))
+    with open(room / "o.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["label"] for row in rows] == ["", f"'{label}", ""]
+    assert any(row["center_1"].startswith("-") for row in rows)  # numbers stay numbers
+    assert float(rows[0]["center_0"]) == pytest.approx(0, abs=0.2)
+    answer_of(capsys, *asked(room, "--save", room / "o.json"))
+    assert json.loads((room / "o.json").read_text())["objects"][1]["label"] == label
+
+
 def test_the_sheet_shows_each_object_cut_out(room: Path, capsys: Capture) -> None:
     answer_of(capsys, *asked(room, "--views", room / "capture", "--picture", room / "sheet.png"))
     sheet = np.asarray(Image.open(room / "sheet.png").convert("RGB"))

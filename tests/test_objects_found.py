@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drsplat import Gaussians, LanguageField, Registration
+from drsplat import Gaussians, LanguageField, Registration, View
 from drsplat.errors import InputError
 from drsplat.evidence.changing import without_views
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects import GROUP, PART, THING
+from drsplat.formats.gaussian_ply import vertex_columns
+from drsplat.formats.ply import write_vertices
 from drsplat.kernels import Forest
 from drsplat.objects.choosing import best_nodes, choose
 from drsplat.objects.finding import find_objects, of_few_views
@@ -219,3 +221,40 @@ def test_the_true_things_of_a_room_are_objects() -> None:
     assert len(best) > 10
     assert np.mean(np.array(best) >= 0.5) > 0.85
     assert np.mean(best) > 0.85
+
+
+def test_objects_are_the_same_wherever_and_however_large_a_room_is(tmp_path: Path) -> None:
+    """Rounded to float32 at z = 100, Gaussians of nearly one depth would change places."""
+    from benchmarks.suite.masks import features_of
+    from benchmarks.suite.scenes import read_scene
+
+    from drsplat import PQ, MiniEncoder, read_gaussians, register
+
+    scene = read_scene(SCENE, 5)
+    features = features_of(scene, "true", MiniEncoder())
+    found = []
+    for scale, at in ((1.0, (0.0, 0, 0)), (1.0, (0.0, 0, 100)), (0.1, (5e5, 5.4e6, 100))):
+        place, path = np.array(at), tmp_path / f"{len(found)}.ply"
+        write_placed(path, scene.gaussians, scale, place)
+        gaussians = read_gaussians(path)
+        views = [seen_from(view, scale, place) for view in scene.views]
+        field = register(gaussians, views, features).to_field(PQ(2))
+        found.append(
+            dict(zip(field.gaussian_ids.tolist(), find_objects(field, gaussians).node_of.tolist(), strict=True))
+        )
+    assert len(set(found[0].values())) > 20
+    assert found[1:] == found[:1] * 2
+
+
+def write_placed(path: Path, gaussians: Gaussians, scale: float, at: np.ndarray) -> None:
+    """Write a scene at another size and place, its positions as double."""
+    columns = vertex_columns(replace(gaussians, scales=gaussians.scales * np.float32(scale)))
+    positions = gaussians.positions * scale + at
+    write_vertices(path, columns | dict(zip("xyz", positions.T, strict=True)))
+
+
+def seen_from(view: View, scale: float, at: np.ndarray) -> View:
+    """Return the camera that sees such a scene as `view` sees the scene itself."""
+    pose = view.cam_from_world.copy()
+    pose[:3, 3] = pose[:3, 3] * scale - pose[:3, :3] @ at
+    return replace(view, cam_from_world=pose)

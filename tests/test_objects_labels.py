@@ -15,7 +15,9 @@ from drsplat import Scene, open_scene
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.field import LanguageField
 from drsplat.field.labels import Label, LabelFile, matched
+from drsplat.formats import runs
 from drsplat.formats.claiming import claimed_output
+from drsplat.formats.runs import ids_of, spans_of_runs
 from known_objects import EACH, with_objects
 from mutations import bounded_allocations, mutants, quota, seeded
 
@@ -53,6 +55,15 @@ def test_rows_survive_the_file(rows: set[int]) -> None:
     label = label_of(field, "mug", ids)
     assert len(label) == len(ids)
     np.testing.assert_array_equal(label.gaussian_ids(field), ids)
+
+
+def test_millions_of_lengths_are_not_looked_at_each_in_turn(monkeypatch) -> None:
+    """Three thousand labels of 4,800 lengths took 40 seconds."""
+    mixed = spans_of_runs([0, 1.0, 2, 3], "here")
+    monkeypatch.setattr(runs, "as_count", None)
+    np.testing.assert_array_equal(spans_of_runs([0, 1, 2, 3], "here"), mixed)
+    np.testing.assert_array_equal(ids_of(mixed), [0, 3, 4, 5])
+    assert len(ids_of(spans_of_runs([], "here"))) == 0
 
 
 def test_what_is_written_is_read(labels: LabelFile, field: LanguageField) -> None:
@@ -183,6 +194,8 @@ def test_one_writer_at_a_time(labels: LabelFile, field: LanguageField) -> None:
         ({"runs": [-1, 2]}, "pairs of lengths"),
         ({"runs": [0, 1e12]}, "pairs of lengths"),
         ({"runs": [0, 1.5]}, "whole number"),
+        ({"runs": [0, True]}, "expected a number"),
+        ({"runs": [0, 10**400]}, "pairs of lengths"),
         ({"runs": [0, 2, 0, 2]}, "ascending rows"),
         ({"center": [0, 1]}, "3 numbers"),
         ({"center": [0, 1, "x"]}, "number"),

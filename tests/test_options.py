@@ -142,6 +142,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--overwrite",
         ],
         "objects": [field, *asked],
+        "field": ["carry", field, scene, "--scene", scene, "-o", str(out / "carried.field"), "--overwrite"],
         "add": [field, capture, "--features", f"{capture}/language_features", "--scene", scene],
         "remove": [field, "--scene", scene, "--views", "photo_0"],
         "select": [field, "red mug", *asked],

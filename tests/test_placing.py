@@ -20,7 +20,8 @@ from drsplat.formats.ply import write_vertices
 from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian
 from drsplat.reference import registering as reference
-from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane
+from drsplat.scene.gaussians import concatenated
+from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane, size_of
 from drsplat.training import TrainingSettings, train
 from drsplat.viewing.picking import hit_by_ray
 from drsplat.viewing.shown import shown_of
@@ -167,11 +168,34 @@ def test_double_positions_far_away_are_read_and_written_without_loss(gaussians, 
     double_ply(tmp_path / "utm.ply", gaussians, FAR)
     read = ds.read_gaussians(tmp_path / "utm.ply")
     assert_allclose(read.positions, gaussians.means + FAR, atol=1e-6)
-    assert read.origin[2] != FAR[2]  # 100 units up are not far
+    assert_allclose(read.origin, FAR, atol=size_of(gaussians.means))
     ds.write_gaussians(tmp_path / "again.ply", read)
     again = ds.read_gaussians(tmp_path / "again.ply")
     assert_array_equal(again.positions, read.positions)
     assert again.fingerprint == read.fingerprint == read.subset(np.arange(len(read))).fingerprint
+
+
+def test_blocks_far_from_each_other_are_kept_exactly_on_every_axis(gaussians) -> None:
+    """Along x and z the scene is no further from zero than a few times its size, yet float32 would round it."""
+    steps = np.array([[0, 0, 0], [3000, 2000, 0]]) + FAR
+    city = concatenated([replace(gaussians, origin=step) for step in steps])
+    expected = np.concatenate([gaussians.means.astype(np.float64) + step for step in steps])
+    assert_allclose(city.positions, expected, atol=3000 * 2.0**-24, rtol=0)
+
+
+def test_float32_positions_are_the_same_bits_whatever_they_are_counted_from(gaussians, tmp_path) -> None:
+    """One Gaussian at zero has more digits than it could have when counted from where the others are."""
+    means = (gaussians.means + np.float32(300 * size_of(gaussians.means))).astype(np.float32)
+    plain = replace(gaussians, means=means)
+    assert plain.localized().origin.all()
+    assert plain.localized().fingerprint == plain.fingerprint
+    means = means.copy()
+    means[7, :2] = 1e-3, 0
+    stray = replace(gaussians, means=means)
+    assert (stray.localized().origin != 0).tolist() == [False, True, True]
+    assert stray.localized().fingerprint == stray.fingerprint
+    ds.write_gaussians(tmp_path / "again.ply", plain.localized())
+    assert b"property float x" in (tmp_path / "again.ply").read_bytes()[:200]
 
 
 def test_the_fingerprint_does_not_depend_on_the_origin(gaussians) -> None:

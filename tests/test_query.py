@@ -221,7 +221,7 @@ def test_the_scene_that_was_registered_is_found_among_others(
 ) -> None:
     folder = tmp_path / "room"
     folder.mkdir()
-    with pytest.raises(InputError, match="one field"):
+    with pytest.raises(InputError, match="expected a field"):
         find_scene(folder)
     shutil.copytree(demo_folder / "room.field", folder / "room.field")
     with pytest.raises(InputError, match="expected a scene"):
@@ -239,7 +239,7 @@ def test_the_scene_that_was_registered_is_found_among_others(
     with pytest.raises(InputError, match="takes any words"):
         opened.what_is(int(opened.field.gaussian_ids[0]))
     shutil.copytree(folder / "room.field", folder / "other.field")
-    with pytest.raises(InputError, match=r"other\.field, room\.field"):
+    with pytest.raises(InputError, match=r"other\.field, .*room\.field"):
         open_scene(folder)
-    with pytest.raises(InputError, match="no such field"):
+    with pytest.raises(InputError, match="no such file or folder"):
         open_scene(folder / "none")

@@ -39,6 +39,7 @@ import httpx
 from drsplat.serving import workbench
 from drsplat.serving.app import Settings, create_app
 from drsplat.serving.limits import Limits
+from drsplat.serving.listening import bound_socket
 from drsplat.serving.scene_folder import SceneFolder, Sources, UnknownSceneError
 
 VASE = {"text": "red vase"}
@@ -216,7 +217,7 @@ def test_photos_are_those_of_the_scene(service: Service) -> None:
 WRONG: list[tuple[str, Any, str]] = [
     ("select", {}, "exactly one of"),
     ("select", {"text": "mug", "point": [0, 0, 0]}, "exactly one of"),
-    ("select", {"text": "zeppelin"}, "It knows apple"),
+    ("select", {"text": "zeppelin"}, "words: apple"),
     ("select", {"text": "   "}, "no word"),
     ("select", {"text": "m" * 201}, "at most 200"),
     ("select", {"text": 7}, "string"),
@@ -266,6 +267,15 @@ def test_malformed_bodies(body: bytes, service: Service) -> None:
     assert reason(answer, answer.status_code)
 
 
+@pytest.mark.parametrize("kind", [None, "text/plain", "application/x-www-form-urlencoded", "multipart/form-data; x"])
+def test_a_body_that_is_not_said_to_be_json_is_told_how(kind: str | None, service: Service) -> None:
+    headers = {} if kind is None else {"content-type": kind}
+    answer = service("POST", "/scenes/room/select", content=b'{"text": "red vase"}', headers=headers)
+    assert "Content-Type: application/json" in reason(answer, 415)
+    charset = {"content-type": "application/json; charset=utf-8"}
+    told(service("POST", "/scenes/room/select", content=b'{"text": "red vase"}', headers=charset))
+
+
 def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folder: Path) -> None:
     text = reason(service("POST", "/scenes/damaged/select", json={"text": "mug"}), 503)
     assert "cannot be opened" in text
@@ -274,9 +284,11 @@ def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folde
 
 
 def test_unknown_routes_and_methods(service: Service) -> None:
-    reason(service("GET", "/nothing"), 404)
+    assert "nothing at '/nothing': GET /openapi.json" in reason(service("GET", "/nothing"), 404)
     reason(service("DELETE", "/scenes"), 405)
-    reason(service("GET", "/scenes/room/select"), 405)
+    assert reason(service("GET", "/scenes/room/select"), 405) == "expected POST here, got GET"
+    unknown = reason(service("POST", "/scenes/room/select", json={"text": "mug", "txt": "mug"}), 422)
+    assert unknown == "body.txt: there is no such field; /openapi.json lists those there are"
 
 
 def test_bodies_and_pictures_are_bounded(folder: Path) -> None:
@@ -413,6 +425,25 @@ def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
     told(service("POST", "/scenes/room/select", json=VASE))
 
 
+@pytest.mark.parametrize("fault", ["1 / 0", "(_ for _ in ()).throw(type('PanicException', (BaseException,), {})())"])
+def test_no_exception_of_a_request_ends_a_process(
+    fault: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    broken = f"import sys; from drsplat.serving import worker; worker.answered = lambda *_: {fault}; "
+    monkeypatch.setattr(
+        workbench, "COMMAND", [sys.executable, "-c", broken + "worker.main(int(sys.argv[1]), int(sys.argv[2]))"]
+    )
+    with closing(Service(folder, limits=Limits(workers=1))) as service:
+        told(service("GET", "/scenes"))
+        (process,) = children_of(os.getpid(), b"worker.answered")
+        for _ in range(2):
+            assert "fault of the service" in reason(service("POST", "/scenes/room/select", json=VASE), 500)
+        assert children_of(os.getpid(), b"worker.answered") == [process]
+    logged = capfd.readouterr().err
+    assert "Traceback" in logged
+    assert "red vase" in logged
+
+
 def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path) -> None:
     copied(folder / "room", tmp_path / "good")
     os.mkfifo(copied(folder / "room", tmp_path / "pipe") / "room.field" / "pipe")
@@ -501,6 +532,15 @@ def test_what_cannot_be_served_is_said_at_the_start(folder: Path, tmp_path: Path
     assert "expected JSON" in error_of(capsys, "serve", folder, "--vocabulary", words)
     both = ["--vocabulary", words, "--encoder", "some/model"]
     assert "drop one" in error_of(capsys, "serve", folder, *both)
+
+
+def test_a_port_that_is_taken_is_told_before_an_address_is(folder: Path, capsys: Capture) -> None:
+    with bound_socket("127.0.0.1", 0) as other:
+        port = other.getsockname()[1]
+        text = error_of(capsys, "serve", folder, "--port", port)
+    assert f"port {port} of '127.0.0.1' is taken" in text
+    assert "--port N" in text
+    assert "cannot listen on" in error_of(capsys, "serve", folder, "--host", "127.0.0.300", "--open")
 
 
 def test_metrics_count(folder: Path) -> None:

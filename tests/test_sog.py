@@ -101,7 +101,7 @@ QUATS = sog_plane(np.full((70, 4), 251))
         (changed(put("count", 1.5)), "whole number"),
         (changed(put("means", "files", ["means_l.webp"])), "expected 2 files"),
         (changed(put("means", "mins", [0, 0])), "expected 3 numbers"),
-        (changed(put("means", "maxs", [1e308, 0, 0])), "not finite"),
+        (changed(put("means", "maxs", [1e308, 0, 0])), "expected a finite number"),
         (changed(put("scales", "codebook", [0.0] * 255)), "256 numbers"),
         (changed(put("scales", "codebook", [float("nan")] * 256)), "finite"),
         (changed(put("quats", [])), "means, scales, quats and sh0"),
@@ -175,5 +175,5 @@ def test_an_unpacked_scene_is_no_vocabulary(tmp_path: Path) -> None:
     (tmp_path / "means_l.webp").mkdir()
     with pytest.raises(FormatError, match=r"no file 'means_l\.webp'"):
         ds.read_gaussians(tmp_path / "meta.json")
-    with pytest.raises(InputError, match=r"or meta\.json"):
+    with pytest.raises(InputError, match="got an empty folder"):
         ds.read_gaussians(tmp_path / "means_l.webp")

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -45,6 +46,28 @@ def test_peak_memory_counts_bytes() -> None:
     assert peak_memory_bytes() >= before
     assert peak_memory_bytes() > block.nbytes
     assert peak_memory_bytes() < 1 << 40
+
+
+WORKERS = """
+import time
+from drsplat.tiles.launching import Processes
+for _ in Processes(2).results(time.sleep, [0, 0, 600]):
+    print("working", flush=True)
+"""
+
+
+def test_workers_end_with_a_killed_parent() -> None:
+    """One is at work then, and one waits for some. They have its stdout, which ends with the last of them."""
+    with subprocess.Popen([sys.executable, "-c", WORKERS], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert [parent.stdout.readline() for _ in range(2)] == ["working\n"] * 2
+        parent.kill()
+        assert parent.communicate(timeout=120)[0] == ""
+
+
+def test_a_process_whose_parent_has_ended_before_it_began_to_look_ends() -> None:
+    code = "import time; from drsplat.system import end_with; end_with(0); time.sleep(600)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=120, check=False).returncode == 1
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
 from drsplat.query import Answer
-from drsplat.query.tasks import NO_CLASS, locate, segment
+from drsplat.query.tasks import NO_CLASS, locate, rank, segment, sure_matches
 from drsplat.scene.gaussians import Gaussians
 
 
@@ -192,3 +192,40 @@ def test_segment_refuses_what_does_not_fit():
     for limits in ([0.0], [0.0] * 3):
         with pytest.raises(InputError, match="thresholds for 2 classes"):
             segment(field, scores, limits)
+
+
+def places(*things: tuple[int, float]) -> tuple[Gaussians, Answer]:
+    """Things of so many Gaussians and such a value each, two units apart."""
+    rng = np.random.default_rng(0)
+    labels = np.repeat(np.arange(len(things)), [count for count, _ in things])
+    points = rng.uniform(-0.1, 0.1, (len(labels), 3)) + np.array([2.0, 0, 0]) * labels[:, None]
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (len(labels), 1))
+    scales, opacities = np.full((len(labels), 3), 0.01, np.float32), np.full(len(labels), 0.5, np.float32)
+    sh = np.zeros((len(labels), 1, 3), np.float32)
+    scene = Gaussians(points.astype(np.float32), quats, scales, opacities, sh)
+    field = field_of(scene, labels)
+    return scene, Answer.of(field, np.array([value for _, value in things], np.float32)[labels], -1.0)
+
+
+def test_a_splinter_does_not_come_before_the_thing_that_it_is_of() -> None:
+    scene, answer = places((60, 0.966), (4000, 0.88), (120, 0.93))
+    matches = locate(answer, scene, link_distance=0.5)
+    assert [len(match) for match in matches] == [4000, 120, 60]
+    ranks = [0.88 * 2000**0.1, 0.93 * 60**0.1, 0.966 * 30**0.1]
+    np.testing.assert_allclose([rank(match, scene) for match in matches], ranks, rtol=1e-5)
+
+
+def test_a_large_thing_that_fits_clearly_worse_does_not_come_first() -> None:
+    scene, answer = places((4000, 0.55), (100, 0.9))
+    assert [len(match) for match in locate(answer, scene, link_distance=0.5)] == [100, 4000]
+    scene, answer = places((4000, -0.5), (100, -0.4), (60, 0.01))
+    assert [len(match) for match in locate(answer, scene, link_distance=0.5)] == [60, 100, 4000]
+
+
+def test_sure_are_the_best_and_those_nearly_as_good() -> None:
+    scene, answer = places((60, 0.966), (4000, 0.88), (3000, 0.8), (4000, 0.7))
+    matches = locate(answer, scene, link_distance=0.5)
+    assert [len(match) for match in sure_matches(matches, scene)] == [4000, 3000]
+    scene, answer = places((200, -0.5), (100, -0.4))
+    assert [len(match) for match in sure_matches(locate(answer, scene, link_distance=0.5), scene)] == [100]
+    assert sure_matches([], scene) == []

@@ -1,17 +1,23 @@
 """What reaches a terminal: nothing that it obeys, and nothing cut."""
 
+import ast
 import io
+import itertools
 import json
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import drsplat
 from command_line import Capture, answer_of, error_of, text_of
-from drsplat.cli import main, spelled
+from drsplat import errors
+from drsplat.cli import main, make_parser, spelled
 from drsplat.commands.tables import show_facts, show_table
 from drsplat.progress import Meter
 from drsplat.terminal import counted, plain, plainly, quoted
@@ -59,6 +65,27 @@ def test_hostile_names_in_progress(monkeypatch: pytest.MonkeyPatch, capsys: Capt
     assert re.fullmatch(r"embedding photos: 5/10, b\.jpg, [\d.]+/s, \d+ s left", second)
 
 
+@pytest.mark.parametrize("columns", [60, 80])
+def test_a_bar_shows_count_rate_and_time(columns: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.setattr("drsplat.progress.PATIENCE_S", -1.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
+    seconds = itertools.count(step=3)
+    monkeypatch.setattr("drsplat.progress.time", SimpleNamespace(monotonic=lambda: float(next(seconds))))
+    with Meter("embedding patches", 123_456) as meter:
+        for done in (30_000, 30_001):
+            meter.update(done, f"[/red]{NAMES[0]}")
+    lines = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", capsys.readouterr().err).replace("\r", "\n").splitlines()
+    drawn = [line.rstrip() for line in lines if "embedding patches" in line]
+    assert drawn
+    for line in drawn:
+        assert re.search(r"3000[01]/123456  [\d.]+/s  \d+ (s|min|h) left", line)
+        assert len(line) <= columns
+    assert "30001/" in drawn[-1]
+    assert columns < 80 or "[/red]" in drawn[-1]
+
+
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("columns", [20, 80])
 def test_tables_cut_nothing(columns: int, terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,7 +118,7 @@ def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> N
     both = answer_of(capsys, "segment", room, "--classes", "red mug,blue plate")
     assert [one["num_gaussians"] for one in both["classes"]] == [150, 150]
     (room / "room.field").rename(room / "room")
-    assert "expected one field" in error_of(capsys, "locate", room, "red mug")
+    assert "expected a field" in error_of(capsys, "locate", room, "red mug")
 
 
 FLAGS = {"overwrite": "--overwrite", "images": "--images", "encoder": "--encoder", "field": ""}
@@ -105,6 +132,7 @@ FLAGS = {"overwrite": "--overwrite", "images": "--images", "encoder": "--encoder
         ("pass encoder=NAME (its folder)", "pass --encoder NAME (its folder)"),
         ("images: there is no folder", "--images: there is no folder"),
         ("field: rows=12, sampling=Sampling(3)", "field: rows=12, sampling=Sampling(3)"),
+        ("one of field=FIELD, encoder=X,Y,Z and images=N", "one of FIELD, --encoder X,Y,Z and --images N"),
     ],
 )  # fmt: skip
 def test_arguments_are_spelled_as_flags(said: str, shown: str) -> None:
@@ -120,6 +148,47 @@ def test_no_message_of_the_library_names_a_flag() -> None:
     for path in files:
         lines = (line for line in path.read_text().splitlines() if "drsplat " not in line)
         assert not [line for line in lines if flag.search(line)], path
+
+
+NOT_OF_THE_LINE = {"sampling"}
+"""Names in messages of calls that no verb makes."""
+
+
+def messages() -> Iterator[tuple[str, str]]:
+    """Every text that is raised as an error of drsplat or warned of, where it stands; values in it are an X."""
+    source = Path(sys.modules["drsplat"].__file__ or "").parent
+    for path in sorted(source.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            called = getattr(getattr(node, "func", None), "id", getattr(getattr(node, "func", None), "attr", ""))
+            if isinstance(node, ast.Call) and (called in vars(errors) or called == "warn") and node.args:
+                yield f"{path.name}:{node.lineno}", text_in(node.args[0])
+
+
+def text_in(node: ast.AST) -> str:
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text_in(part) for part in node.values)
+    if isinstance(node, ast.FormattedValue):
+        return "X"
+    return " ".join(text_in(part) for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr))
+
+
+def test_every_argument_in_a_message_has_words_of_the_command_line() -> None:
+    """Whatever the library asks for in Python's words, an option of some verb has the same name."""
+    parser = make_parser()
+    verbs = next(action.choices for action in parser._actions if action.choices)
+    assert isinstance(verbs, dict)
+    flags = {name: flag for verb in verbs.values() for name, flag in sorted(verb.flags.items()) if flag}
+    python = re.compile(r"(?<![\w-])([a-z_]+)=(?=[\w'\"\[(])|\b([a-z]+_[a-z_]+)\(|\b(?:True|False)\b")
+    functions = {name for name in drsplat.__all__ if "_" in name.strip("_")}
+    texts = list(messages())
+    assert len(texts) > 300
+    for place, text in texts:
+        shown = spelled(text, flags)
+        left = [match[0] for match in python.finditer(shown) if match[1] not in NOT_OF_THE_LINE]
+        assert not left, (place, shown)
+        assert not functions & set(re.findall(r"\w+", shown)), (place, shown)
 
 
 def test_errors_of_the_command_line_speak_its_words(tmp_path: Path, capsys: Capture) -> None:

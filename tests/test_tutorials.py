@@ -35,7 +35,7 @@ def test_from_a_phone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: C
     from drsplat.models import sam
 
     monkeypatch.chdir(write_tour(tmp_path, CLIP))
-    monkeypatch.setattr(sam, "load_segmenter", lambda *_: ColorSegmenter())
+    monkeypatch.setattr(sam, "load_segmenter", lambda *_, **__: ColorSegmenter())
     short = {"7000": "30", "4": "1"}  # iterations, and a share of photos that are small
     lines = [[short.get(word, word) for word in line] for line in commands_of(TUTORIALS / "from_a_phone.md")]
     assert [line[0] for line in lines[:2]] == ["inspect", "train"]

@@ -11,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+pytest.importorskip("msgspec", reason="the extra drsplat[viewer] is not installed")
+
 from drsplat import read_gaussians, write_gaussians
 from drsplat.drawing.heat import heat_of
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
@@ -82,6 +84,15 @@ def test_a_frame_there_and_back_is_the_same_place() -> None:
 def test_nothing_to_show_is_said(count: int, budget: int) -> None:
     with pytest.raises(InputError, match="nothing to show"):
         shown.shown_of(random_gaussians(5).subset(np.arange(count)), budget)
+
+
+def test_what_is_too_far_for_float32_stays_finite() -> None:
+    scene = random_gaussians(200)
+    means = scene.means.copy()
+    means[7] = [3e38, -3e38, 0]
+    part = shown.shown_of(replace(scene, means=means), 200)
+    assert np.isfinite(part.centers).all()
+    assert np.abs(part.centers[7]).max() > 1e38
 
 
 # --- colours ---

@@ -71,7 +71,7 @@ def test_a_page_needs_no_network(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ([], "a page holds answers"),
+        ([], '--ask "red mug; lamp"'),
         (["--ask", " ; "], "a page holds answers"),
         (["--ask", "mug", "--up", "up"], "expected one of"),
     ],

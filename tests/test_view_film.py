@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+pytest.importorskip("msgspec", reason="the extra drsplat[viewer] is not installed")
+
 from browsing import a_browser, a_page, eventually, needs_chromium, pixels_of
 from drsplat.errors import InputError
 from drsplat.filming.encoding import ffmpeg

@@ -17,6 +17,7 @@ pytest.importorskip("viser")
 from browsing import eventually
 from drsplat.errors import InputError, MissingExtraError
 from drsplat.viewing import gate, messages, uploads
+from drsplat.viewing.control_values import fits
 from drsplat.viewing.listening import listening_socket
 from drsplat.viewing.saving import png_of
 from viewer_clients import CAMERA, Stranger, a_viewer, get, port_of
@@ -184,7 +185,9 @@ def test_no_more_pages_than_there_is_room_for(panel: Any) -> None:
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1, "visible": False}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": float("nan")}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": "x" * (messages.MOST_TEXT + 1)}},
-        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [1, 2, 300]}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [1, 2, float("nan")]}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [1, 2, "x"]}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [1] * 1000}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": {"a": 1}}},
         {"type": "GuiUpdateMessage", "uuid": 1, "updates": {"value": True}},
         {"type": "ScenePointerMessage", "event_type": "rect-select"},
@@ -232,6 +235,52 @@ def test_no_stranger_changes_a_control_but_its_value(panel: Any) -> None:
     after = vars(panel.text._impl)
     assert all(after[name] is before[name] for name in ("update_cb", "sync_cb", "removed", "uuid"))
     stranger.close()
+
+
+FORGED: tuple[Any, ...] = (
+    float("nan"), float("inf"), 1e9, -1e9, 0.5, 7, True, None, {}, [], [1, 2, 3], [256, 0, 0], [0.5, 0.5, 0.5], [1, 2],
+    "x", "x" * 500, "\x1b[2J<script>", "vase, not " * 40,
+)  # fmt: skip
+
+
+def test_forged_values_of_every_control_are_no_faults(panel: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    """A value that a control cannot have changes nothing; all others are acted on, and no act fails for its kind."""
+    stranger = Stranger(panel)
+    stranger.look()
+    controls = list(panel.gui._gui_input_handle_from_uuid.values())
+    kinds = {id(one): type(one.value) for one in controls}
+    assert len(controls) > 20
+    for control in controls:
+        for value in FORGED:
+            if not (control._impl.is_button and value is True):  # a press is no forgery
+                stranger.press(control, value)
+    stranger.press(panel.text, "tall lamp\n")
+    eventually(lambda: "tall lamp" in panel.told.content, 120.0)
+    assert panel.actions.settled(60.0)
+    assert {id(one): type(one.value) for one in controls} == kinds
+    assert "went wrong here" not in panel.fault.content
+    assert "Traceback" not in "".join(capfd.readouterr())
+    stranger.close()
+
+
+@pytest.mark.parametrize(
+    ("own", "bounds", "fine", "wrong"),
+    [
+        (0.5, {"min": 0.0, "max": 1.0}, (0, 0.25, 1), (-0.1, 1.5, True, "0.5", [0.5], None)),
+        (3, {"min": None, "max": None}, (7, 2.0), (2.5, "7", True)),
+        (False, {}, (True, False), (1, 0, "True", [])),
+        ("a", {"options": ("a", "b")}, ("b",), ("c", 1, True, ["a"])),
+        ("a", {}, ("", "x" * 500), (1, ["a"])),
+        ((1, 2, 3), {}, ([0, 255, 7],), ([256, 0, 0], [0.5, 0, 0], [1, 2], (1, 2, 3), "abc")),
+        ((0.0, 0.0, 0.3), {"min": None, "max": None}, ([0.1, -2, 3],), ([0.1, 0.2], ["a", 0, 0])),
+        ((0.0, 1.0), {"min": 0.0, "max": 1.0}, ([0.2, 0.4],), ([0.2, 1.4], [0.1, 0.2, 0.3])),
+        (SimpleNamespace(content=b""), {}, (), (True, 1, "x", {})),
+    ],
+)
+def test_values_are_of_the_kind_of_their_control(own: Any, bounds: Any, fine: Any, wrong: Any) -> None:
+    control = SimpleNamespace(_impl=SimpleNamespace(value=own, props=SimpleNamespace(**bounds), removed=False))
+    assert all(fits(control, value) for value in fine)
+    assert not any(fits(control, value) for value in wrong)
 
 
 # --- pictures ---

@@ -475,7 +475,7 @@ def test_colmap_comes_first_and_that_is_said(capture):
 def test_nothing_to_read(tmp_path):
     with pytest.raises(InputError, match="COLMAP"):
         read_views(tmp_path)
-    with pytest.raises(InputError, match="no such capture"):
+    with pytest.raises(InputError, match="no such file or folder"):
         read_views(tmp_path / "absent")
 
 

@@ -1,7 +1,8 @@
 """Captures written by hand, after the formats' public descriptions and without drsplat's code.
 
 A camera is (id, model, width, height, parameters), an image (id, quaternion wxyz, translation,
-camera id, name), a point (id, xyz, rgb).
+camera id, name), a point (id, xyz, rgb). Images with odd numbers have two observations, of
+which the second is of the first point.
 """
 
 import json
@@ -22,6 +23,8 @@ MODEL_IDS = {
     "FULL_OPENCV": 6,
 }
 
+NO_POINT = 2**64 - 1  # of an observation without a point
+
 CAMERAS = [
     (1, "PINHOLE", 64, 48, (70.0, 71.0, 32.0, 24.0)),
     (7, "OPENCV", 64, 48, (60.0, 61.0, 30.5, 25.25, 0.05, -0.01, 0.002, -0.003)),
@@ -40,9 +43,13 @@ def write_colmap_text(folder: Path, cameras=CAMERAS, images=IMAGES, points=POINT
     (folder / "cameras.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
     lines = []
     for i, q, t, camera, name in images:
-        lines += [f"{i} {' '.join(map(repr, (*q, *t)))} {camera} {name}", "1.5 2.5 -1 3.0 4.0 17" if i % 2 else ""]
+        seen = f"1.5 2.5 -1 3.0 4.0 {points[0][0] if points else -1}" if i % 2 else ""
+        lines += [f"{i} {' '.join(map(repr, (*q, *t)))} {camera} {name}", seen]
     (folder / "images.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
-    lines = [f"{i} {' '.join(map(repr, (*x, *c)))} 0.5 1 2 3 4" for i, x, c in points]
+    track = [f" {i} 1" for i, *_ in images if i % 2]
+    lines = [
+        f"{i} {' '.join(map(repr, (*x, *c)))} 0.5{''.join(track if i == points[0][0] else [])}" for i, x, c in points
+    ]
     (folder / "points3D.txt").write_text("# a comment\n" + "\n".join(lines) + "\n")
 
 
@@ -55,11 +62,13 @@ def write_colmap_binary(folder: Path, cameras=CAMERAS, images=IMAGES, points=POI
     data = struct.pack("<Q", len(images))
     for i, q, t, camera, name in images:
         data += struct.pack("<I7dI", i, *q, *t, camera) + name.encode() + b"\0"
-        data += struct.pack("<QddQ", 1, 1.5, 2.5, 17) if i % 2 else struct.pack("<Q", 0)
+        first = points[0][0] if points else NO_POINT
+        data += struct.pack("<QddQddQ", 2, 1.5, 2.5, NO_POINT, 3.0, 4.0, first) if i % 2 else struct.pack("<Q", 0)
     (folder / "images.bin").write_bytes(data)
     data = struct.pack("<Q", len(points))
     for i, x, c in points:
-        data += struct.pack("<Q3d3BdQ", i, *x, *c, 0.5, 2) + struct.pack("<4I", 1, 2, 3, 4)
+        track = [number for i, *_ in images if i % 2 for number in (i, 1)] if i == points[0][0] else []
+        data += struct.pack("<Q3d3BdQ", i, *x, *c, 0.5, len(track) // 2) + struct.pack(f"<{len(track)}I", *track)
     (folder / "points3D.bin").write_bytes(data)
 
 

@@ -25,6 +25,18 @@ nb::object weighted_rows_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns,
   return out.numpy({rows, dim});
 }
 
+nb::object dense_rows_of(Rows a, Rows b, int threads, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t rows = a.shape(0), depth = b.shape(0), width = b.shape(1);
+  require(a.shape(1) == depth && depth < (1u << 24) && width < (1u << 24) && width % 16 == 0,
+          "(n, k) and (k, m), m a multiple of 16, k and m below 2^24");
+  Fresh<float> out(rows * width);
+  without_gil([&] {
+    dense_rows(kernels, {a.data(), b.data(), (uint32_t)depth, (uint32_t)width}, rows, thread_count(threads), out.get());
+  });
+  return out.numpy({rows, width});
+}
+
 nb::object pq_encode_of(Rows features, Array<float, 3> centroids, int threads, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
   const size_t rows = features.shape(0), subvectors = centroids.shape(0), dim = centroids.shape(2);
@@ -67,6 +79,7 @@ nb::tuple changed_columns_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns
 
 void bind_algebra(nb::module_ &m) {
   m.def("weighted_rows", &weighted_rows_of, "starts"_a, "columns"_a, "weights"_a, "embeddings"_a, "threads"_a, "isa"_a);
+  m.def("dense_rows", &dense_rows_of, "a"_a, "b"_a, "threads"_a, "isa"_a);
   m.def("changed_columns", &changed_columns_of, "starts"_a, "columns"_a, "weights"_a, "numbers"_a, "more_starts"_a,
         "more_columns"_a, "more_weights"_a, "threads"_a);
   m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);

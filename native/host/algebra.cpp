@@ -16,6 +16,11 @@ bool weighted_rows(const Kernels &kernels, const SparseRows &weights, const Embe
   return ok;
 }
 
+void dense_rows(const Kernels &kernels, const DenseProduct &product, uint64_t rows, int threads, float *out) {
+  over_rows(rows, 64, threads,
+            [&](int, uint64_t begin, uint64_t end) { kernels.dense_rows(product, begin, end, out); });
+}
+
 void pq_encode(const Kernels &kernels, const Quantizer &quantizer, const float *features, uint64_t rows, int threads,
                uint8_t *codes) {
   over_rows(rows, 512, threads, [&](int, uint64_t begin, uint64_t end) {

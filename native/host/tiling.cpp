@@ -1,5 +1,6 @@
 #include "host/tiling.h"
 
+#include <algorithm>
 #include <cstring>
 #include <new>
 
@@ -50,9 +51,65 @@ void radix_pass(Workspace &w, int shift, int bits, int threads) {
   w.keys.swap(w.other_keys);
 }
 
-// Front to back; equal depths in index order.
-void sort_by_depth(Workspace &w, int threads, bool way_back) {
+uint32_t bits_at(const float *column, uint32_t row) {
+  uint32_t bits;
+  std::memcpy(&bits, column + row, 4);
+  return bits;
+}
+
+// The order of Gaussians of one depth: by the bits of what they are, so that it does not hang on their rows. Only rows
+// that are the same in everything follow their index.
+struct Tied {
+  uint64_t place, key;  // place: x and y, which tell nearly all apart
+  uint32_t row;
+};
+
+struct ByContent {
+  const Scene &scene;
+
+  Tied tied(uint64_t key, uint32_t row) const {
+    return {(uint64_t)bits_at(scene.means, row) << 32 | bits_at(scene.means + scene.count, row), key, row};
+  }
+
+  bool operator()(const Tied &a, const Tied &b) const {
+    if (a.place != b.place) return a.place < b.place;
+    for (size_t c = 0; c < 8; c++) {
+      const float *column = c == 0  ? scene.means + 2 * (size_t)scene.count
+                            : c < 7 ? scene.covariances + (c - 1) * scene.count
+                                    : scene.opacities;
+      const uint32_t x = bits_at(column, a.row), y = bits_at(column, b.row);
+      if (x != y) return x < y;
+    }
+    return a.row < b.row;
+  }
+};
+
+// Each part begins and ends between two depths, so that no run of one depth is sorted by two threads.
+void settle_ties(Workspace &w, const Scene &scene, int threads) {
+  const auto tied = [&](uint32_t i) { return i > 0 && i < w.visible && w.keys[i] >> 32 == w.keys[i - 1] >> 32; };
+  std::vector<uint32_t> starts(threads + 1);
+  for (int t = 0; t <= threads; t++) {
+    uint32_t &at = starts[t] = part_start(w.visible, threads, t);
+    while (tied(at)) at++;
+  }
+  parallel(threads, [&](int t) {
+    const ByContent order{scene};
+    std::vector<Tied> run;
+    for (uint32_t i = starts[t], end; i < starts[t + 1]; i = end) {
+      for (end = i + 1; end < starts[t + 1] && tied(end); end++) {}
+      if (end - i == 1) continue;
+      run.clear();
+      for (uint32_t k = i; k < end; k++) run.push_back(order.tied(w.keys[k], w.projected[(uint32_t)w.keys[k]].id));
+      std::sort(run.begin(), run.end(), order);
+      for (uint32_t k = i; k < end; k++) w.keys[k] = run[k - i].key;
+    }
+  });
+}
+
+// Front to back; of equal depths by content.
+void sort_by_depth(Workspace &w, const Scene &scene, int threads, bool way_back) {
   for (int pass = 0; pass < 3; pass++) radix_pass(w, 32 + 11 * pass, pass == 2 ? 10 : 11, threads);
+  settle_ties(w, scene, threads);
   grow(w.splats, w.visible), grow(w.extents, w.visible);
   if (way_back) grow(w.ranks, w.projected.size());
   over_parts(w.visible, threads, [&](int, uint32_t begin, uint32_t end) {
@@ -132,7 +189,7 @@ StageSeconds prepare(Workspace &w, const Kernels &kernels, const Scene &scene, c
   const double t0 = now();
   project_all(w, kernels, scene, camera, threads);
   const double t1 = now();
-  sort_by_depth(w, threads, way_back);
+  sort_by_depth(w, scene, threads, way_back);
   const double t2 = now();
   bin_into_tiles(w, kernels, threads, way_back);
   seconds.project = t1 - t0, seconds.sort = t2 - t1, seconds.bin = now() - t2;

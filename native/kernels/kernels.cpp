@@ -5,6 +5,7 @@
 #include "kernels/adam.h"
 #include "kernels/colors.h"
 #include "kernels/compositing.h"
+#include "kernels/dense_rows.h"
 #include "kernels/gradients.h"
 #include "kernels/loss.h"
 #include "kernels/mixture_best.h"
@@ -34,6 +35,7 @@ const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
                        tile_render,
                        sh_colors,
                        weighted_rows,
+                       dense_rows,
                        pq_encode,
                        activate,
                        splat_colors,

@@ -69,6 +69,11 @@ struct Embeddings {
   uint32_t count, dim;
 };
 
+struct DenseProduct {
+  const float *a, *b;     // rows x depth, depth x width
+  uint32_t depth, width;  // width: a multiple of 16
+};
+
 struct Quantizer {
   const float *centroids;    // subvectors x 256 x dim
   uint32_t subvectors, dim;  // dim: of one sub-vector
@@ -131,6 +136,7 @@ struct Kernels {
   void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin,
                     uint32_t end, float *colors);
   bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
+  void (*dense_rows)(const DenseProduct &, uint64_t begin, uint64_t end, float *out);
   void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch,
                     uint8_t *codes);
 

@@ -1,7 +1,8 @@
 """The command line: arguments -> one public call -> print.
 
 Each verb is a module of `drsplat.commands` with SUMMARY, EXAMPLES, add_arguments(parser), run(arguments)
--> a JSON object, and show(object) for people. To add one, add the module and its name to VERBS.
+-> a JSON object, and show(object) for people. Two more are optional: DAILY, the options that --help shows if not all,
+and interrupted(arguments) -> how to go on after Ctrl-C. To add a verb, add the module and its name to GROUPS.
 """
 
 import argparse
@@ -16,37 +17,77 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from io import TextIOWrapper
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
-from .commands.configuring import can_be_a_path, configuration, configured, path_of
-from .commands.help_texts import HelpFormatter
-from .commands.log import logged
+from .commands.help_texts import VerbListFormatter
+from .commands.log import logged, path_of
 from .commands.options import whole
-from .errors import DrSplatError, DrSplatWarning, MissingExtraError
+from .commands.parsing import Parser, UsageError, VerbParser, did_you_mean
+from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
+from .system import can_be_a_path
 from .terminal import plain, plainly, quoted
 
-# in the order of the pipeline
-VERBS = (
-    "train", "inspect", "embed", "codebook", "tile", "motion", "register", "add", "remove", "objects", "select",
-    "locate", "when", "segment", "catalogue", "edit", "render", "view", "evaluate", "demo", "serve", "mcp", "doctor",
-)  # fmt: skip
-_ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]+\b(?:\.\w+)?|\d+\b)|\A([a-z_]+)(?=: )")
+GROUPS = {
+    "make a scene": ("train", "tile", "motion"),
+    "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
+    "ask": ("locate", "select", "segment", "when", "catalogue"),
+    "look and change": ("view", "render", "edit"),
+    "serve": ("serve", "mcp"),
+    "try, check and measure": ("demo", "inspect", "doctor", "evaluate"),
+}
+VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
-SHELLS = ("bash", "zsh", "tcsh")
+SHELLS = ("bash", "zsh", "tcsh", "fish")
+ODD_NUMBERS = (
+    "some numbers became too large or undefined on the way, so the result may be wrong: check the input for huge or "
+    "missing values (--debug shows where)"
+)
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-class UsageError(Exception):
-    """What argparse has to say; kept from it so that --json is heard first."""
+class _LineParser(Parser):
+    """The parser of the whole line: a verb first, then what is the verb's."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        first = args[0] if args else ""
+        if first.startswith("-") and not any(first.split("=")[0] in action.option_strings for action in self._actions):
+            self.error(f"expected a verb first, then its options: drsplat VERB {plain(first)}")
+        if not args:
+            self.error(f"expected a verb, and none was given; a first one to try is drsplat demo:{_listed_verbs()}")
+        return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action: argparse.Action, value: object) -> None:
+        if action.choices is not None and value not in action.choices:
+            name = str(value)
+            hint = did_you_mean(name, VERBS)
+            raise argparse.ArgumentError(None, f"there is no verb {quoted(name)}{hint or ':' + _listed_verbs()}")
+
+    def format_help(self) -> str:
+        """Return usage, the verbs in their groups, and the options."""
+        formatter = self._get_formatter()
+        formatter.add_text(f"usage: {self.prog} VERB ...")
+        formatter.add_text(self.description)
+        verbs = next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
+        summaries = {action.dest: action for action in verbs._choices_actions}
+        for title, names in GROUPS.items():
+            formatter.start_section(title)
+            formatter.add_arguments([summaries[name] for name in names])
+            formatter.end_section()
+        formatter.start_section("options")
+        formatter.add_arguments([action for action in self._actions if action.option_strings])
+        formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message}\n(see {self.prog} --help)")
+def _listed_verbs() -> str:
+    """Return a line for each group of verbs."""
+    return "".join(f"\n  {title}: {', '.join(verbs)}" for title, verbs in GROUPS.items())
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when asked: that costs more than all of --help."""
+    """Action that looks the version up only when asked, which costs more than all of --help."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         from . import __version__
@@ -59,7 +100,7 @@ class _Version(argparse.Action):
 
 
 class _Completion(argparse.Action):
-    """Prints what a shell needs to complete verbs and options."""
+    """Action that prints what a shell needs to complete verbs and options."""
 
     def __call__(self, parser: argparse.ArgumentParser, _: object, shell: object, __: object = None) -> NoReturn:
         if shell not in SHELLS:
@@ -68,6 +109,8 @@ class _Completion(argparse.Action):
             import shtab
         except ImportError:
             raise MissingExtraError('shtab is not installed: pip install "drsplat[completion]"') from None
+        if shell not in shtab.SUPPORTED_SHELLS:
+            raise MissingExtraError(f'shtab {shtab.__version__} does not know {shell}: pip install -U "shtab>=1.9.3"')
         print(shtab.complete(parser, str(shell)))
         parser.exit()
 
@@ -75,18 +118,21 @@ class _Completion(argparse.Action):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
-    as_json, debug = "--json" in given, "--debug" in given
+    options = given[: given.index("--")] if "--" in given else given
+    as_json, debug = "--json" in options, "--debug" in options
     if isinstance(sys.stdout, TextIOWrapper):  # a name that the terminal has no letters for is told all the same
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        with logged(path_of("--log", given), f"drsplat {shlex.join(given)}"):
+        with logged(path_of(options), f"drsplat {shlex.join(given)}"):
             return _told(given, as_json, debug)
-    except OSError as error:  # of the log
+    except (InputError, OSError) as error:  # of the log, or what --debug lets through
+        if debug:
+            raise
         return _failed(error, type(error).__name__, FAILED, as_json)
 
 
 def _told(given: list[str], as_json: bool, debug: bool) -> int:
-    """Run, and tell what goes wrong."""
+    """Run a command and report its errors; return the exit code."""
     try:
         return _run(given)
     except UsageError as error:
@@ -106,88 +152,90 @@ def _told(given: list[str], as_json: bool, debug: bool) -> int:
         return ending.code if isinstance(ending.code, int) else 0
 
 
-def make_parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
+    """Return the parser of the command line. verbs: those to build, where only some are needed."""
+    parser = _LineParser(
         prog="drsplat",
         description="Search a 3D Gaussian Splatting scene in words.",
         epilog="Each verb has its own help and examples: drsplat register --help",
-        allow_abbrev=False,
+        formatter_class=VerbListFormatter,
     )
     parser.add_argument(
         "--version", action=_Version, nargs=0, help="print version, build and instruction set, and exit"
     )
     parser.add_argument(
         "--print-completion", action=_Completion, metavar="SHELL",
-        help="print what bash, zsh or tcsh needs to complete verbs and options, and exit",
+        help="print what bash, zsh, tcsh or fish needs to complete verbs and options, and exit",
     )  # fmt: skip
-    verbs = parser.add_subparsers(metavar="VERB", required=True)
-    for name in VERBS:
-        _add_verb(verbs, name)
+    subparsers = parser.add_subparsers(metavar="VERB", required=True, parser_class=VerbParser)
+    for name in verbs:
+        _add_verb(subparsers, name)
     return parser
 
 
-def _add_verb(verbs: "argparse._SubParsersAction[_Parser]", name: str) -> None:
+def _add_verb(subparsers: "argparse._SubParsersAction[VerbParser]", name: str) -> None:
     command = import_module(f".commands.{name}", __package__)
     summary: str = command.SUMMARY
-    parser = verbs.add_parser(
-        name, aliases=getattr(command, "ALIASES", ()), help=summary, description=summary[0].upper() + summary[1:] + ".",
-        epilog=f"examples:\n{command.EXAMPLES}", formatter_class=HelpFormatter,
-        allow_abbrev=False,
-    )  # fmt: skip
+    parser = subparsers.add_parser(
+        name, help=summary, description=summary[0].upper() + summary[1:] + ".", epilog=f"examples:\n{command.EXAMPLES}"
+    )
     command.add_arguments(parser)
-    common = parser.add_argument_group("all verbs")
+    own = (option.dest for option in parser.options if not option.dest.startswith("help"))
+    parser.daily = {"json", *getattr(command, "DAILY", own)}
+    _add_common(parser.add_argument_group("all verbs"))
+    parser.set_defaults(command=command, parser=parser, flags=parser.flags)
+
+
+def _add_common(common: "argparse._ArgumentGroup") -> None:
     common.add_argument("--json", action="store_true", help="print one JSON object to stdout and nothing else there")
     common.add_argument(
         "--threads", type=whole, default=0, metavar="N",
         help="CPU threads; results are the same for any number (default: 0, all cores)",
     )  # fmt: skip
     common.add_argument(
-        "--config",
-        metavar="FILE",
-        help="TOML with options under [VERB]; what is given here counts, not what it has there",
+        "--config", metavar="FILE", help="TOML with options under [VERB]; an option that is given here counts instead"
     )
-    common.add_argument("--print-config", action="store_true", help="print such a file of what is given, and exit")
-    common.add_argument("--log", metavar="FILE", help="append what is said on stderr to a file, with times")
+    common.add_argument(
+        "--print-config", action="store_true", help="print the options given here as such a file, and exit"
+    )
+    common.add_argument("--log", metavar="FILE", help="append the lines of stderr to a file, with times")
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.set_defaults(command=command, flags=_flags(parser))
-
-
-def _flags(parser: argparse.ArgumentParser) -> dict[str, str]:
-    """The long flag of each option, by the name that the library has for it."""
-    named = ((action.dest, action.option_strings) for action in parser._actions)
-    return {dest: next((flag for flag in flags if flag.startswith("--")), "") for dest, flags in named}
 
 
 def spelled(message: str, flags: Mapping[str, str]) -> str:
-    """A message of the library in the words of the command line.
+    """Return a message of the library in the words of the command line.
 
     "overwrite=True" is "--overwrite", "images=FOLDER" is "--images FOLDER", and "images: " at the beginning
-    is "--images: ". flags: of the verb, as `_flags` gives them; arguments without one stay as they are.
+    is "--images: ". A positional argument loses its name: "text=WORDS" is "WORDS".
+    flags: those of the verb by name, empty for positional arguments; names that the verb has not stay as they are.
     """
 
-    def spell(found: re.Match[str]) -> str:
-        name, value, heading = found.groups()
+    def spell(match: re.Match[str]) -> str:
+        name, value, heading = match.groups()
         flag = flags.get(name or heading)
-        if not flag:
-            return found[0]
-        return f"{flag} {value}" if value and value != "True" else flag
+        if flag is None or (not flag and not name):
+            return match[0]
+        return flag if value in (None, "True") else f"{flag} {value}".strip()
 
     return _ARGUMENT.sub(spell, message)
 
 
 def _run(argv: list[str]) -> int:
-    argv = configured(argv, make_parser())
-    arguments = make_parser().parse_args(argv)
+    arguments = make_parser(argv[:1] if argv and argv[0] in VERBS else VERBS).parse_args(argv)
     _refuse_no_texts(arguments)
     if arguments.print_config:
-        print(configuration(argv, make_parser()))
+        from .commands.configuring import configuration
+
+        print(configuration(arguments.parser))
         return 0
     if arguments.threads and "numpy" not in sys.modules:  # its BLAS reads them once
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
-    with _warnings_as_lines(arguments.flags):
+    with _warnings_as_lines(arguments.flags, arguments.debug):
         try:
             answer = arguments.command.run(arguments)
         except (DrSplatError, KeyboardInterrupt) as error:
+            if isinstance(error, KeyboardInterrupt) and not error.args and hasattr(arguments.command, "interrupted"):
+                error.args = (arguments.command.interrupted(arguments),)
             error.args = tuple(spelled(str(part), arguments.flags) for part in error.args)
             raise
     if arguments.json:
@@ -201,12 +249,13 @@ def _run(argv: list[str]) -> int:
 def _refuse_no_texts(arguments: argparse.Namespace) -> None:
     """An empty value is a variable that a shell found empty: as a path it would be the current folder."""
     for name, value in vars(arguments).items():
-        flag = arguments.flags.get(name) or name.upper()
+        flag = arguments.flags.get(name)
+        shown = flag or ("WORDS" if name == "text" else name.upper())
         for text in value if isinstance(value, list) else [value]:
             if text == "" and name != "ask":  # which asks nothing by default
-                raise UsageError(f"{flag} is empty: give a value, or leave it out")
+                raise UsageError(f"{shown} is empty: give a value{', or leave it out' if flag else ''}")
             if isinstance(text, str) and not can_be_a_path(text):
-                raise UsageError(f"{flag}: expected text in UTF-8, got {quoted(text)}")
+                raise UsageError(f"{shown}: expected text in UTF-8, got {quoted(text)}")
 
 
 def _as_json(value: object) -> object:
@@ -215,7 +264,7 @@ def _as_json(value: object) -> object:
 
 
 def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
-    message = str(error) or kind
+    message = _without_number(error) or kind
     print(f"drsplat: error: {plain(message)}", file=sys.stderr)
     try:
         if as_json:
@@ -226,27 +275,46 @@ def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
     return code
 
 
+def _without_number(error: BaseException) -> str:
+    """Return an error's message; of one of the system, the file and the reason without its number."""
+    if isinstance(error, OSError) and error.strerror:
+        return ": ".join(str(part) for part in (error.filename, error.strerror) if part is not None)
+    return str(error)
+
+
 def _drop_stdout() -> None:
-    """What stdout still holds goes nowhere, also in the interpreter's last flush."""
+    """Discard buffered output, so that the interpreter's last flush cannot fail on a closed pipe."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager
-def _warnings_as_lines(flags: Mapping[str, str]) -> Iterator[None]:
+def _warnings_as_lines(flags: Mapping[str, str], debug: bool) -> Iterator[None]:
+    """Print the project's own warnings as lines. Those of libraries speak to programmers: only `debug` shows them.
+
+    NumPy's RuntimeWarning stands for numbers that went wrong, so a line of ours says that once.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("always", DrSplatWarning)
         shown = warnings.showwarning
+        went_wrong = False
 
         def show(
             message: Warning | str, category: type[Warning], filename: str, lineno: int,
             file: TextIO | None = None, line: str | None = None,
         ) -> None:  # fmt: skip
+            nonlocal went_wrong
             if issubclass(category, DrSplatWarning):
-                line = spelled(str(message), flags)
-                print(f"drsplat: warning: {plain(line)}", file=sys.stderr)
-            else:
+                _warn(spelled(str(message), flags))
+            elif debug:
                 shown(message, category, filename, lineno, file, line)
+            elif issubclass(category, RuntimeWarning) and not went_wrong:
+                went_wrong = True
+                _warn(ODD_NUMBERS)
 
         warnings.showwarning = show
         yield
+
+
+def _warn(line: str) -> None:
+    print(f"drsplat: warning: {plain(line)}", file=sys.stderr)

@@ -1,7 +1,11 @@
 """Everything that can go wrong, as one tree: catch `DrSplatError` to catch all of it.
 
-A message says what was given, what was expected and what to do.
+A message says what was given, what was expected and what to do; `did_you_mean` finds what was probably meant.
 """
+
+from collections.abc import Iterable
+
+_NEAR = 0.7  # share of letters in common: "vaze" is near "vase", "rote" is not near "carrot"
 
 
 class DrSplatError(Exception):
@@ -26,3 +30,18 @@ class MissingExtraError(DrSplatError, ImportError):
 
 class DrSplatWarning(UserWarning):
     """Something was left out and the caller should know which and how many."""
+
+
+def did_you_mean(given: str, choices: Iterable[str], most: int = 3) -> str:
+    """Return " Did you mean 'vase'?" with the nearest choices, or "" where nothing is near: the end of a message.
+
+    Args:
+        given: what was typed; case makes no difference.
+        choices: what would have been accepted.
+        most: choices that are listed at most.
+    """
+    from difflib import get_close_matches  # only once something went wrong
+
+    by_lower = {choice.lower(): choice for choice in choices}
+    near = [f"'{by_lower[word]}'" for word in get_close_matches(given.lower(), by_lower, most, _NEAR)]
+    return f" Did you mean {' or '.join(near)}?" if near else ""

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0
+BAR_COLUMNS = 10
 
 
 def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Iterator[T]:
@@ -50,34 +51,44 @@ class Meter:
         elapsed = time.monotonic() - self._begin
         if self._quiet or elapsed < PATIENCE_S:
             return
-        rate = f"{(done - self._first) / elapsed:.1f}"
-        if sys.stderr.isatty():
-            self._show(done, text, rate)
+        facts = self._facts(done, elapsed)
+        if self._bar is not None or sys.stderr.isatty():  # which the bar replaces, by what says it is no terminal
+            self._show(done, "  ".join(filter(None, (*facts, plain(text)))))
         elif time.monotonic() - self._told > LINE_EVERY_S:
             self._told = time.monotonic()
-            left = elapsed / (done - self._first) * (self._total - done)
-            parts = f"{done}/{self._total}", plain(text), f"{rate}/s", f"{_duration(left)} left"
+            parts = facts[0], plain(text), *facts[1:]
             print(f"{self._description}: {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
-    def _show(self, done: int, text: str, rate: str) -> None:
+    def _facts(self, done: int, elapsed: float) -> tuple[str, str, str]:
+        """Return the count, the rate and the time that is left."""
+        per_second = (done - (self._first or 0)) / max(elapsed, 1e-9)
+        left = (self._total - done) / max(per_second, 1e-9)
+        return f"{done}/{self._total}", f"{per_second:.1f}/s", f"{_duration(left)} left"
+
+    def _show(self, done: int, line: str) -> None:
+        """Draw the bar and a line beside it, which is cut at its end where the terminal is narrow."""
         if self._bar is None:
             self._bar = _job_bar()
-            self._bar.add_task(self._description, total=self._total, rate=rate, text=text)
-            self._bar.start()
-        self._bar.update(self._bar.task_ids[0], completed=done, rate=rate, text=plain(text))
+            self._bar.add_task(self._description, total=self._total, line="")
+        room = self._bar.console.width - len(self._description) - BAR_COLUMNS - 3
+        self._bar.update(self._bar.task_ids[0], completed=done, line=line[: max(room, 0)])
+        self._bar.start()  # which does nothing the second time
 
 
 def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+    """Return a length of time in the unit that keeps it below three digits, up to hours."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.0f} h"
 
 
 def _job_bar() -> "Progress":
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[text]}"),
-        TextColumn("{task.fields[rate]}/s"), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+        TextColumn("{task.description}"), BarColumn(BAR_COLUMNS), TextColumn("{task.fields[line]}", markup=False),
+        console=Console(stderr=True), transient=True,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from .codes import PQ, CodeSpecification, Track, untracked
 from .encoders import EncoderIdentity
-from .errors import DrSplatWarning, InputError, MismatchError
+from .errors import DrSplatWarning, InputError, MismatchError, did_you_mean
 from .evidence.aggregation import Aggregator, Sampling
 from .evidence.aggregation import aggregator as named
 from .evidence.changing import with_views, without_views
@@ -191,7 +191,8 @@ class Registration:
         names = self.masks.view_names
         unknown = sorted(set(views) - set(names))
         if unknown:
-            raise InputError(f"no view '{unknown[0]}' is registered: views are named like '{names[0]}'")
+            near = did_you_mean(unknown[0], names)
+            raise InputError(f"no view '{unknown[0]}' is registered: views are named like '{names[0]}'.{near}")
         gone = np.isin(names, list(views))
         if gone.all():
             raise InputError(f"these are all {len(names)} views: leave one, or remove the field itself")
@@ -287,7 +288,10 @@ def with_features(views: Sequence[View], features: Collection[str]) -> list[tupl
     if not chosen:
         example = next(iter(features), "(there are none)")
         given = views[0].name if views else "(there are none)"
-        raise InputError(f"no view has features: views are named like '{given}', features like '{example}'")
+        raise InputError(
+            f"no view has features: views are named like '{given}', features like '{example}', so they belong to "
+            "other photos: make the features of these with `drsplat embed CAPTURE`"
+        )
     return chosen
 
 

@@ -6,6 +6,8 @@ Linux and macOS have all of it. On Windows, files have other locks and cannot be
 import getpass
 import os
 import sys
+import threading
+import time
 
 try:
     import fcntl
@@ -19,7 +21,17 @@ NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 NO_LINKS = NO_WAITING | getattr(os, "O_NOFOLLOW", 0)
 """Flags to open what a stranger may have put there: no pipe is waited for, and no link is followed."""
 OF_OURS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+LOOK_AGAIN_S = 0.5  # interval at which a process checks whether its parent has ended
 _LOCKED_BYTE = 1 << 30  # of Windows, where a locked byte cannot be read: far beyond what is
+
+
+def can_be_a_path(text: str) -> bool:
+    """Return whether the file system has bytes for every letter of a text."""
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def can_sweep() -> bool:
@@ -79,6 +91,35 @@ def owner() -> str:
 
 def is_ours(found: os.stat_result) -> bool:
     return not hasattr(os, "getuid") or found.st_uid == os.getuid()
+
+
+def end_with(parent: int) -> None:
+    """End this process, whatever it is doing, when the process that started it has ended, however that ended.
+
+    parent: its number, as whoever starts a process knows it: a killed parent is not the parent of its children any
+    more.
+    """
+    threading.Thread(target=_end_after, args=(parent,), name="end with parent", daemon=True).start()
+
+
+def _end_after(parent: int) -> None:
+    if WINDOWS:
+        _wait_for_windows_process(parent)
+    else:
+        while os.getppid() == parent:
+            time.sleep(LOOK_AGAIN_S)
+    os._exit(1)
+
+
+def _wait_for_windows_process(number: int) -> None:
+    import ctypes
+
+    synchronize, for_ever = 0x00100000, 0xFFFFFFFF
+    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined,unused-ignore]
+    kernel.OpenProcess.restype = ctypes.c_void_p
+    handle = kernel.OpenProcess(synchronize, False, number)
+    if handle:
+        kernel.WaitForSingleObject(ctypes.c_void_p(handle), for_ever)
 
 
 def peak_memory_bytes() -> int:

@@ -23,6 +23,7 @@ from ..query.encoding import Load
 from ..query.opening import SceneFiles, scene_files
 from ..query.ranking import Described, Surroundings
 from . import table
+from .agreeing import SceneRules
 from .conditions import Where, checked_name, of_scene
 from .entries import CatalogueAnswer, Entry, Listed
 from .reading import entries_of, listed_of, thumbnail_of
@@ -36,7 +37,6 @@ CANDIDATES = 256  # objects of the highest cosines, that are looked at closely
 USUAL = 4096  # descriptors that say what is usual
 FEW_CHANGES, HARDLY = 100, 100  # scenes that come or go in a large table before that is asked anew; a share of its rows
 ANYWHERE = Where()
-PATIENCE = 60.0  # seconds that one writer waits for another
 
 
 @dataclass(eq=False)
@@ -57,6 +57,7 @@ class Catalogue:
     load: Load = load_encoder
     _encoder: Encoder | None = field(default=None, repr=False)
     _usual: "_Usual | None" = field(default=None, repr=False)
+    _rules: SceneRules | None = field(default=None, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @classmethod
@@ -127,11 +128,16 @@ class Catalogue:
             )
         return Listed(called, len(rows), added, opened.field.fingerprint, folder, "current")
 
-    def remove(self, name: str) -> int:
-        """Drop a scene; returns how many objects it had. Raises: InputError: there is none; as `add`."""
-        with claimed_output(self.path, PATIENCE):
+    def remove(self, name: str) -> int | None:
+        """Drop a scene; return how many objects it had, None if it was removed before.
+
+        Raises: InputError: there is none; as `add`.
+        """
+        with claimed_output(self.path, table.PATIENCE_S):
             known = self._snapshot()
             listed = known.rows(of_scene(name), ["object_id"]).num_rows
+            if not listed and table.was_removed(self.path, name):
+                return None
             if not listed:
                 raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
             table.remove_scene(self.path, known.table, name)
@@ -168,7 +174,7 @@ class Catalogue:
 
         Raises: InputError: fewer than 256 objects, which no index can be trained on; files are being put together.
         """
-        with table.arranging(self.path, PATIENCE):
+        with table.arranging(self.path, table.PATIENCE_S):
             known = self._snapshot()
             objects = known.count(table.OF_OBJECTS)
             if objects < LEAST_OF_INDEX:
@@ -203,12 +209,19 @@ class Catalogue:
         nearest = known.nearest(vector, where.sql, max(CANDIDATES, 4 * top), exact)
         objects = Described.of(table.vectors_of(nearest["descriptors"], self.path), known.encoder.dim)
         ranked = surroundings.rank(query, vector, objects)
-        entries = entries_of(known, nearest, ranked, top)
+        entries = entries_of(known, nearest, ranked, query, self._scene_rules(known), top)
         return CatalogueAnswer(entries, ranked.measure, ranked.threshold, ranked.rule, len(nearest), exact)
 
     def thumbnail(self, scene: str, object_id: int, tile: int = 0) -> bytes:
         """The JPEG of one object. Raises: InputError: no such object, or it has none. FormatError: damaged."""
         return thumbnail_of(self._snapshot(), scene, object_id, tile)
+
+    def verify(self) -> list[str]:
+        """Compare every byte with its checksum; return the names of the files that have one.
+
+        Raises: FormatError: damage.
+        """
+        return table.verify(self.path)
 
     # --- within ---
 
@@ -226,7 +239,7 @@ class Catalogue:
 
     def _write(self, name: str, folder: str, rows: SceneRows, encoder: EncoderIdentity) -> None:
         """In turn with other writers; what was seen before one waited is looked at again."""
-        with claimed_output(self.path, PATIENCE):
+        with claimed_output(self.path, table.PATIENCE_S):
             known = table.opened(self.path)
             if known is not None:
                 known.check_encoder(encoder)
@@ -245,6 +258,13 @@ class Catalogue:
                 made = Surroundings(known, lambda: self._embedder(known), _spread(known))
                 self._usual = _Usual(known.version, known.num_rows, made)
             return self._usual.surroundings
+
+    def _scene_rules(self, known: Snapshot) -> SceneRules:
+        """Return the rules of the scenes of a version of the table, with what is in memory of them."""
+        with self._lock:
+            if self._rules is None or self._rules.version != known.version:
+                self._rules = SceneRules(known, lambda: self._embedder(known))
+            return self._rules
 
     def _embedder(self, known: Snapshot) -> Encoder:
         """Loaded once: the table keeps its encoder for life."""

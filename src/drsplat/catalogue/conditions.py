@@ -26,6 +26,11 @@ def checked_name(name: str) -> str:
     return name
 
 
+def scenes_sql(names: Sequence[str]) -> str:
+    """Return the condition that a row is of one of some scenes."""
+    return f"scene IN ({', '.join(quoted(name) for name in names)})"
+
+
 def of_scene(name: str) -> str:
     return f"scene = {quoted(checked_name(name))}"
 
@@ -53,15 +58,15 @@ class Where:
             raise InputError(f"box: expected two corners, the lowest first, six finite numbers, got {self.box}")
         if self.area is not None:
             _check_area(self.area)
-        if self.since is not None and self.since.tzinfo is None:
-            raise InputError("since: expected a time with its zone, as in 2026-11-22T14:00Z")
+        if self.since is not None:
+            _in_utc(self.since)
 
     @property
     def sql(self) -> str:
-        """What objects have to meet; "" for all."""
+        """Return the conditions that objects have to meet, as SQL; "" for all objects."""
         parts = []
         if self.scenes:
-            parts.append(f"scene IN ({', '.join(quoted(name) for name in self.scenes)})")
+            parts.append(scenes_sql(self.scenes))
         if self.box is not None:
             parts += _between("xyz", self.box[:3], self.box[3:])
         if self.area is not None:
@@ -70,9 +75,20 @@ class Where:
             joined = " AND " if west <= east else " OR "
             parts.append(f"({joined.join([f'longitude >= {west!r}', f'longitude <= {east!r}'])})")
         if self.since is not None:
-            moment = self.since.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
-            parts.append(f"added >= TIMESTAMP '{moment}+00:00'")
+            parts.append(f"added >= TIMESTAMP '{_in_utc(self.since).isoformat(' ', 'milliseconds')}'")
         return " AND ".join(parts)
+
+
+def _in_utc(moment: datetime) -> datetime:
+    """Return a time in UTC. Raises: InputError: it has no zone, or lies outside of the years 1 to 9999 there."""
+    if moment.tzinfo is None:
+        raise InputError(f"since: expected a time with its zone, as in 2026-11-22T14:00Z, got {moment.isoformat()}")
+    try:
+        return moment.astimezone(UTC)
+    except OverflowError:
+        raise InputError(
+            f"since: expected a time of the years 1 to 9999 in UTC, as 2026-11-22T14:00Z, got {moment.isoformat()}"
+        ) from None
 
 
 def _between(names: Sequence[str], low: Sequence[float], high: Sequence[float]) -> list[str]:

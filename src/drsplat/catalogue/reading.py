@@ -7,8 +7,10 @@ import numpy as np
 
 from ..errors import DrSplatError, FormatError, InputError
 from ..formats.field_folder import read_manifest
+from ..query import Query
 from ..query.opening import scene_files
 from ..query.ranking import Ranked
+from .agreeing import SceneRules
 from .conditions import of_scene
 from .entries import Entry, Listed, Position, checked_jpeg
 from .table import CURE, ROW_ID, Snapshot
@@ -16,15 +18,17 @@ from .table import CURE, ROW_ID, Snapshot
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
 
 
-def entries_of(known: Snapshot, nearest: Any, ranked: Ranked, top: int) -> list[Entry]:
-    """The best of the objects that a query selects; equal ones by scene and number.
+def entries_of(known: Snapshot, nearest: Any, ranked: Ranked, query: Query, rules: SceneRules, top: int) -> list[Entry]:
+    """Return the best of the objects that a query selects here and in their scenes; equal ones by scene and number.
 
-    Raises: FormatError: rows that are no objects.
+    Raises: FormatError: rows that are no objects, or a damaged scene.
     """
     heads = [nearest[name].to_pylist() for name in ("scene", "tile", "object_id")]
-    chosen = sorted(
+    selected = sorted(
         np.flatnonzero(ranked.selected).tolist(), key=lambda at: (-float(ranked.values[at]), *(h[at] for h in heads))
-    )[:top]
+    )
+    found = [(heads[0][at], heads[2][at]) for at in selected]
+    chosen = [selected[place] for place in rules.first(query, found, top)]
     rows = nearest.take(chosen).drop_columns(["descriptors"]).to_pylist() if chosen else []
     thumbnails = known.thumbnails([row[ROW_ID] for row in rows])
     scores = ranked.values[chosen].tolist()

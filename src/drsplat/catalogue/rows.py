@@ -15,6 +15,7 @@ from ..formats.tiles import TILES, read_tiles
 from ..query import Match, Scene
 from ..query.objects import objects_of, support_of
 from ..query.sheets import object_picture, object_views
+from ..query.sketch import sketch_of
 from .entries import Position
 from .thumbnails import SIZE, thumbnail
 
@@ -55,7 +56,8 @@ def rows_of(
         )
     ]
     common = {"scene": name, "field": scene.field.fingerprint, "added": added}
-    rows = [common | row for row in [*rows, {"tile": UNTILED, "object_id": -1, "folder": folder}]]
+    own = {"tile": UNTILED, "object_id": -1, "folder": folder, "sketch": sketch_of(scene).to_bytes()}
+    rows = [common | row for row in [*rows, own]]
     descriptors = [_halves(objects.descriptors_of(node)) for node in objects.things.tolist()]
     descriptors.append(np.empty((0, scene.field.encoder.dim), np.float16))
     columns = {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}

@@ -22,9 +22,10 @@ from ..encoders import EncoderIdentity, identity_json, identity_said
 from ..errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from ..formats.claiming import claimed_output
 from .conditions import of_scene
+from .record import read_record, verify_record, write_record
 
 NAME, KEY = "objects", b"drsplat catalogue"
-VERSION = 1
+VERSION = 2
 MOST_DIM = 1 << 16
 INDEX = "descriptors_idx"
 LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
@@ -32,8 +33,10 @@ MOST_PARTITIONS, LEAST_PROBES = 512, 64  # of an index; of these half are looked
 REFINED = 2  # candidates compared exactly, for each wanted
 FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
 PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
+PANICS = ("PanicException", "RustPanic")  # of Rust, on what its readers did not expect
 OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
 OF_OBJECTS = "object_id >= 0"
+PATIENCE_S = 60.0  # that one writer waits for another
 INDEX_CACHE, METADATA_CACHE = 512 << 20, 256 << 20  # bytes that queries find in memory
 HEAD = ("scene", "tile", "object_id")  # what a row is known by
 ROW_ID = "_rowid"
@@ -67,6 +70,7 @@ def schema_of(encoder: EncoderIdentity) -> Any:
         "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float64(), 9),
         "extent": pa.list_(pa.float64(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
         "sure": pa.float32(), "mask": pa.int32(), **texts, "descriptors": vectors, "thumbnail": pa.binary(),
+        "sketch": pa.binary(),
     }  # fmt: skip
     about = {"version": VERSION, "encoder": identity_json(encoder)}
     return pa.schema(list(columns.items()), metadata={KEY: json.dumps(about)})
@@ -127,7 +131,7 @@ class Snapshot:
 
         where: SQL that they meet, "" for all. exact: compare all of them, though there is an index.
         """
-        columns = [name for name in schema_of(self.encoder).names if name not in ("thumbnail", "folder")]
+        columns = [name for name in schema_of(self.encoder).names if name not in ("thumbnail", "folder", "sketch")]
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
             # Rows of scenes have no descriptor and are not found: to look for them before takes as long as the search.
@@ -159,18 +163,64 @@ class Snapshot:
 
 
 def opened(path: Path) -> Snapshot | None:
-    """The table as it is now; None where there is none yet.
+    """Return the table as it is now, compared with its record; None where there is none yet.
 
     Raises: FormatError: the folder holds something else, or is damaged. MissingExtraError.
     """
+    while True:
+        record = read_record(path)  # before the table is opened, so that it is never the newer one
+        if record is None:
+            return _opened(path)
+        record.check_files(_folder(path))
+        known = _opened(path)
+        if known is None:
+            raise FormatError(f"{path}: {CURE} (the versions of its table are missing)")
+        try:
+            record.check_version(_folder(path), known.version)
+        except FormatError:
+            again = _opened(path)
+            if again is None or again.version == known.version:
+                raise
+            continue  # another version came meanwhile, and took files of this one away
+        return known
+
+
+def verify(path: Path) -> list[str]:
+    """Compare every byte of a catalogue with its record; return the names of the files. Raises: as `opened`."""
+    known = opened(path)
+    return [] if known is None else verify_record(path, _folder(path))
+
+
+def record(path: Path, added: str = "", removed: str = "") -> None:
+    """Record the latest version of the table; the caller holds the writer's lock.
+
+    added, removed: the scene that it is about.
+    """
+    before, known = read_record(path), _opened(path)
+    if known is not None:
+        gone = {*(before.removed if before else ()), removed} - {added, ""}
+        write_record(path, _folder(path), known.version, gone)
+
+
+def was_removed(path: Path, name: str) -> bool:
+    """Return whether a scene of this name was removed, and not added since."""
+    before = read_record(path)
+    return before is not None and name in before.removed
+
+
+def _folder(path: Path) -> Path:
+    return path / f"{NAME}.lance"
+
+
+def _opened(path: Path) -> Snapshot | None:
     lancedb, _ = libraries()
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return None
-    if not (path / f"{NAME}.lance").is_dir():
+    if not _folder(path).is_dir():
         raise FormatError(
             f"{path}: expected a catalogue, a folder with {NAME}.lance: `drsplat catalogue add` makes one"
         )
-    if _is_begun(path / f"{NAME}.lance"):
+    if _is_begun(_folder(path)):
         return None
     with reading(path):
         table = lancedb.connect(path, session=_session()).open_table(NAME)
@@ -185,20 +235,24 @@ def _is_begun(table: Path) -> bool:
 
 
 def replace_scene(path: Path, name: str, rows: Any, encoder: EncoderIdentity) -> None:
-    """All rows of a scene by others, in one version; makes the table where there is none."""
+    """Put rows in place of all those of a scene, in one version; make the table where there is none."""
     lancedb, _ = libraries()
     known = opened(path)
     with writing(path):
         if known is None:
             lancedb.connect(path).create_table(NAME, data=rows, schema=schema_of(encoder))
-            return
-        merge = known.table.merge_insert(list(HEAD)).when_matched_update_all().when_not_matched_insert_all()
-        merge.when_not_matched_by_source_delete(of_scene(name)).execute(rows)
+        else:
+            merge = known.table.merge_insert(list(HEAD)).when_matched_update_all().when_not_matched_insert_all()
+            merge.when_not_matched_by_source_delete(of_scene(name)).execute(rows)
+    record(path, added=name)
 
 
 def remove_scene(path: Path, table: Any, name: str) -> None:
+    """Delete all rows of a scene. The name is recorded before, so that a kill at any moment does not lose it."""
+    record(path, removed=name)
     with writing(path):
         table.delete(of_scene(name))
+    record(path, removed=name)
 
 
 def tidy(path: Path) -> None:
@@ -218,8 +272,15 @@ def tidy(path: Path) -> None:
             return
         try:
             _put_together(known)
+            _record_arranged(path)
         except InputError as error:
             warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+
+
+def _record_arranged(path: Path) -> None:
+    """Record what was put together; writers wait until its files have been read once more."""
+    with claimed_output(path, PATIENCE_S):
+        record(path)
 
 
 def arranging(path: Path, patience: float = 0.0) -> AbstractContextManager[None]:
@@ -256,6 +317,7 @@ def index(known: Snapshot) -> None:
     with writing(known.path):
         known.table.create_index("scene", config=BTree(), replace=True)
         known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
+    _record_arranged(known.path)
 
 
 def vectors_of(column: Any, path: Path) -> list[Float32[np.ndarray, "k D"]]:
@@ -302,7 +364,7 @@ def _told(path: Path) -> Iterator[None]:
     except (ValueError, RuntimeError, OSError) as error:  # Arrow's are among these
         raise FormatError(f"{path}: {CURE} ({type(error).__name__}: {error!s:.300})") from error
     except BaseException as error:
-        if type(error).__name__ != "PanicException":  # of Rust, on what its readers did not expect
+        if type(error).__name__ not in PANICS:
             raise
         raise FormatError(f"{path}: {CURE} ({error!s:.300})") from error
 
@@ -328,5 +390,6 @@ def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
     if version != VERSION:
-        raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}")
+        cure = "remove the folder and add its scenes again" if version == 1 else "install the drsplat that made it"
+        raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
     return EncoderIdentity(texts[0], given["dim"], texts[1], texts[2])

@@ -9,6 +9,7 @@ import numpy as np
 from ..encoders import identity_json
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.embedding_record import encoder_from_json
+from ..formats.faiss_index import is_faiss
 from ..formats.json_files import parsed
 from ..formats.tensors import check_tensors, map_tensors, write_tensors
 from .codebook import Codebook
@@ -28,6 +29,11 @@ def save_codebook(codebook: Codebook, path: str | os.PathLike[str], overwrite: b
 
 def load_codebook(path: str | os.PathLike[str]) -> Codebook:
     """Read what `save_codebook` wrote. Raises: FormatError: another kind of file or version, or damaged."""
+    if is_faiss(path):
+        raise FormatError(
+            f"{path}: a FAISS index, which does not say which encoder made its embeddings: "
+            "read it with drsplat.codes.official, which takes the name of the encoder"
+        )
     tensors, metadata = map_tensors(path)
     if metadata.get("format") != CODEBOOK_FORMAT:
         raise FormatError(f"{path}: expected '{CODEBOOK_FORMAT}', got {ascii(metadata.get('format'))[:60]}")

@@ -8,7 +8,7 @@ from jaxtyping import UInt8, UInt32
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
-from ..formats.faiss_index import read_faiss_quantizer
+from ..formats.faiss_index import is_faiss, read_faiss_quantizer
 from .codebook import Codebook, Codes
 from .files import load_codebook
 
@@ -30,7 +30,7 @@ def read_codebook(path: str | os.PathLike[str], encoder_name: str | None = None)
 
     Raises: as `load_codebook` and `read_faiss_codebook`.
     """
-    if os.path.splitext(path)[1] != ".faiss":
+    if os.path.splitext(path)[1] != ".faiss" and not is_faiss(path):
         return load_codebook(path)
     centroids = read_faiss_quantizer(path).centroids
     dim = centroids.shape[0] * centroids.shape[2]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..scene.moving import Moving
     from ..scene.views import View
 
-SUMMARY = "add views to a field: only they are looked at, and it is as if all had been registered at once"
+SUMMARY = "add views to a field: only these are computed, and the result is that of registering all at once"
 EXAMPLES = """\
   drsplat add room.field capture --features capture/language_features --scene scene.ply
   drsplat add room.field new_photos --features new_photos/language_features --scene scene.ply --json
@@ -30,6 +30,7 @@ EXAMPLES = """\
 CAPTURE may hold all views or only the new ones: those with features that are not in the field yet are added, but for
 those that were removed from it or kept out of it: --views brings them back. How they are registered is what the field
 says: no option changes it. A stopped run goes on when the same command is given again."""
+DAILY = ("scene", "features", "views", "watch")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_features(parser)
     parser.add_argument(
         "--views", nargs="+", type=words, metavar="NAME",
-        help="only these, though they were removed or kept out: names of photos, with or without suffix, or patterns "
-        "of these with * and ? (default: all but these)",
+        help="only these, even if they were removed or left out before: names of photos, with or without suffix, or "
+        "patterns with * and ? (default: all that were not removed or left out)",
     )  # fmt: skip
     parser.add_argument(
         "--replace", action="store_true",

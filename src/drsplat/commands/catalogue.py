@@ -27,6 +27,7 @@ EXAMPLES = """\
 A scene is a folder as `drsplat serve` takes it, with objects (`drsplat objects` finds them), or a field alone; added
 again, it takes its own place. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes answers about more than
 100,000 objects quick."""
+DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
 ACTIONS = ("add", "remove", "list", "ask", "index")
 MOST_TOP = 1000
 

@@ -24,7 +24,10 @@ def _show_add(answer: dict[str, Any]) -> None:
 
 def _show_remove(answer: dict[str, Any]) -> None:
     for name, number in answer["removed"].items():
-        print(f"removed '{name}': {counted(number, 'object')}")
+        if number is None:
+            print(f"'{name}' was removed before")
+        else:
+            print(f"removed '{name}': {counted(number, 'object')}")
     print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
 
 

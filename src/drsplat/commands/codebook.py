@@ -25,12 +25,13 @@ EXAMPLES = """\
       --output scene.field
 
 A stopped run resumes when the same command is given again; drsplat inspect describes a codebook."""
+DAILY = ("output", "lvis", "images", "encoder_name", "overwrite")
 LIMIT = 17_500  # 64 for each of 256 centroids, which is what is trained on, and 5 % held out
 HELD_OUT_SHARE, MOST_HELD_OUT = 0.05, 10_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=("train",), help="action; there is one")
+    parser.add_argument("action", choices=("train",), help="action, the only one")
     parser.add_argument(
         "features", nargs="?", metavar="FEATURES.npy", help="embeddings (N, D) to train on, instead of --lvis"
     )  # fmt: skip

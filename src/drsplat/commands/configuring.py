@@ -12,89 +12,129 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import stat
 import tomllib
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
-from ..terminal import quoted
+from ..system import NO_WAITING, OF_OURS, can_be_a_path
+from ..terminal import counted, plain, quoted
 
-NOT_KEPT = ("config", "print_config", "help", "debug", "log")
+if TYPE_CHECKING:
+    from .parsing import Given, VerbParser
+
+NOT_KEPT = ("config", "print_config", "help", "help_all", "debug", "log")
+MAX_BYTES = 1 << 15  # of a file: tomllib's time grows with the square of the length of some lines
 _NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?")
 
 
-def configured(argv: Sequence[str], parser: argparse.ArgumentParser) -> list[str]:
-    """The arguments, with those of the file that --config names; what is given both here and there counts as here.
+def apply_file(path: str, parser: VerbParser, arguments: argparse.Namespace) -> None:
+    """Set the options that a file has for a verb and the parsed line does not give.
 
-    Raises: InputError: the file is no TOML, or names what the verb does not have.
+    Options that share a place, or exclude each other, count as given when one of them is.
+
+    Raises: InputError: the file is no TOML, or has what the verb does not take. OSError: it cannot be read.
     """
-    verb = verb_of(parser, argv)
-    path = path_of("--config", argv)
-    if verb is None or path is None:
-        return list(argv)
-    name, options = argv[0], _options(verb)
-    added: list[str] = []
-    for key, value in _chosen(_read(path), name, options, path).items():
-        option = options[key]
-        if not any(_is_given(flag, argv) for flag in option.option_strings):
-            added += _as_arguments(option, value, f"{path}: {key}")
-    end = argv.index("--") if "--" in argv else len(argv)
-    return [*argv[:end], *added, *argv[end:]]
+    taken = {place(option) for option in _with_rivals(parser, [option for option, _ in parser.given])}
+    for key, value in _chosen(_tables(path), _verb(parser), options_of(parser), path).items():
+        option = options_of(parser)[key]
+        if place(option) in taken:
+            continue
+        for texts in _uses(option, value, f"{path}: {key}"):
+            _check_rivals(parser, option, path)
+            try:
+                parser.take(option, texts, arguments)
+            except argparse.ArgumentError as error:
+                raise InputError(f"{path}: {key}: {error.message}") from None
 
 
-def configuration(argv: Sequence[str], parser: argparse.ArgumentParser) -> str:
-    """TOML of what is given for a verb, and in comments what is not: --config takes it."""
-    verb = verb_of(parser, argv)
-    assert verb is not None
-    options = _options(verb)
-    defaults = {key: option.default for key, option in options.items()}
-    for action in verb._actions:
-        action.default, action.type = argparse.SUPPRESS, None
-    given = vars(verb.parse_args(list(argv[1:])))
-    lines = [f"[{argv[0]}]"]
-    for key, option in options.items():
-        if option.dest in given:
-            lines.append(f"{key} = {_toml(given[option.dest])}")
-        elif defaults[key] is not None and _plain(defaults[key]):
-            lines.append(f"# {key} = {_toml(defaults[key])}")
-    return "\n".join(lines)
+def configuration(parser: VerbParser) -> str:
+    """Return TOML of what the parsed line gives for a verb, and in comments the defaults of the rest.
+
+    Raises: InputError: TOML cannot hold it.
+    """
+    options = options_of(parser)
+    uses = [use for use in parser.given if use.option in options.values()]
+    _check_order(uses)
+    keys = {option: key for key, option in options.items()}
+    lines = [f"{keys[option]} = {_value(option, uses)}" for option in dict.fromkeys(use.option for use in uses)]
+    rest = {key: option.default for key, option in options.items() if option not in {use.option for use in uses}}
+    lines += [f"# {key} = {_toml(default)}" for key, default in rest.items() if _is_plain(default)]
+    return "\n".join([f"[{_verb(parser)}]", *lines])
 
 
-def verb_of(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.ArgumentParser | None:
-    """The parser of the verb that comes first."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction) and argv:
-            found: argparse.ArgumentParser | None = action.choices.get(argv[0])
-            return found
-    return None
+def options_of(parser: VerbParser) -> dict[str, argparse.Action]:
+    """Return the options that a file can set, by their long names without the dashes."""
+    kept = (option for option in parser.options if option.dest not in NOT_KEPT)
+    return {next(flag for flag in option.option_strings if flag.startswith("--"))[2:]: option for option in kept}
 
 
-def _options(verb: argparse.ArgumentParser) -> dict[str, argparse.Action]:
-    """By their long names without the dashes."""
-    long = ((action, flag) for action in verb._actions for flag in action.option_strings[:1] or () if action.dest)
-    named = {flag.lstrip("-"): action for action, flag in long if action.dest not in NOT_KEPT}
-    return {key: action for key, action in named.items() if len(key) > 1}
+def place(option: argparse.Action) -> str:
+    """Return the name under which an option's value is kept, several options' together where they are a sequence."""
+    return str(getattr(option, "sequence", option.dest))
 
 
-def _read(path: str) -> dict[str, Any]:
+def _verb(parser: VerbParser) -> str:
+    return parser.prog.rpartition(" ")[2]
+
+
+def _with_rivals(parser: VerbParser, given: list[argparse.Action]) -> list[argparse.Action]:
+    groups = [group for group in parser.rivals if any(option in group for option in given)]
+    return [*given, *(option for group in groups for option in group)]
+
+
+def _check_rivals(parser: VerbParser, option: argparse.Action, path: str) -> None:
+    """Refuse an option if the file has set another that excludes it."""
+    used = [use.option for use in parser.given]
+    for group in parser.rivals:
+        for other in group:
+            if option in group and other is not option and other in used:
+                names = f"{other.option_strings[0][2:]} and {option.option_strings[0][2:]}"
+                raise InputError(f"{path}: {names} exclude each other: leave one out")
+
+
+def _tables(path: str) -> dict[str, Any]:
+    content, fault = _content(path), ""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: expected TOML, such as 'threads = 4' under '[register]': {error}") from None
+        fault = plain(str(error))[:200]
+    except RecursionError:
+        fault = "brackets in brackets, too deep to read"
+    except ValueError:  # of thousands of digits
+        fault = "a number is too long to read"
+    raise InputError(f"{path}: expected TOML, such as 'threads = 4' under '[register]': {fault}")
+
+
+def _content(path: str) -> bytes:
+    """Read a regular file without waiting: a pipe could block for ever, a device has no end."""
+    if not can_be_a_path(path):
+        raise InputError(f"--config: expected text in UTF-8, got {quoted(path)}")
+    number = os.open(path, os.O_RDONLY | NO_WAITING | OF_OURS)
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise InputError(f"{path}: expected a file of TOML, this is a folder, a pipe or a device")
+    with open(number, "rb") as file:
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise InputError(f"{path}: expected a file of options, at most {MAX_BYTES:,} bytes")
+    return content
 
 
 def _chosen(
     tables: dict[str, Any], verb: str, options: dict[str, argparse.Action], path: str
 ) -> dict[str, Any]:  # fmt: skip
-    """What of a file is for the verb: of its own table all, of what stands above the tables what it has."""
+    """Return a verb's settings: all of its own table, and of what stands above the tables what the verb has."""
+    from .parsing import did_you_mean
+
     common = {_key(key): value for key, value in tables.items() if not isinstance(value, dict)}
     own = tables.get(verb, {})
     if not isinstance(own, dict):
         raise InputError(f"{path}: expected a table [{verb}], got {verb} = {quoted(str(own))}")
     own = {_key(key): value for key, value in own.items()}
     for key in own.keys() - options.keys():
-        raise InputError(f"{path}: {verb} has no option {quoted(key)}; it has {', '.join(options)}")
+        hint = did_you_mean(key, options) or f"; it has {', '.join(options)}"
+        raise InputError(f"{path}: {verb} has no option {quoted(key)}{hint}")
     return {key: value for key, value in common.items() if key in options} | own
 
 
@@ -102,60 +142,66 @@ def _key(name: str) -> str:
     return name.replace("_", "-")
 
 
-def _as_arguments(option: argparse.Action, value: object, where: str) -> list[str]:
-    flag, several = option.option_strings[0], option.nargs not in (None, 0)
+def _uses(option: argparse.Action, value: object, where: str) -> list[list[str]]:
+    """Return the texts of each use of an option that a value of TOML stands for."""
+    if isinstance(value, bool) and option.nargs in (0, argparse.OPTIONAL):
+        return [[]] if value else []
     if option.nargs == 0:
-        if not isinstance(value, bool):
-            raise InputError(f"{where}: expected true or false, got {quoted(str(value))}")
-        return [flag] if value else []
-    values = value if isinstance(value, list) else [value]
-    texts = [_text(each, where) for each in values]
-    if several:
-        return [flag, *texts]
-    if len(texts) > 1 and not isinstance(option, argparse._AppendAction):
-        raise InputError(f"{where}: expected one value, got {len(texts)}")
-    return [f"{flag}={text}" for text in texts]
+        raise InputError(f"{where}: expected true or false, got {quoted(_shown(value))}")
+    if not isinstance(value, list):
+        return [[_text(value, where)]]
+    if not _repeats(option):
+        return [[_text(each, where) for each in value]]
+    if option.nargs is None or any(isinstance(each, list) for each in value):
+        return [[_text(part, where) for part in (each if isinstance(each, list) else [each])] for each in value]
+    return [[_text(each, where) for each in value]]
+
+
+def _repeats(option: argparse.Action) -> bool:
+    return isinstance(option, argparse._AppendAction) or hasattr(option, "sequence")
 
 
 def _text(value: object, where: str) -> str:
     if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise InputError(f"{where}: expected a text or a number, got {quoted(str(value))}")
-    return str(value)
+        raise InputError(f"{where}: expected a text or a number, got {quoted(_shown(value))}")
+    return _shown(value)
 
 
-def _is_given(flag: str, argv: Sequence[str]) -> bool:
-    return any(text == flag or (text.startswith(f"{flag}=") and flag.startswith("--")) for text in argv)
-
-
-def path_of(flag: str, argv: Sequence[str]) -> str | None:
-    """The path that the arguments have for an option. None also where it is no path, which is told with the others."""
-    path = _value_of(flag, argv)
-    return path if path and can_be_a_path(path) else None
-
-
-def can_be_a_path(text: str) -> bool:
+def _shown(value: object) -> str:
     try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        return False
-    return True
+        return str(value)
+    except (ValueError, RecursionError):  # thousands of digits, or of brackets
+        return f"a {type(value).__name__} that is too long"
 
 
-def _value_of(flag: str, argv: Sequence[str]) -> str | None:
-    for text, after in _pairs(argv):
-        if text == flag:
-            return after
-        if text.startswith(f"{flag}="):
-            return text.partition("=")[2]
-    return None
+def _value(option: argparse.Action, uses: list[Given]) -> str:
+    """Return the TOML of all uses of one option."""
+    texts = [use.texts for use in uses if use.option is option]
+    if not _repeats(option):
+        texts = texts[-1:]  # the last one counts
+    if not texts[0]:
+        return "[]" if option.nargs == argparse.ZERO_OR_MORE else "true"
+    if option.nargs in (None, argparse.OPTIONAL):
+        values = [use[0] for use in texts]
+        return _toml(values if _repeats(option) and len(values) > 1 else values[0])
+    return _toml(texts if len(texts) > 1 else texts[0])
 
 
-def _pairs(argv: Sequence[str]) -> Iterator[tuple[str, str | None]]:
-    return zip(argv, [*argv[1:], None], strict=False)
+def _check_order(uses: list[Given]) -> None:
+    """Refuse a sequence that returns to an option: a table has each key once."""
+    sequence = [use.option for use in uses if hasattr(use.option, "sequence")]
+    groups = [option for at, option in enumerate(sequence) if at == 0 or sequence[at - 1] is not option]
+    for option in groups:
+        bare = option.nargs == 0 and sequence.count(option) > 1
+        if bare or groups.count(option) > 1:
+            flag = option.option_strings[0]
+            raise InputError(f"{flag} {counted(sequence.count(option), 'time')}: a file of TOML has each option once")
 
 
-def _plain(value: object) -> bool:
-    return isinstance(value, str | int | float) or (isinstance(value, list) and all(map(_plain, value)))
+def _is_plain(value: object) -> bool:
+    if isinstance(value, list):
+        return all(map(_is_plain, value))
+    return isinstance(value, str | int | float) and value != argparse.SUPPRESS
 
 
 def _toml(value: object) -> str:
@@ -164,7 +210,11 @@ def _toml(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_toml, value))}]"
     text = str(value)
-    if _NUMBER.fullmatch(text) and len(text) < 16:
+    if _NUMBER.fullmatch(text) and len(text) < 16 and text == str(float(text) if "." in text else int(text)):
         return text
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"--print-config: a file of TOML holds text in UTF-8, got {quoted(text)}") from None
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(each if each.isprintable() else f"\\U{ord(each):08x}" for each in escaped) + '"'

@@ -11,7 +11,9 @@ EXAMPLES = """\
   drsplat demo
   drsplat demo --output-dir room --overwrite --json
   drsplat locate drsplat-demo "red vase"        (afterwards)
-  drsplat view drsplat-demo                     (afterwards, in a browser)"""
+  drsplat view drsplat-demo                     (afterwards, in a browser)
+
+A stopped run goes on when the same command is given again, without --overwrite."""
 CAPTION = (
     "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are "
     "built in, small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
@@ -27,6 +29,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..demo.household import resumable
+
+    folder = Path(arguments.output_dir)
+    with resumable(folder, arguments.overwrite):
+        return _tell(arguments, folder)
+
+
+def interrupted(arguments: argparse.Namespace) -> str:
+    """Return what a stopped demo keeps, and how to go on."""
+    again = ", without --overwrite," if arguments.overwrite else ""
+    return f"the photos embedded so far are kept in {arguments.output_dir}: give the same command again{again} to go on"
+
+
+def _tell(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
     from ..demo.album import write_album
     from ..demo.household import SCENE
     from ..demo.page import write_page
@@ -34,11 +50,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..progress import Stopwatch
     from ..system import peak_memory_bytes
 
-    folder, watch, overwrite = Path(arguments.output_dir), Stopwatch(), arguments.overwrite
-    story = tell(folder, overwrite=overwrite, threads=arguments.threads, track=tracker(arguments))
+    watch, threads, followed = Stopwatch(), arguments.threads, tracker(arguments)
+    story = tell(folder, overwrite=True, anew=arguments.overwrite, threads=threads, track=followed)
     watch.lap("story")
-    pictures = write_album(folder, story, overwrite=overwrite)
-    page = write_page(folder, story, pictures[1:], overwrite=overwrite)
+    pictures = write_album(folder, story, overwrite=True)
+    page = write_page(folder, story, pictures[1:], overwrite=True)
     watch.lap("pictures")
     return {
         "output_dir": str(folder),

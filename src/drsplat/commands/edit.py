@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .edit_options import add_change_options, add_list_options, add_target_options, only_one
+from .edit_options import (
+    add_change_options,
+    add_kept_edits,
+    add_list_options,
+    add_target_options,
+    note_applied,
+    note_left_out,
+    only_one,
+)
 from .options import add_capture_options, add_overwrite, add_query_encoders, words
 from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_said
 
@@ -37,15 +46,32 @@ EXAMPLES = """\
   drsplat edit scene.ply --undo
   drsplat edit drsplat-demo --query "red vase" --annotate "from Delft"
 
-Edits are kept in NAME.edits.json beside the scene NAME.ply, in the order given; words are turned into rows once.
---save writes the scene as edited, with a column object_id where the field has objects: every verb, and SuperSplat, open
-that. Annotations are kept in NAME.annotations.json."""
+Changes are kept in NAME.edits.json beside the scene NAME.ply, in the order given; words are turned into rows once.
+--save without a change writes the scene with all kept edits. --save with a change writes the scene with that change
+alone and keeps nothing; --edits kept does it after the kept edits and keeps it. What is saved has a column object_id
+where the field has objects: every verb, and SuperSplat, open it. Annotations are kept in NAME.annotations.json."""
+DAILY = (
+    "field",
+    "text",
+    "object",
+    "everything",
+    "remove",
+    "recolour",
+    "move",
+    "turn",
+    "scale",
+    "list",
+    "undo",
+    "save",
+    "picture",
+    "overwrite",
+)
 TARGETS = ("text", "vector", "image", "click", "point", "object", "label", "box", "rows", "copies", "everything")
 QUERIES = ("text", "vector", "image", "click", "point")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.usage = f"{parser.prog} scene [--field FIELD] [what] [change ...] [options]"
+    parser.usage = f"{parser.prog} SCENE [--field FIELD] [what] [change ...] [options]"
     parser.add_argument("scene", help="scene to edit, or a folder with a field, its scene and photos")
     parser.add_argument("--field", help="field of the scene, for queries, objects and labels")
     add_target_options(parser)
@@ -53,7 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_change_options(parser)
     add_list_options(parser)
     output = parser.add_argument_group("output")
-    output.add_argument("--save", metavar="OUT.ply", help="write the edited scene, with a column object_id")
+    output.add_argument(
+        "--save", metavar="OUT.ply",
+        help="write the scene with the changes of this call alone or, without any, with all kept edits",
+    )  # fmt: skip
+    add_kept_edits(output, "none with a change and --save, else kept")
     output.add_argument("--picture", metavar="OUT.png", help="write the scene before and after, side by side")
     output.add_argument("--views", metavar="CAPTURE", help="poses, for --picture and to know what is up")
     output.add_argument(
@@ -66,36 +96,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..editing import EditFile
+    from ..editing import EditFile, EditList
+    from ..editing.kept import without_kept
     from ..formats.annotations import AnnotationFile
     from ..formats.replacing import together
 
     check_outputs(arguments)
     work = _Work(arguments)
     edits, notes = EditFile.beside(work.path), AnnotationFile.beside(work.path)
-    view = None
-    with _held(edits, notes) if work.writes else nullcontext(), together():
+    view, after, is_written = None, None, bool(arguments.save or arguments.picture)
+    alone = without_kept(arguments.edits, changes=bool(arguments.changes), saves=bool(arguments.save))
+    with _held(edits, notes) if work.writes(alone) else nullcontext(), together():
         known, noted = edits.read(work.gaussians), notes.read()
-        listed = work.changed(known, edits)
-        annotations = work.annotated(noted, listed, edits)
-        after = edits.edited(work.gaussians, listed)
-        if listed is not known:
+        first = EditList(known.scene) if alone else known
+        listed = work.changed(first, edits)
+        annotations = work.annotated(noted, known if alone else listed, edits)
+        if is_written or arguments.changes or arguments.redo:
+            after = edits.edited(work.gaussians, listed)
+        if listed is not first and not alone:
             edits.write(listed)
         if annotations is not noted:
             notes.write(annotations)
-        if arguments.save:
+        if arguments.save and after is not None:
             _save(arguments, after)
-        if arguments.picture:
+        if arguments.picture and after is not None:
             view = work.draw(listed, after)
+    if alone:
+        note_left_out(known.done)
+    elif is_written:
+        note_applied(known.done if arguments.changes else listed.done)
     return {
         "scene": str(work.path),
         "edits_file": str(edits.path),
+        "kept": not alone,
         "num_edits": listed.done,
         "num_undone": len(listed.edits) - listed.done,
         "edits": _told(listed),
         "annotations": [_annotation_json(one) for one in annotations],
         "num_gaussians_before": len(work.gaussians),
-        "num_gaussians": len(after),
+        "num_gaussians": None if after is None else len(after),
         "saved": arguments.save,
         "picture": arguments.picture,
         "view": None if view is None else view.name,
@@ -112,15 +151,24 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import show_table
 
-    title = f"{counted(answer['num_edits'], 'edit')} of {answer['scene']}, {answer['num_undone']} undone"
+    edits, scene = counted(answer["num_edits"], "edit"), answer["scene"]
+    title = f"{edits} kept beside {scene}, {answer['num_undone']} undone" if answer["kept"] else f"{edits} of this call"
     rows = [(str(one["number"]), one["do"], one["of"], "" if one["done"] else "undone") for one in answer["edits"]]
-    show_table(title, ("edit", "what", "of", ""), rows)
+    if rows:
+        show_table(title, ("edit", "what", "of", ""), rows)
+    else:
+        print(title)
     for number, one in enumerate(answer["annotations"], start=1):
         print(f"annotation {number}: {one['text']}, at {' '.join(f'{x:.2f}' for x in one['center'])}")
-    print(f"{answer['num_gaussians_before']:,} Gaussians before, {answer['num_gaussians']:,} after")
+    if answer["num_gaussians"] is not None:
+        print(f"{answer['num_gaussians_before']:,} Gaussians before, {answer['num_gaussians']:,} after")
     for output in (answer["saved"], answer["picture"]):
         if output:
             print(f"written to {output}")
+    if answer["kept"] and answer["num_edits"] and not answer["saved"]:
+        print(
+            f"The scene's file is unchanged: drsplat edit {shlex.quote(scene)} --save OUT.ply applies the kept edits."
+        )
 
 
 def _told(listed: EditList) -> list[dict[str, Any]]:
@@ -140,7 +188,7 @@ def _annotation_json(one: Annotation) -> dict[str, Any]:
 def _save(arguments: argparse.Namespace, after: Gaussians) -> None:
     from .. import write_gaussians
 
-    write_gaussians(arguments.save, after, overwrite=arguments.overwrite)
+    write_gaussians(arguments.save, after, overwrite=arguments.overwrite, is_edited=True)
 
 
 class _Work:
@@ -204,7 +252,7 @@ class _Work:
         arguments = self.arguments
         which = only_one(arguments, TARGETS)
         if which is None:
-            raise InputError("nothing to edit was named: pass --query WORDS, --object NUMBER or another of these")
+            raise InputError("nothing to edit was named: pass --query WORDS, --object NUMBER or --everything")
         if which in QUERIES:
             return query_rows(self.scene, query_of(arguments), query_said(arguments))
         match which:
@@ -222,15 +270,18 @@ class _Work:
 
     # --- what is done ---
 
-    @property
-    def writes(self) -> bool:
-        """Whether the lists beside the scene are to change."""
+    def writes(self, alone: bool) -> bool:
+        """Return whether the lists beside the scene may change. alone: changes are not kept."""
         arguments = self.arguments
-        options = (arguments.changes, arguments.undo, arguments.redo, arguments.annotate, arguments.drop_annotation)
+        options = [arguments.undo, arguments.redo, arguments.annotate, arguments.drop_annotation]
+        options += [] if alone else [arguments.changes]
         return any(option is not None for option in options)
 
     def changed(self, listed: EditList, file: EditFile) -> EditList:
-        """The list after what the options say; itself where they say nothing. Raises: InputError: it cannot be."""
+        """Return the list with the changes that the options name; the same list if they name none.
+
+        Raises: InputError: it cannot be.
+        """
         from ..editing import Edit
         from ..editing.edits import drafted
         from ..errors import InputError
@@ -239,6 +290,12 @@ class _Work:
         steps = [arguments.undo is not None, arguments.redo is not None, bool(arguments.changes)]
         if sum(steps) > 1:
             raise InputError("--undo, --redo and changes: give one of them at a time")
+        if arguments.edits == "none" and (steps[0] or steps[1]):
+            raise InputError("--undo and --redo are of the kept edits: drop --edits none")
+        if arguments.copies is not None and arguments.save and arguments.edits is None and arguments.changes:
+            raise InputError(
+                "copies: they are of a kept edit, and a change that is saved is done alone: add --edits kept"
+            )
         target = self.target() if arguments.changes else None
         for _ in range(arguments.undo or 0):
             listed = listed.undone()

@@ -3,19 +3,43 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from typing import Any
 
+from ..terminal import counted, quoted
 from .options import count, finite, length, whole, words
+
+AXES = ("x", "y", "z")
 
 
 class _Then(argparse.Action):
-    """One more change: (its name, its value) at the end of `changes`."""
+    """Action that appends a change, (its name, its value), to `changes`."""
+
+    sequence = "changes"  # the name under which --config keeps all of these in their order
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
         namespace.changes = [*(namespace.changes or []), (self.dest, values)]
+
+
+class _Axis(argparse.Action):
+    """Action that stores a direction, given as three numbers or as a letter with or without a sign."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        sign, letter = (-1.0 if values[0][:1] == "-" else 1.0), values[0].lstrip("+-")
+        if len(values) == 1 and letter in AXES:
+            namespace.axis = [sign * (letter == name) for name in AXES]
+            return
+        try:
+            namespace.axis = [finite(value) for value in values]
+        except argparse.ArgumentTypeError:  # which argparse expects of types only
+            namespace.axis = []
+        if len(namespace.axis) != 3:
+            raise argparse.ArgumentError(self, f"expected x, y, z or three numbers, got {quoted(' '.join(values))}")
 
 
 def add_target_options(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +82,9 @@ def add_change_options(parser: argparse.ArgumentParser) -> None:
         "and on its floor",
     )  # fmt: skip
     group.add_argument("--amount", type=finite, default=1.0, metavar="A", help="share of --recolour (default: 1)")
-    group.add_argument("--axis", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="axis of --turn (default: up)")
+    group.add_argument(
+        "--axis", nargs="+", action=_Axis, metavar="AXIS", help="axis of --turn: x, -z, or three numbers (default: up)"
+    )
     group.add_argument("--with-object", type=whole, metavar="NUMBER", help="object of the field in the folder OTHER")
     group.add_argument("--up", metavar="+z", help="direction that is up, +x to -z (default: what the photos call up)")
     parser.set_defaults(changes=None)
@@ -66,12 +92,35 @@ def add_change_options(parser: argparse.ArgumentParser) -> None:
 
 def add_list_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the list")
-    group.add_argument("--list", action="store_true", help="print the edits and annotations (done without any change)")
+    group.add_argument("--list", action="store_true", help="print the edits and annotations (default without a change)")
     group.add_argument("--undo", type=count, nargs="?", const=1, metavar="N", help="undo the last edit, or the last N")
     group.add_argument("--redo", type=count, nargs="?", const=1, metavar="N", help="redo what was undone last, or N")
     group.add_argument("--annotate", type=words, metavar="TEXT", help="keep a text at its box, or at the point --at")
     group.add_argument("--at", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="point of the world for --annotate")
     group.add_argument("--drop-annotation", type=count, metavar="NUMBER", help="remove an annotation")
+
+
+def add_kept_edits(parser: argparse._ActionsContainer, default: str) -> None:
+    parser.add_argument(
+        "--edits", choices=("kept", "none"),
+        help=f"kept: with the edits that are kept beside the scene; none: without them (default: {default})",
+    )  # fmt: skip
+
+
+def note_applied(number: int) -> None:
+    """Report on stderr that kept edits are part of what is shown or written."""
+    if number:
+        _note(f"{counted(number, 'kept edit')} applied (--edits none to leave them out)")
+
+
+def note_left_out(number: int, cure: str = "--edits kept to apply them") -> None:
+    """Report on stderr that kept edits are left out of what is shown or written."""
+    if number:
+        _note(f"{counted(number, 'kept edit')} left out ({cure})")
+
+
+def _note(text: str) -> None:
+    print(f"drsplat: {text}", file=sys.stderr, flush=True)
 
 
 def only_one(arguments: argparse.Namespace, names: Sequence[str]) -> str | None:
@@ -80,5 +129,6 @@ def only_one(arguments: argparse.Namespace, names: Sequence[str]) -> str | None:
 
     given = [name for name in names if getattr(arguments, name) is not None and getattr(arguments, name) is not False]
     if len(given) > 1:
-        raise InputError(f"{' and '.join(given)} both say what is edited: drop one")
+        named = " and ".join(arguments.flags.get(name) or name for name in given)
+        raise InputError(f"{named} each name what is edited: keep one of them")
     return given[0] if given else None

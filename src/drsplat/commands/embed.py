@@ -24,6 +24,7 @@ EXAMPLES = """\
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
 A stopped run resumes when the same command is given again, without --overwrite."""
+DAILY = ("output", "segmenter", "encoder", "levels", "device", "overwrite")
 SEGMENTER = "facebook/sam-vit-huge"
 ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
@@ -132,6 +133,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def interrupted(arguments: argparse.Namespace) -> str:
+    """Return what a stopped run keeps, and how to go on."""
+    again = ", without --overwrite," if arguments.overwrite else ""
+    folder = _output_folder(arguments)
+    return f"the photos embedded so far are kept in {folder}: give the same command again{again} to go on"
+
+
 def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import said, show_facts, size_said
@@ -159,7 +167,9 @@ def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
 
     if arguments.masks is None:
         arguments.segmenter = arguments.segmenter or SEGMENTER
-        return load_segmenter(arguments.segmenter, arguments.device, _point_settings(arguments))
+        return load_segmenter(
+            arguments.segmenter, arguments.device, _point_settings(arguments), threads=arguments.threads
+        )
     cutting = (arguments.segmenter, arguments.points, arguments.crop_layers, arguments.levels)
     if any(value is not None for value in cutting):
         raise InputError("--masks keeps what was cut: drop --segmenter, --points, --crop-layers and --levels")
@@ -182,7 +192,7 @@ def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
     from ..errors import InputError
     from ..models.loading import load_encoder
 
-    encoder = load_encoder(arguments.encoder, arguments.device)
+    encoder = load_encoder(arguments.encoder, arguments.device, threads=arguments.threads)
     if not isinstance(encoder, ImageEncoder):
         raise InputError(f"--encoder {arguments.encoder}: it embeds words, no images: name another")
     return encoder

@@ -29,6 +29,7 @@ EXAMPLES = """\
 Predictions are written to REPORT/predictions and scored from there. Leave the labelled photos out when you
 register (the report says whether you did). Tables have a fixed threshold, chosen without these scenes, and one
 tuned on them, as the papers have it: never compare the one with the other."""
+DAILY = ("name", "scene", "field", "report", "threshold", "encoder", "overwrite")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -131,6 +132,7 @@ def _check(arguments: argparse.Namespace) -> None:
     from ..errors import InputError
     from ..terminal import counted
 
+    _check_data(arguments)
     count = len(arguments.scene)
     if not arguments.score_only and bool(arguments.field) == bool(arguments.features):
         raise InputError("give --field or --features for each scene, and not both")
@@ -144,6 +146,22 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError("--decoder is of --features: give the checkpoint that it decodes")
     if arguments.features and not (arguments.vocabulary or arguments.encoder):
         raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
+
+
+def _check_data(arguments: argparse.Namespace) -> None:
+    """Refuse what holds no truth to score by."""
+    from ..errors import InputError
+
+    data, with_labels = Path(arguments.data), arguments.protocol == "lerf-ovs"
+    if not data.is_dir() or (with_labels and not (data / "label").is_dir()):
+        layout = (
+            "NAME/ with photos and poses, label/NAME/ with frame_XXXXX.json" if with_labels else "a folder per scene"
+        )
+        got = "no label/ in it" if data.is_dir() else "no such folder"
+        raise InputError(
+            f"{data}: expected the data of {arguments.protocol}, which has what is true ({layout}), got {got}: fields "
+            "are scored on it and named with --field"
+        )
 
 
 def _names(arguments: argparse.Namespace) -> list[str]:

@@ -111,9 +111,9 @@ def _target(arguments: argparse.Namespace, answer: Highlight | None, opened: Ope
     if arguments.around == SCENE:
         return None
     if opened is None or answer is None:
-        raise InputError("around: a match or an object is of a field: give --query FIELD TEXT")
+        raise InputError("around: a match or an object is of a field: give --field FIELD and --query WORDS")
     if arguments.around != MATCH:
         return match_of(opened.field, objects_of(opened.field).thing(arguments.around))
     if not answer.matches:
-        raise InputError(f"around: '{arguments.query[1]}' has no match in this scene: ask for something else")
+        raise InputError(f"around: '{arguments.query}' has no match in this scene: ask for something else")
     return answer.matches[0]

@@ -9,17 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 from .code_facts import code_facts, codebook_facts
 from .options import add_capture_options, views_of
+from .recognising import kind_of, place_of
 
 if TYPE_CHECKING:
     import numpy as np
 
-SUMMARY = "describe a scene, still or moving, a capture, a feature folder, a field, a codebook or a vocabulary"
+SUMMARY = "describe any file or folder: a scene, a capture, features, a field, tiles, a catalogue or a codebook"
 EXAMPLES = """\
   drsplat inspect scene.ply
   drsplat inspect capture
   drsplat inspect capture/language_features
   drsplat inspect room.field --json
-  drsplat inspect room.field --verify"""
+  drsplat inspect room.field --verify
+
+--verify names the damaged file and ends with exit code 1 if any bit of a field, tiles, a film (NAME.motion),
+a catalogue or embedded features has changed since they were written. Other kinds have no checksums; it reports
+what it read of them."""
+DAILY = ("verify",)
 PERCENTILES = (1, 50, 99)
 
 
@@ -27,72 +33,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", help="file or folder of any of these")
     parser.add_argument(
         "--verify", action="store_true",
-        help="check everything in a field against its checksums; other verbs check what they use, and the other kinds "
-        "are read whole anyway",
+        help="compare every byte with its checksum; where there are no checksums, report what was read instead "
+        "(other verbs compare only what they use)",
     )  # fmt: skip
     add_capture_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    kind = kind_of(Path(arguments.path))
-    return {"path": arguments.path, "kind": kind, **_INSPECTORS[kind](arguments)}
+    from .verifying import verified
+
+    path = Path(arguments.path)
+    kind = kind_of(path)
+    proof = verified(path) if arguments.verify else None
+    facts = _INSPECTORS[kind](arguments)
+    more = {} if proof is None else {"verified": proof["names"], "checked": proof["checked"]}
+    return {"path": arguments.path, "kind": kind, **facts, **more}
 
 
 def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
     from .tables import show_facts
 
     facts = {name: value for name, value in answer.items() if name not in ("path", "kind", "views", "photos")}
+    if "verified" in facts:
+        facts["verified"] = counted(len(facts["verified"]), "file")
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
-
-
-def kind_of(path: Path) -> str:
-    """scene, capture, features, field, codebook or vocabulary, by name and contents.
-
-    Raises: InputError: there is nothing at `path`.
-    """
-    from ..errors import InputError
-    from ..formats.langsplat import has_features
-    from ..formats.moving_scenes import is_moving
-
-    if path.is_file():
-        return _file_kind(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: there is no such file or folder")
-    if (path / "field.json").is_file():
-        return "field"
-    if (path / "point_cloud").is_dir():
-        return "scene"
-    if (path / "meta.json").is_file() and _json_kind(path / "meta.json") == "scene":
-        return "scene"
-    has_models = any((path / name).exists() for name in ("sparse", "colmap", "transforms.json", "cameras.json"))
-    if not has_models and is_moving(path):
-        return "scene"
-    return "features" if not has_models and has_features(path) else "capture"
-
-
-def _file_kind(path: Path) -> str:
-    if path.name == "motion.safetensors":
-        return "scene"
-    if path.suffix == ".safetensors":
-        from ..formats.tensors import map_tensors
-
-        return "codebook" if "centroids" in map_tensors(path)[0] else "vocabulary"
-    if path.suffix == ".json":
-        return _json_kind(path)
-    return {".faiss": "codebook", ".bin": "capture", ".txt": "capture"}.get(path.suffix, "scene")
-
-
-def _json_kind(path: Path) -> str:
-    """cameras.json is a list, transforms.json has frames; a vocabulary may have vectors of that name."""
-    from ..formats.json_files import read_json
-    from ..formats.sog import is_sog_meta
-
-    document = read_json(path)
-    if is_sog_meta(document):
-        return "scene"
-    frames = document.get("frames") if isinstance(document, dict) else document
-    posed = isinstance(frames, list) and not any(isinstance(frame, int | float) for frame in frames)
-    return "capture" if posed or path.name == "transforms.json" else "vocabulary"
 
 
 def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -142,8 +107,9 @@ def _features(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.langsplat import read_features
     from ..masks.masks import LEVELS
 
-    folder = read_features(arguments.path)
-    by_level = {level: read_features(arguments.path, level=level) for level in LEVELS}
+    place = place_of(Path(arguments.path), "features")
+    folder = read_features(place)
+    by_level = {level: read_features(place, level=level) for level in LEVELS}
     photos = [{"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}} for key in folder]
     return {
         "num_photos": len(folder),
@@ -159,10 +125,9 @@ def _features(arguments: argparse.Namespace) -> dict[str, Any]:
 def _field(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import load_field
 
-    field = load_field(arguments.path)
-    if arguments.verify:
-        field.verify()
-    files = sorted(file for file in Path(arguments.path).iterdir() if file.is_file())
+    place = place_of(Path(arguments.path), "field")
+    field = load_field(place)
+    files = sorted(file for file in place.iterdir() if file.is_file())
     evidence = field.evidence
     return {
         "num_registered": len(field),
@@ -182,17 +147,103 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "negatives": list(field.negatives.texts) if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},
         "fingerprint": field.fingerprint,
-        **({"verified": _verified(Path(arguments.path))} if arguments.verify else {}),
     }
 
 
-def _verified(field: Path) -> list[str]:
-    """The files of a field that have checksums: none of older ones, and nothing that lies beside them."""
-    from ..field.loading import SUMMED
-    from ..formats.field_folder import MANIFEST, read_manifest
+def _tiles(arguments: argparse.Namespace) -> dict[str, Any]:
+    import numpy as np
 
-    manifest: dict[str, Any] = read_manifest(field)
-    return sorted([*manifest["files"], MANIFEST]) if manifest["version"] >= SUMMED else []
+    from ..formats.tiles import read_tiles
+
+    tiles = read_tiles(place_of(Path(arguments.path), "tiles"))
+    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    return {
+        "num_gaussians": len(tiles),
+        "num_tiles": len(tiles.tiles),
+        "lowest": low.min(0) + tiles.origin,
+        "highest": high.max(0) + tiles.origin,
+        "origin": tiles.origin,
+        "near": tiles.near,
+        "sources": list(tiles.sources),
+        "fingerprint": tiles.fingerprint,
+    }
+
+
+def _catalogue(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..catalogue import Catalogue
+
+    catalogue = Catalogue.open(place_of(Path(arguments.path), "catalogue"))
+    scenes = catalogue.scenes()
+    return {
+        "num_scenes": len(scenes),
+        "num_objects": sum(scene.num_objects for scene in scenes),
+        "encoder": catalogue.encoder.name,
+        "dim": catalogue.encoder.dim,
+        "scenes": [scene.scene for scene in scenes],
+        "not_current": [f"{scene.scene}: {scene.state}" for scene in scenes if scene.state != "current"],
+    }
+
+
+def _scene_folder(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Describe the parts of a folder as `drsplat view` opens it: its field, scene and capture."""
+    from .. import load_field
+    from ..query.opening import find_scene, registered_scene
+    from ..scene.moving import canonical_of
+
+    files = find_scene(arguments.path)
+    field = load_field(files.field)
+    path, scene = registered_scene(files, field)
+    return {
+        "field": str(files.field),
+        "scene": str(path),
+        "capture": None if files.capture is None else str(files.capture),
+        "num_gaussians": len(canonical_of(scene)),
+        "num_registered": len(field),
+        "encoder": field.encoder.name,
+        "num_objects": None if field.objects is None else len(field.objects),
+        "details": f"drsplat inspect {files.field}",
+        **({} if files.capture is None else _capture(arguments)),
+    }
+
+
+def _tensors(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.tensors import map_tensors
+
+    tensors, metadata = map_tensors(arguments.path)
+    return {
+        "format": metadata.get("format"),
+        "arrays": {name: f"{array.dtype} {list(array.shape)}" for name, array in sorted(tensors.items())},
+        "metadata": sorted(metadata),
+    }
+
+
+def _labels(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..field.labels import LabelFile
+
+    labels = LabelFile(Path(arguments.path)).read()
+    return {"num_labels": len(labels), "names": [label.name for label in labels]}
+
+
+def _edits(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..editing.stored import edits_of
+    from ..formats.json_files import read_json
+
+    listed = edits_of(read_json(Path(arguments.path)), arguments.path)
+    return {"scene": listed.scene, "num_edits": len(listed.edits), "num_done": listed.done}
+
+
+def _annotations(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..formats.annotations import AnnotationFile
+
+    annotations = AnnotationFile(Path(arguments.path)).read()
+    return {"num_annotations": len(annotations), "texts": [annotation.text for annotation in annotations]}
+
+
+def _camera_path(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..filming.path_files import read_path
+
+    path = read_path(arguments.path)
+    return {"num_key_frames": len(path.keys), "seconds": path.seconds, "fps": path.fps, "size": path.size}
 
 
 def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -222,5 +273,6 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
 
 _INSPECTORS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
     "scene": _scene, "capture": _capture, "features": _features, "field": _field, "codebook": _codebook,
-    "vocabulary": _vocabulary,
+    "vocabulary": _vocabulary, "tiles": _tiles, "catalogue": _catalogue, "scene folder": _scene_folder,
+    "tensors": _tensors, "labels": _labels, "edits": _edits, "annotations": _annotations, "camera path": _camera_path,
 }  # fmt: skip

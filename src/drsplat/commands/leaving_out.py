@@ -52,6 +52,10 @@ def _listed(names: Sequence[str], path: str) -> set[str]:
 
     by_name = {Path(name).with_suffix("").as_posix(): name for name in names}
     by_name |= {name: name for name in names}
+    if not Path(path).is_file():
+        raise InputError(
+            f"--without {path}: there is no such file: expected one with a photo's name on each line, or every:N"
+        )
     wanted = lines_of(path, "a photo's name")
     unknown = [name for name in wanted if name not in by_name]
     if unknown:

@@ -27,6 +27,7 @@ EXAMPLES = """\
 Which threshold? Cosines of one encoder's texts are near 1 for what fits, those of CLIP between texts and photos
 seldom exceed 0.3. Relevancy has the same scale for every encoder; words with --encoder are measured by it. With
 --threshold auto each query has a threshold of its own. For other queries look at the printed range."""
+DAILY = ("scene", "threshold", "top", "encoder", "save", "picture", "views", "overwrite", "click")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,6 +19,7 @@ EXAMPLES = """\
 scenes is a folder with a field and its scene, or with one of these in each subfolder. Without --http the protocol is
 spoken on stdin and stdout, for programs that start the server themselves: {"command": "drsplat", "args": ["mcp",
 "/path/to/scenes"]}."""
+DAILY = ("http", "port", "encoder")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +41,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     key = checked_key(arguments)
 
     from ..serving.limits import Limits
+    from ..serving.listening import address_of, bound_socket
     from ..serving.metrics import Metrics
     from ..serving.scene_folder import SceneFolder, Sources
     from ..serving.speaking import over_http, over_stdio
@@ -56,10 +58,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     bench = Workbench(Workplace(arguments.folder, sources, limits, arguments.catalogue), Metrics())
     server = make_server(scene_folder, bench, limits)
     with closing(bench):
-        if arguments.http:
-            over_http(server, arguments.host, arguments.port, key, own_names(arguments))
-        else:
+        if not arguments.http:
             over_stdio(server)
+            return {"stopped": True}
+        with bound_socket(arguments.host, arguments.port) as listening:
+            if not arguments.json:
+                print(f"MCP at {address_of(listening, arguments.host)}/mcp; Ctrl-C ends this.", flush=True)
+            over_http(server, listening, key, own_names(arguments))
     return {"stopped": True}
 
 

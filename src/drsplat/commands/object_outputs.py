@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..query import Scene
 
 TABLE = "objects.json"
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # with which a text begins that spreadsheets compute
 BOXES = {"center": 3, "extent": 3, "axes": 9}
 
 
@@ -85,7 +86,7 @@ def _save_json(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite
 
 
 def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
-    """A column for each number of a box, axes by rows, and the views in one, with semicolons between them."""
+    """Write a column for each number of a box, axes by rows, and the views in one, with semicolons between them."""
     from ..formats.replacing import replacing
 
     text = io.StringIO(newline="")
@@ -94,9 +95,14 @@ def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: boo
     rows.writerow([*plain, *(f"{key}_{i}" for key, count in BOXES.items() for i in range(count)), "views"])
     for one in listed:
         numbers = [*one["center"], *one["extent"], *chain(*one["axes"])]
-        rows.writerow([*(one[key] for key in plain), *numbers, ";".join(one["views"])])
+        rows.writerow([*(_cell(one[key]) for key in plain), *numbers, _cell(";".join(one["views"]))])
     with replacing(path, overwrite) as file:
         file.write(text.getvalue().encode())
+
+
+def _cell(value: Any) -> Any:
+    """Return a value that no spreadsheet takes for a formula: such a text gets an apostrophe before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
 
 
 def _save_folder(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:

@@ -24,6 +24,7 @@ The first time they are found, which takes the scene, and kept in the field. ids
 scene, its object or -1. objects.ply is the scene with that as a column object_id; a folder gets a PLY of each object;
 .json and .csv get the table, with boxes. Names that are given with --label are kept in NAME.labels.json beside
 NAME.field: they outlive the field, and queries for such a name select exactly this object."""
+DAILY = ("scene", "label", "id", "save", "picture", "views", "overwrite")
 
 MOST_SHOWN = 40  # rows on a terminal; real captures have hundreds of objects
 
@@ -72,6 +73,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_registered": len(scene.field),
         "num_in_objects": sum(one["num_gaussians"] for one in listed),
         "objects": listed,
+        "doubt": scene.doubt,
         "drifting": _drifting(scene),
         "labels_of_none": [label.name for label in scene.labels.orphans],
         "saved": arguments.save,
@@ -92,6 +94,8 @@ def show(answer: dict[str, Any]) -> None:
         print(f"and {answer['num_objects'] - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
     if not answer["objects"]:
         print("No two masks of different photos agree: more photos, or larger masks, may help.")
+    if answer["doubt"]:
+        print(f"warning: {answer['doubt']}")
     if answer["drifting"]:
         print(_drifting_said(answer["drifting"]))
     for name in answer["labels_of_none"]:

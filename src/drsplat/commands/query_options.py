@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import AUTO
+from ..terminal import quoted
 from .options import CAPTURE_OPTIONS, add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
@@ -17,14 +20,27 @@ if TYPE_CHECKING:
 
 
 def threshold(text: str) -> float | str:
-    return AUTO if text == AUTO else finite(text)
+    """Return an option's threshold."""
+    if text == AUTO:
+        return text
+    return _fraction(text, f"a number such as 0.5, or {AUTO}")
 
 
 def share(text: str) -> float:
-    number = finite(text)
+    """Return an option's share."""
+    number = _fraction(text, "a share above 0, up to 1")
     if not 0 < number <= 1:
         raise argparse.ArgumentTypeError(f"expected a share above 0, up to 1; got '{text}'")
     return number
+
+
+def _fraction(text: str, expected: str) -> float:
+    """Return an option's number. Raises: argparse.ArgumentTypeError: no number; of "50%" it says what to write."""
+    try:
+        return finite(text)
+    except argparse.ArgumentTypeError:
+        cure = ": write 0.5 for 50%" if text.endswith("%") else ""
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {quoted(text)}{cure}") from None
 
 
 WITHOUT_SCENE = (".npy", ".json", ".csv")  # outputs that hold no Gaussians
@@ -35,8 +51,9 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     """What is looked for, who embeds it, and where its scores are cut."""
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
-        "text", nargs="?", type=words, help="query in words; 'mug, not red' excludes what 'red mug' fits as well"
-    )
+        "text", nargs="?", type=words, metavar="WORDS",
+        help="query in words; 'mug, not red' excludes what 'red mug' fits as well",
+    )  # fmt: skip
     add_query_kinds(parser)
     add_query_encoders(parser)
     add_measure_options(parser)
@@ -151,8 +168,18 @@ def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene
     """
     from .. import open_scene as opened
 
+    _refuse_swapped(arguments)
     given = {name: value for name, value in vars(arguments).items() if name in SCENE_OPTIONS + CAPTURE_OPTIONS}
     return opened(field or arguments.field, **given)
+
+
+def _refuse_swapped(arguments: argparse.Namespace) -> None:
+    """Refuse words in the place of the field where the field stands in theirs."""
+    from ..errors import InputError
+
+    field, text = getattr(arguments, "field", None), getattr(arguments, "text", None)
+    if isinstance(field, str) and text and not Path(field).exists() and Path(text).exists():
+        raise InputError(f"the field comes first, then the words: {text} {shlex.quote(field)}")
 
 
 def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
@@ -215,22 +242,24 @@ def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]
         "score_p99": float(np.percentile(values, 99)),
         "num_registered": len(answer.field),
         "num_selected": len(answer.gaussian_ids),
+        "doubt": answer.doubt,
     }
 
 
 RULES = {
     "given": "as given", "top share": "for the given share", "auto": "chosen for this query",
-    "list": "as well as the best of a list of words", "encoder": "that of the encoder", "default": "the default",
-    "object": "the object that is there", "label": "what was given this name",
+    "list": "above which the query fits better than a list of other words", "encoder": "that of the encoder",
+    "default": "the default", "object": "the whole object at this place", "label": "the objects of this name",
 }  # fmt: skip
 
 
 def measured_said(answer: dict[str, Any]) -> str:
-    """The scores and the threshold in a line."""
+    """Return a line of the scores and the threshold, and a warning line if the answer is doubtful."""
     low, high = answer["score_range"]
+    doubt = f"\nwarning: {answer['doubt']}" if answer["doubt"] else ""
     return (
         f"{answer['measure']} from {low:.3f} to {high:.3f}, 99 of 100 below {answer['score_p99']:.3f}; "
-        f"threshold {answer['threshold']:.4g}, {RULES[answer['threshold_rule']]}"
+        f"threshold {answer['threshold']:.4g}, {RULES[answer['threshold_rule']]}{doubt}"
     )
 
 

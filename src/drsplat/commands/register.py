@@ -51,6 +51,7 @@ EXAMPLES = """\
   drsplat register city.tiles capture --features capture/language_features --workers 8 --output city.field
 
 A stopped run resumes when the same command is given again."""
+DAILY = ("output", "features", "codebook", "encoder_name", "overwrite", "images")
 
 
 class _Inputs(NamedTuple):
@@ -148,6 +149,12 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     with claimed_field(new_or_complete(arguments.output, arguments.overwrite)) as output:
         return _registered(arguments, output)
+
+
+def interrupted(arguments: argparse.Namespace) -> str:
+    """Return what a stopped run keeps, and how to go on."""
+    parts = _parts(arguments, Path(arguments.output))
+    return f"the views registered so far are kept in {parts}: give the same command again to go on"
 
 
 def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:

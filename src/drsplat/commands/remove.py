@@ -37,11 +37,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     def change(field: LanguageField) -> Change:
         known = field.evidence.masks.view_names if field.evidence else ()
-        names = views_named(arguments.views, known)
+        before = field.growth.removed if field.growth else ()  # a command that is given again means the same views
+        names = views_named(arguments.views, [*known, *before])
         return remove_views(field, gaussians, names, threads=arguments.threads, track=tracker(arguments))
 
     return answer_of(change_field(path, gaussians, change, threads=arguments.threads), path)
 
 
 def show(answer: dict[str, Any]) -> None:
-    show_change(answer, f"removed from {answer['field']}")
+    show_change(answer, f"{'removed' if answer['removed'] else 'nothing to remove'} from {answer['field']}")
+    if answer["left_out"]:
+        print("Views listed as left out were removed before.")

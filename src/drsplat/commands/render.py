@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .edit_options import note_left_out
 from .film import SCENE, add_film_options, film
 from .options import (
     add_capture_options,
@@ -33,10 +34,11 @@ SUMMARY = "render a scene as pictures or as a film, optionally with the matches 
 EXAMPLES = """\
   drsplat render scene.ply --views capture --view photo_003 --output-dir renders
   drsplat render scene.ply --views capture --all --max-side 800 --depth
-  drsplat render scene.ply --views capture --all --query room.field "red mug"
-  drsplat render scene.ply --views capture --path orbit --query room.field "red mug" --boxes --output mug.mp4
+  drsplat render scene.ply --views capture --all --field room.field --query "red mug"
+  drsplat render scene.ply --views capture --path orbit --field room.field --query "red mug" --boxes --output mug.mp4
   drsplat render scene.ply --path camera_path.json --fps 24 --size 1920x1080 --output flight.webm
-  drsplat render scene.ply --views capture --query room.field vase --attributes red blue wooden --output vase.png"""
+  drsplat render scene.ply --views capture --field room.field --query vase --attributes red blue wooden -o vase.png"""
+DAILY = ("views", "view", "all", "path", "output_dir", "field", "query", "overwrite", "size", "seconds")
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
 PICTURES = "renders"
 
@@ -83,10 +85,10 @@ def _add_picture_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_answer_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--field", help="field of the scene, for --query")
     parser.add_argument(
-        "--query", type=words, nargs=2, metavar=("FIELD", "TEXT"),
-        help="query whose matches stay in colour, the rest grey",
-    )  # fmt: skip
+        "--query", type=words, metavar="WORDS", help="query whose matches stay in colour, the rest grey"
+    )
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="threshold of --query (default: as of `drsplat locate`)"
     )
@@ -114,6 +116,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     views = [] if arguments.views is None else views_of(arguments, arguments.views)
     opened, answer = _answer(arguments)
     notes = _notes(arguments)
+    _note_edits(arguments, scene)
     watch.lap("read")
     if arguments.path is not None:
         answered = film(arguments, scene, views, answer, opened, notes)
@@ -157,7 +160,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
     films, row = arguments.path is not None, arguments.attributes is not None
     if not (films or row or arguments.view or arguments.all):
-        raise InputError("expected --view NAME, --all, --path or --attributes: what to render from")
+        raise InputError("expected a point of view: --path orbit, or --views CAPTURE with --view NAME or --all")
     if (films or row) and arguments.output_dir is None:
         raise InputError("expected --output FILE: " + ("film.mp4, say" if films else "row.png, say"))
     if row and (films or arguments.all):
@@ -172,20 +175,21 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError("depth and alpha are of pictures, not of films: drop --depth and --alpha")
     if arguments.views is None and not (films and arguments.path != "photos"):
         raise InputError("expected --views CAPTURE: the poses to render from")
+    if (arguments.query is None) != (arguments.field is None):
+        raise InputError("--field FIELD and --query WORDS: pass both, or none")
     if arguments.query is None and (row or arguments.boxes or arguments.heat_map):
-        raise InputError("attributes, boxes and heat maps are of an answer: give --query FIELD TEXT")
+        raise InputError("attributes, boxes and heat maps are of an answer: give --query WORDS")
 
 
 def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highlight | None]:
-    """What --query finds, and the scene that says so."""
+    """Return the scene of --field, and what --query finds in it."""
     from ..filming.highlights import Highlight
     from ..query import Query
 
     if arguments.query is None:
         return None, None
-    path, text = arguments.query
-    opened = open_scene(arguments, path)
-    query = Query(text, threshold=arguments.threshold)
+    opened = open_scene(arguments)
+    query = Query(arguments.query, threshold=arguments.threshold)
     return opened, Highlight.of(opened, query, heat=arguments.heat_map, boxes=arguments.boxes)
 
 
@@ -197,6 +201,18 @@ def _notes(arguments: argparse.Namespace) -> list[Mark]:
     return notes_of(AnnotationFile.beside(arguments.scene).read()) if arguments.annotations else []
 
 
+def _note_edits(arguments: argparse.Namespace, scene: Gaussians | Moving) -> None:
+    """Report on stderr that kept edits beside the scene are not drawn."""
+    from ..formats.scenes import companion
+    from ..scene.moving import canonical_of
+
+    if companion(arguments.scene, "edits").exists():
+        from ..editing import EditFile
+
+        number = EditFile.beside(arguments.scene).num_done(canonical_of(scene))
+        note_left_out(number, "`drsplat edit SCENE --save OUT.ply` writes the scene with them")
+
+
 def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
     from ..drawing.pictures import write_picture
     from ..errors import InputError
@@ -204,7 +220,7 @@ def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: High
 
     output = new_output(arguments.output_dir, arguments.overwrite)
     if answer is None or not answer.matches:
-        raise InputError(f"'{arguments.query[1]}' has no match in this scene: there is nothing to show attributes of")
+        raise InputError(f"'{arguments.query}' has no match in this scene: there is nothing to show attributes of")
     view = None if arguments.view is None else opened.view(arguments.view)
     write_picture(output, attribute_row(opened, answer.matches[0], arguments.attributes, view), arguments.overwrite)
     return {"files": [str(output)], "num_views": 1}

@@ -30,6 +30,7 @@ EXAMPLES = """\
 A Gaussian is of the class of the highest score, if that is above the threshold, and otherwise none of these.
 The paper labels everything: --threshold -1, or 0 for relevancy. With --threshold auto each class has a threshold of its
 own. classes.ply has a column class_id, -1 for none, and the colours of the classes in any viewer."""
+DAILY = ("classes", "classes_file", "scene", "encoder", "save", "picture", "views", "overwrite")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,6 +60,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "threshold_rule": found.answers[0].rule,
         "num_registered": len(scene.field),
         "num_labelled": sum(found.counts),
+        "doubt": found.doubt,
         "classes": [
             {"name": name, "num_gaussians": count, "share": count / registered, "threshold": answer.threshold}
             for name, answer, count in zip(found.names, found.answers, found.counts, strict=True)
@@ -85,6 +87,8 @@ def show(answer: dict[str, Any]) -> None:
     rows.append(("none of these", said(none), f"{none / total:.1%}", ""))
     columns = ("class", "Gaussians", "share", f"{answer['measure']} above")
     show_table(f"{counted(answer['num_registered'], 'Gaussian')} with a feature", columns, rows)
+    if answer["doubt"]:
+        print(f"warning: {answer['doubt']}")
 
 
 def _classes(arguments: argparse.Namespace) -> list[str]:

@@ -21,6 +21,7 @@ EXAMPLES = """\
 
 mug.ply is the scene with relevancy and selected (0 or 1) as columns; `splat-transform mug.ply -V selected,gt,0 cut.ply`
 cuts the mug out. mug_ids.npy are row numbers of the scene."""
+DAILY = ("scene", "threshold", "top_share", "encoder", "save", "picture", "views", "overwrite")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

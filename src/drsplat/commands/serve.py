@@ -18,6 +18,7 @@ EXAMPLES = """\
 
 scenes is a folder with a field and its scene, or with one of these in each subfolder. /docs and /openapi.json describe
 all routes; docs/serve.md has examples."""
+DAILY = ("host", "port", "api_key_file", "encoder")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +49,7 @@ def show(answer: dict[str, Any]) -> None:
 def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.app import Settings
     from ..serving.limits import Limits
+    from ..serving.listening import address_of, bound_socket
     from ..serving.running import serve
     from ..serving.scene_folder import SceneFolder, Sources
     from ..terminal import counted
@@ -58,7 +60,7 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     settings = Settings(arguments.folder, sources, limits, key, names, origins, arguments.catalogue)
     catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
     number = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue).checked()
-    if not arguments.json:
-        address = f"http://{arguments.host}:{arguments.port}/scenes"
-        print(f"{counted(number, 'scene')} at {address}", flush=True)
-    serve(settings, arguments.host, arguments.port, arguments.json)
+    with bound_socket(arguments.host, arguments.port) as listening:
+        if not arguments.json:
+            print(f"{counted(number, 'scene')} at {address_of(listening, arguments.host)}/scenes", flush=True)
+        serve(settings, listening, arguments.json)

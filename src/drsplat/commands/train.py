@@ -22,6 +22,7 @@ EXAMPLES = """\
 
 A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the same command is given again, without
 --overwrite; a finished one goes on with more --iterations."""
+DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "images")
 DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
 MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
@@ -41,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--resolution", "-r", type=count, metavar="R",
-        help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels "
-        f"(default: as they are, but at most {MAX_SIDE})",
+        help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels, from 64 on: smaller "
+        f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE})",
     )  # fmt: skip
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto",

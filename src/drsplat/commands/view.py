@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from .edit_options import add_kept_edits, note_applied
 from .options import PORT, add_overwrite, add_query_encoders, count, new_output, words
 from .query_options import open_scene
 
@@ -26,6 +27,7 @@ EXAMPLES = """\
 Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
 0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
 only be looked at."""
+DAILY = ("scene", "views", "ask", "encoder", "port", "export", "overwrite")
 BUDGET = 1_000_000
 
 
@@ -74,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--path", metavar="orbit|swing|photos|FILE",
         help="path of the film that the page of --export plays, as of drsplat render (default: orbit)",
     )  # fmt: skip
+    add_kept_edits(parser, "kept")
     add_overwrite(parser)
     add_query_encoders(parser)
 
@@ -110,13 +113,15 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
     page = export_page(
         arguments.export, scene, queries, words=_words(arguments), up=_up(arguments, scene),
         max_gaussians=arguments.max_gaussians, overwrite=arguments.overwrite,
-        path_name="orbit" if arguments.path is None else arguments.path,
+        path_name="orbit" if arguments.path is None else arguments.path, edits=arguments.edits or "kept",
     )  # fmt: skip
+    note_applied(page.num_edits)
     return {
         "page": arguments.export,
         "bytes": Path(arguments.export).stat().st_size,
         "num_shown": len(page.shown),
         "num_left_out": page.shown.num_left_out,
+        "num_edits": page.num_edits,
         "moving": None if page.times is None else page.times.said,
         "queries": [{"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers],
     }
@@ -130,7 +135,9 @@ def _serve(arguments: argparse.Namespace) -> NoReturn:
     from ..viewing.session import Session
     from ..viewing.window import Window
 
-    session = Session(_scene(arguments), arguments.max_gaussians or BUDGET, _words(arguments))
+    scene, budget = _scene(arguments), arguments.max_gaussians or BUDGET
+    session = Session(scene, budget, _words(arguments), edits_kept=arguments.edits != "none")
+    note_applied(session.edits.listed.done)
     up = _up(arguments, session.scene)
     folder = None if arguments.save_dir is None else Path(arguments.save_dir)
     window = Window(session, up, host=arguments.host, port=arguments.port)
@@ -153,7 +160,9 @@ def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
     viser_module()
     from ..viewing.catalogue_page import CataloguePage
 
-    one_scene = [name for name in ("scene", "views", "words", "export", "up") if getattr(arguments, name) is not None]
+    one_scene = [
+        name for name in ("scene", "views", "words", "export", "up", "edits") if getattr(arguments, name) is not None
+    ]
     if one_scene:
         raise InputError(f"--{one_scene[0]} is of one scene, and --catalogue of many: drop one")
     given = {name: getattr(arguments, name) for name in ("encoder", "vocabulary", "device", "threads")}

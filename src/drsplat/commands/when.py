@@ -9,24 +9,26 @@ from .options import add_capture_options, add_query_encoders, finite, words
 from .query_options import FIELD_HELP, open_scene
 
 RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
-SUMMARY = "tell when one match of a scene that moves is on, in, next to, above, left or right of another"
+SUMMARY = "tell when one object of a scene that moves is on, in, next to, above, left or right of another"
 EXAMPLES = """\
   drsplat when film.field "toy car" next_to "white vase" --scene film.motion
   drsplat when film.field "toy car" left_of "white vase" --scene film.motion --views capture --view cam00/frame_0000
 
-Of each text the best match is taken. Left and right are meant as seen from the camera of a photo, which stands still.
-Times are those of the scene: a span is the first and the last of those that follow each other."""
+Each query stands for its best match and for those nearly as good: the relation holds when it holds between any of the
+first and any of the second. Left and right are as seen from the camera of the photo --view, which is taken to stand
+still. Spans go from the first to the last of the scene's times without a gap."""
+DAILY = ("scene", "view", "views", "threshold", "encoder")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
-    parser.add_argument("one", type=words, help="query in words for the one")
-    parser.add_argument("relation", choices=RELATIONS, help="relation of the one to the other")
-    parser.add_argument("other", type=words, help="query in words for the other")
+    parser.add_argument("one", type=words, help="first object, in words")
+    parser.add_argument("relation", choices=RELATIONS, help="relation of the first object to the second")
+    parser.add_argument("other", type=words, help="second object, in words")
     parser.add_argument("--scene", help="moving scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --view")
     parser.add_argument(
-        "--view", type=words, metavar="NAME", help="photo whose camera left_of and right_of are meant from"
+        "--view", type=words, metavar="NAME", help="photo from whose camera left_of and right_of are judged"
     )
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="threshold of both queries (default: that of `drsplat locate`)"

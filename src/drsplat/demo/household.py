@@ -5,7 +5,8 @@ Made by `world/packing.py` from a room of the procedural household world that no
 
 import json
 import shutil
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -18,6 +19,7 @@ from ..errors import InputError
 from ..formats.replacing import replacing, saying_what_is_full
 
 SCENE = "scene.compressed.ply"
+UNFINISHED = "UNFINISHED"  # name of the file that marks a folder of a demo that was stopped
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,31 @@ def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
 
     Raises: InputError: the folder has something in it and not `overwrite`, or cannot be written to; the disk is full.
     """
-    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-        raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True to replace it")
+    refuse_full(folder, overwrite)
     with as_file(files(__package__) / "scene") as shipped:
         _copy(shipped, folder)
     return read_household(folder)
+
+
+def refuse_full(folder: Path, overwrite: bool) -> None:
+    """Raise InputError if a folder has something in it and not `overwrite`."""
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True to replace it")
+
+
+@contextmanager
+def resumable(folder: Path, overwrite: bool) -> Iterator[None]:
+    """Mark a folder as unfinished until the block ends well, so that a stopped demo can go on in it.
+
+    Raises: InputError: the folder has something in it, that no stopped demo left, and not `overwrite`.
+    """
+    marker = folder / UNFINISHED
+    refuse_full(folder, overwrite or marker.is_file())
+    with saying_what_is_full(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        marker.write_text("drsplat demo was stopped here; the same command goes on.\n", encoding="utf-8")
+    yield
+    marker.unlink(missing_ok=True)
 
 
 def _copy(shipped: Path, folder: Path) -> None:

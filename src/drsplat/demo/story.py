@@ -79,10 +79,13 @@ def tell(
     probes: Sequence[Probe] = PROBES,
     *,
     overwrite: bool = False,
+    anew: bool = True,
     threads: int = 0,
     track: Track = untracked,
 ) -> Story:
     """Copy the scene to `folder`, mask and embed its photos, register them, ask the probes.
+
+    anew: whether `overwrite` embeds photos again that a stopped demo has embedded already.
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
@@ -93,7 +96,7 @@ def tell(
     held_out = [view for view in views if view.name in household.held_out]
     gaussians = read_gaussians(folder / SCENE)
     watch.lap("read")
-    embed(seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite, track=track)
+    embed(seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite and anew, track=track)
     watch.lap("mask and embed")
     features = read_features(folder / FEATURES, level="large", encoder=MiniEncoder().identity)
     registration = register(gaussians, seen, features, threads=threads, track=track)

@@ -70,9 +70,8 @@ def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.
     for number in far:
         _draw_lines(pen, marks[number], lines[number], max(1, round(view.height / 240)))
     plates = _plates(pen, marks, lines, letters, (view.width, view.height))
-    for number in far:
-        if number in plates:
-            _draw_name(pen, marks[number], plates[number], letters)
+    for number in _in_sight([number for number in far if number in plates], plates, view):
+        _draw_name(pen, marks[number], plates[number], letters)
     result: Pixels = np.asarray(drawn)
     return result if share >= 1 else np.asarray(Image.blend(Image.fromarray(picture), drawn, share))
 
@@ -96,7 +95,8 @@ def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
     """The point, or where its line to another comes through the near plane."""
     if point[2] >= near:
         return point
-    return np.asarray(point + (near - point[2]) / (other[2] - point[2]) * (other - point))
+    met = point + (near - point[2]) / (other[2] - point[2]) * (other - point)
+    return np.array([met[0], met[1], near])  # exactly, however large the numbers that it is a difference of
 
 
 def _pixel(point: np.ndarray, view: View) -> np.ndarray:
@@ -115,7 +115,7 @@ def _within(one: np.ndarray, other: np.ndarray, view: View) -> tuple[Spot, Spot]
         first, last = max(first, low), min(last, high)
     if not first <= last:
         return None
-    begin, end = one + first * step, one + last * step
+    begin, end = (np.clip(one + at * step, 0, (view.width, view.height)) for at in (first, last))
     return (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
 
 
@@ -143,6 +143,19 @@ def _plates(
     border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
     sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
     return dict(zip(named, plates_of(things, sizes, border, size), strict=True))
+
+
+def _in_sight(far: Sequence[int], plates: dict[int, Box], view: View) -> list[int]:
+    """Return those, the furthest first, whose plates are not all behind nearer ones: letters take long to draw."""
+    covered = np.zeros((view.height, view.width), np.bool_)
+    in_sight = []
+    for number in reversed(far):
+        left, top, right, bottom = plates[number].astype(int).tolist()  # cut off, as Pillow does
+        plate = covered[top : bottom + 1, left : right + 1]
+        if not plate.all():
+            in_sight.append(number)
+            plate[:] = True
+    return in_sight[::-1]
 
 
 def _draw_name(pen: ImageDraw.ImageDraw, mark: Mark, plate: Box, letters: Letters) -> None:

@@ -11,6 +11,7 @@ from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
+MOST_PIXELS = 1 << 27  # of a picture, e.g. 16384x8192: drawing it takes about 3 GB
 Index = Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]
 
 
@@ -41,9 +42,14 @@ def render(
     select: indices or a boolean mask; only these Gaussians exist in the picture.
     splats: `splat_arrays(gaussians)`, to save its making when many views are rendered.
 
-    Raises: InputError: values without one row per Gaussian.
+    Raises: InputError: values without one row per Gaussian; more than 134 million pixels.
     Source: 3DGS Eq. 3.
     """
+    if view.width * view.height > MOST_PIXELS:
+        raise InputError(
+            f"{view.name}: expected up to {MOST_PIXELS:,} pixels, got {view.width}x{view.height}: render it smaller "
+            "with max_side=PIXELS"
+        )
     extra = np.empty((len(gaussians), 0), np.float32) if values is None else values
     if len(extra) != len(gaussians):
         raise InputError(f"values: expected {len(gaussians)} rows, one per Gaussian; got {len(extra)}")

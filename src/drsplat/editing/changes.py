@@ -63,7 +63,7 @@ class Move:
 class Turn:
     """By an angle about an axis, right-handed, through `about`; None: the middle of what is turned.
 
-    Raises: InputError: an axis without a direction.
+    Raises: InputError: an axis without a direction, or more than a million degrees.
     """
 
     degrees: Number
@@ -71,13 +71,16 @@ class Turn:
     about: Vector | None = None
 
     def __post_init__(self) -> None:
-        if not np.linalg.norm(self.axis) > 0:
+        if not max(map(abs, self.axis)) > 0:
             raise InputError(f"turn: expected an axis with a direction, got {self.axis}")
+        if not abs(self.degrees) <= LARGEST:
+            raise InputError(f"turn: expected up to {LARGEST:,.0f} degrees either way, got {self.degrees:g}")
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         from scipy.spatial.transform import Rotation
 
-        axis = np.array(self.axis) / np.linalg.norm(self.axis)
+        axis = np.array(self.axis) / max(map(abs, self.axis))  # so that no square overflows
+        axis /= np.linalg.norm(axis)
         rotation = Rotation.from_rotvec(np.radians(self.degrees) * axis).as_matrix()
         part = draft.part(ids)
         draft.put(ids, around(part, 1.0, rotation, self.about).moved(part))

@@ -6,10 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
+from ..errors import InputError
 from ..formats.scenes import read_gaussians
 from ..scene.gaussians import Gaussians, filled
 
 OBJECT_ID = "object_id"  # the column that says whose a row is, -1 for none
+LARGEST = 1e30  # places and sizes: differences of them are still floats of 32 bits
+ROWS_AT_LEAST, ROWS_PER_ROW = 1_000_000, 4  # that edits may make: of any scene, and for each row of a larger one
 Ids = Int64[np.ndarray, " m"]
 
 
@@ -18,7 +21,8 @@ class Draft:
     """The arrays of all rows, those of the scene first. Its own: changes write into them.
 
     present: false where a row was removed. homes: means of rows as they came. added: the rows that each edit brought,
-    from the first to before the last, (0, 0) for none; of the edits so far. read: gives other scenes.
+    from the first to before the last, (0, 0) for none; of the edits so far. read: gives other scenes. most: rows that
+    there may be, removed ones included.
     """
 
     means: Float32[np.ndarray, "n 3"]
@@ -30,6 +34,7 @@ class Draft:
     origin: Float64[np.ndarray, " 3"]
     present: Bool[np.ndarray, " n"]
     homes: Float32[np.ndarray, "n 3"]
+    most: int = ROWS_AT_LEAST
     added: list[tuple[int, int]] = field(default_factory=list)
     read: Callable[[str], Gaussians] = read_gaussians
 
@@ -39,7 +44,7 @@ class Draft:
         present, homes = np.ones(len(scene), bool), scene.means.copy()
         return cls(
             scene.means.copy(), scene.quats.copy(), scene.scales.copy(), scene.opacities.copy(), scene.sh.copy(), extra,
-            scene.origin, present, homes,
+            scene.origin, present, homes, most_rows(len(scene)),
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -47,9 +52,10 @@ class Draft:
 
     @property
     def is_sound(self) -> bool:
-        """Whether all rows are Gaussians still: floats of 32 bits end somewhere."""
-        finite = all(np.isfinite(column).all() for column in (self.means, self.quats, self.scales, self.sh))
-        return finite and bool((self.scales > 0).all())
+        """Return whether all rows are still Gaussians, with numbers that can be computed with."""
+        finite = all(np.isfinite(column).all() for column in (self.quats, self.sh))
+        near = all((np.abs(column) <= LARGEST).all() for column in (self.means, self.scales))  # NaN is not either
+        return finite and near and bool((self.scales > 0).all())
 
     def gaussians(self) -> Gaussians:
         """What is there now, removed rows left out."""
@@ -70,11 +76,18 @@ class Draft:
         self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
 
     def add(self, part: Gaussians, object_id: int | None = None) -> Ids:
-        """Rows behind the last; returns their numbers.
+        """Append rows behind the last, and return their numbers.
 
         object_id: whose they are, None for the column of `part`. What else only one of the two knows is 0.
+
+        Raises: InputError: more rows than there may be.
         """
         first, count = len(self), len(part)
+        if first + count > self.most:
+            raise InputError(
+                f"adds {count:,} Gaussians to {first:,}, and edits of this scene make up to {self.most:,}, removed "
+                "ones included: undo it, or save the scene as it is now and edit what was saved"
+            )
         most = max(self.sh.shape[1], part.sh.shape[1])
         self.sh = np.concatenate([filled(self.sh, most), filled(part.sh, most)])
         self.means = np.concatenate([self.means, self._means(part)])
@@ -99,3 +112,8 @@ class Draft:
         if (part.origin == self.origin).all():
             return part.means
         return np.asarray((part.positions - self.origin).astype(np.float32))
+
+
+def most_rows(rows: int) -> int:
+    """Return how many rows edits may make where the largest scene that takes part has so many."""
+    return max(ROWS_AT_LEAST, ROWS_PER_ROW * rows)

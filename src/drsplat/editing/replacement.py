@@ -7,12 +7,12 @@ from jaxtyping import Float64, Int64
 
 from ..errors import InputError, MismatchError
 from ..formats.json_files import is_text
-from ..formats.runs import ids_of
+from ..formats.runs import are_rows, ids_of
 from ..kernels.boxes import box_of
 from ..scene.boxes import Box, solid
 from ..scene.gaussians import Gaussians
 from ..scene.similarity import similarity_of
-from .draft import OBJECT_ID, Draft
+from .draft import OBJECT_ID, Draft, most_rows
 
 Vector = Float64[np.ndarray, " 3"]
 Spans = Int64[np.ndarray, "s 2"]
@@ -27,7 +27,7 @@ class Replace:
     scene: its file. fingerprint: of its Gaussians. spans: its rows, None for all. matrix: 4x4, from its world to that
     of the scene that is edited; `fitted` makes one. What comes belongs to the object that goes.
 
-    Raises: InputError: no path, or a matrix that is no rotation, scale and translation.
+    Raises: InputError: no path, rows that do not ascend, or a matrix that is no rotation, scale and translation.
     """
 
     scene: str
@@ -38,11 +38,15 @@ class Replace:
     def __post_init__(self) -> None:
         if not self.scene or not is_text(self.scene):
             raise InputError("replace: expected the path of a scene")
+        if self.spans is not None and not are_rows(self.spans):
+            raise InputError("replace: spans: expected ascending rows of the other scene, one or more")
         similarity_of(self.matrix)
 
     def apply(self, draft: Draft, ids: Ids) -> None:
+        other = draft.read(self.scene)
+        draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False
-        draft.add(similarity_of(self.matrix).moved(self._part(draft.read(self.scene))), _object_of(draft, ids))
+        draft.add(similarity_of(self.matrix).moved(self._part(other)), _object_of(draft, ids))
 
     def _part(self, other: Gaussians) -> Gaussians:
         if other.fingerprint != self.fingerprint:
@@ -50,7 +54,14 @@ class Replace:
                 f"{self.scene}: has become another scene ({other.fingerprint}) than was meant ({self.fingerprint}): "
                 "undo this edit and make it anew"
             )
-        return other if self.spans is None else other.subset(ids_of(self.spans))
+        if self.spans is None:
+            return other
+        if int(self.spans[-1, 1]) > len(other):
+            raise InputError(
+                f"replace: has row {self.spans[-1, 1] - 1:,} of {self.scene}, which has {len(other):,}: undo this edit "
+                "and make it anew"
+            )
+        return other.subset(ids_of(self.spans))
 
 
 def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:

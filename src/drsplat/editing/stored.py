@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, InputError, MismatchError
+from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..formats.claiming import claimed_output
 from ..formats.json_files import as_count, as_matrix, as_number, as_vector, read_json, shown
 from ..formats.replacing import replacing
@@ -54,6 +54,13 @@ class EditFile:
                 f"{scene.fingerprint}. Move the file away to edit this one"
             )
         return listed
+
+    def num_done(self, scene: Gaussians) -> int:
+        """Return how many edits of a scene are kept and done; 0 where the list is damaged or of another scene."""
+        try:
+            return self.read(scene).done
+        except DrSplatError:
+            return 0
 
     def change(self, scene: Gaussians, change: Callable[[EditList], EditList]) -> EditList:
         """Another list in place of that which is there; returns it. What `change` raises leaves the file as it was.

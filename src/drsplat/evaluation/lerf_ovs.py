@@ -126,7 +126,7 @@ def predict(
             view = scene.views[frame.name]
             path = partial(mask_path, folder, scene.name, frame=frame.name, category=category)
             drawn = [_write_masks(splats, view, cut, path, threads) for cut in cuts]
-            peaks.setdefault(frame.name, {})[category] = _peak(drawn[0])
+            peaks.setdefault(frame.name, {})[category] = peak(drawn[0])
     inputs = {
         "gaussians": gaussians.fingerprint,
         "scorer": dict(scorer.about),
@@ -266,10 +266,11 @@ def _whole_picture(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> 
     return np.moveaxis(render_channels(splats, view, values, threads=threads).channels, 2, 0)
 
 
-def _peak(drawn: Float32[np.ndarray, "h w"]) -> list[float] | None:
-    """(x, y) of the highest smoothed score map; None where nothing scores above 0.
+def peak(drawn: Float32[np.ndarray, "h w"]) -> list[float] | None:
+    """Return (x, y) where the smoothed score map is highest; None where nothing scores above 0.
 
-    The map is of the whole scene: what no Gaussian covers is 0.
+    The map is of the whole scene: what no Gaussian covers, or the frame does not show, is 0. LangSplat's window of 30
+    pixels does not grow with the photo and is not centred on a pixel, and its borders are mirrored.
     """
     window = round(drawn.shape[1] * PEAK_WINDOW) | 1  # odd: centred on a pixel
     smooth = uniform_filter(drawn.astype(np.float64), window, mode="constant")

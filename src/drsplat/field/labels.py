@@ -5,7 +5,7 @@ Outside of the folder, so that they outlive the field: of one that is made anew 
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,8 +68,13 @@ class Label:
         return ids_of(self.spans)
 
     def means(self, text: str) -> bool:
-        """Whether a text says this name, in whatever case."""
-        return self.name.strip().casefold() == text.strip().casefold()
+        """Return whether a text is this name, ignoring case."""
+        return same_name(self.name, text)
+
+
+def same_name(name: str, other: str) -> bool:
+    """Return whether two texts are the same but for case and the space around them."""
+    return name.strip().casefold() == other.strip().casefold()
 
 
 @dataclass(frozen=True)
@@ -107,9 +112,21 @@ class LabelFile:
 
         Raises: InputError: another process writes the file, or it cannot be written. FormatError: as `read`.
         """
+        return self._change(lambda old: any(_same(old, other) for other in instead), (label,))
+
+    def carry(self, labels: Sequence[Label]) -> tuple[Label, ...]:
+        """Keep labels that come from another field, in place of those of the same scene and name; return all.
+
+        Raises: as `add`.
+        """
+        carried = {(label.name, label.scene) for label in labels}
+        return self._change(lambda old: (old.name, old.scene) in carried, labels)
+
+    def _change(self, is_replaced: Callable[[Label], bool], more: Sequence[Label]) -> tuple[Label, ...]:
+        if not more:
+            return self.read()
         with claimed_output(self.path):
-            kept = [one for one in self.read() if not any(_same(one, other) for other in instead)]
-            labels = (*kept, label)
+            labels = (*(label for label in self.read() if not is_replaced(label)), *more)
             if len(labels) > MOST:
                 raise InputError(f"{self.path}: has {MOST:,} labels, which is the most: remove some")
             text = json.dumps(_document(labels), ensure_ascii=False, separators=(",", ":"))

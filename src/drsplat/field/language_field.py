@@ -2,7 +2,6 @@
 
 import hashlib
 import importlib.metadata
-import json
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -58,7 +57,7 @@ class WordList:
 
 _OTHER_FILE = (
     "give the file that was registered (of a scene that was edited, the one that the edits lie beside), or register "
-    "this one"
+    "this one; where it is the same scene compressed, carry the field over: drsplat field carry"
 )
 
 
@@ -160,10 +159,12 @@ class LanguageField:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of the scene, the photos left out and every number that the features are made of: ties files together."""
+        """The hash of the scene's fingerprint, the encoder and every number of the features: ties files together.
+
+        Photos that were left out or removed are no part of it, so that a field which views were taken out of has the
+        files of one that was registered without them. A field on disk has the one that its files carry.
+        """
         identity = f"{self.scene} {self.code.kind} {identity_said(self.encoder)}"
-        if self.left_out:
-            identity += f" without {json.dumps(self.left_out)}"
         digest = hashlib.blake2b(identity.encode(), digest_size=16)
         arrays = {"gaussian_ids": self.gaussian_ids} | self.code.tensors()
         for name in sorted(arrays):

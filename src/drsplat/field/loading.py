@@ -13,11 +13,12 @@ from ..codes.mixture import MixtureCode, mixture_from_tensors
 from ..errors import FormatError, InputError, MismatchError
 from ..evidence.aggregation import record_from_json
 from ..evidence.evidence import Evidence, evidence_from_tensors
-from ..formats.checksums import check_checksums, check_seal
+from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector, is_text, shown
+from ..formats.recognising import Kind, mistaken
 from ..formats.runs import MAX_GAUSSIANS
-from ..formats.tensors import check_tensors, map_tensors
+from ..formats.tensors import check_tensors, map_tensors, read_tensors
 from ..kernels import group_codes
 from .growth import growth_from_tensors
 from .language_field import (
@@ -80,6 +81,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
         )
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
+    field.__dict__["fingerprint"] = str(manifest.get("field"))
     checks = {name: partial(_compare, file, evidence if name == EVIDENCE else None) for name, file in files.items()}
     for name in LATER:
         if name in _names(manifest):
@@ -89,8 +91,32 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     return field.compared_by(checks)
 
 
+def verify_field(path: str | os.PathLike[str]) -> list[str]:
+    """Compare every byte of a field's files with their checksums, then read all; return the names of the files.
+
+    Fields of versions 1 and 2 have no checksums: they are read, and no names are returned.
+
+    Raises: as `load_field`.
+    """
+    path = Path(path)
+    manifest = read_manifest(path)
+    names: list[str] = []
+    try:
+        if DOCUMENT in manifest or manifest.get("version") not in range(1, SUMMED):
+            check_document(path / MANIFEST)
+            names = [name for name in _names(manifest) if (path / name).exists()]
+        for name in names:
+            read_tensors(path / name)
+    except FormatError as error:
+        raise FormatError(f"{error}. {CURE}") from error
+    load_field(path).verify()
+    return sorted([*names, MANIFEST]) if names else []
+
+
 def _checked_manifest(path: Path) -> dict[str, object]:
     """Of a version that can be read. Raises: as `load_field`."""
+    if not (path / MANIFEST).exists():
+        raise mistaken(path, Kind.FIELD)
     manifest = read_manifest(path)
     if manifest.get("format") != FORMAT:
         raise FormatError(f"{path}: expected a '{FORMAT}', got {ascii(manifest.get('format'))[:60]}")

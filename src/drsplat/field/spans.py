@@ -42,9 +42,9 @@ def field_during(
 def views_during(field: LanguageField, during: Span) -> Bool[np.ndarray, " v"]:
     """Which views of a field were taken in a span of time. Raises: InputError: as `field_during`."""
     if field.evidence is None:
-        raise InputError("during=START,END asks what photos of that time have shown, and this field holds no evidence")
+        raise InputError("during: this field holds no evidence of what the photos of that time have shown")
     if field.times is None:
-        raise InputError("during=START,END is for fields of scenes that move: the photos of this one have no times")
+        raise InputError("during: only fields of scenes that move have times: the photos of this one have none")
     start, end = during
     inside: np.ndarray = (field.times >= start) & (field.times <= end)
     if not inside.any():

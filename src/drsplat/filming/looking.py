@@ -23,10 +23,11 @@ def up_direction(scene: Scene) -> Vector:
 
 
 def named_up(text: str) -> Vector:
-    """The direction of "+z", "-y" and so on. Raises: InputError: none of these."""
-    if len(text) != 2 or text[0] not in "+-" or text[1] not in "xyz":
+    """Return the direction of "+z", "-y" and so on; "z" is "+z". Raises: InputError: none of these."""
+    sign, letter = (text[:1], text[1:]) if text[:1] in ("+", "-") else ("+", text)
+    if letter not in ("x", "y", "z"):
         raise InputError(f"up: {text}: expected one of +x -x +y -y +z -z")
-    return np.asarray(np.eye(3)["xyz".index(text[1])] * (1 if text[0] == "+" else -1))
+    return np.asarray(np.eye(3)["xyz".index(letter)] * (1 if sign == "+" else -1))
 
 
 def looking_at(

@@ -19,7 +19,7 @@ MOST_PIXELS, MOST_SIDE = 7680 * 4320, 8192
 WRAPPED = 4  # key frames of the other end that a closed curve is led by, at each end
 STEPS = 24  # between two key frames, to measure how long the way is
 LEAST_GAP = 1e-3  # of the mean one, between key frames at one place
-FASTEST = 240.0  # pictures a second
+SLOWEST, FASTEST = 0.01, 240.0  # pictures a second; a GIF's last up to 655 seconds each
 LENSES = (1.0, 170.0)  # degrees
 
 
@@ -202,12 +202,17 @@ def check_size(size: tuple[int, int]) -> None:
         raise InputError(f"size: expected 2x2 to {MOST_SIDE} pixels a side and 7680x4320 in all, got {width}x{height}")
 
 
+def check_fps(fps: float) -> None:
+    """Check the pictures a second of a film. Raises: InputError: fewer or more than films have."""
+    if not SLOWEST <= fps <= FASTEST:
+        raise InputError(f"fps: expected {SLOWEST:g} to {FASTEST:g} pictures a second, got {fps:g}")
+
+
 def frame_count(seconds: float, fps: float) -> int:
-    """Pictures of so many seconds. Raises: InputError: none, or too many."""
-    if not 0 < fps <= FASTEST:
-        raise InputError(f"fps: expected above 0, up to {FASTEST:g} pictures a second; got {fps:g}")
-    if not 0 < seconds <= MOST_FRAMES:
-        raise InputError(f"seconds: expected above 0, got {seconds:g}")
+    """Return how many pictures a film has. Raises: InputError: none, too many, or too slow or fast ones."""
+    check_fps(fps)
+    if not 0 < seconds <= MOST_FRAMES / SLOWEST:
+        raise InputError(f"seconds: expected above 0, up to {MOST_FRAMES / SLOWEST:,.0f}; got {seconds:g}")
     count = max(1, round(seconds * fps))
     _check_frames(count)
     return count

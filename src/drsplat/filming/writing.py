@@ -15,7 +15,7 @@ from ..formats.replacing import refuse_missing_parent, replacing
 from .encoding import SUFFIXES as ENCODED
 from .encoding import encode, ffmpeg
 from .gif import write_gif
-from .paths import FASTEST, check_size
+from .paths import check_fps, check_size
 from .webp import write_webp
 
 Write = Callable[[BinaryIO, Iterator[OtherPixels], float], None]
@@ -45,7 +45,7 @@ def write_film(path: str | PathLike[str], pictures: Iterable[OtherPixels], fps: 
 def check_film(path: str | PathLike[str], size: tuple[int, int], fps: float) -> None:
     """All that can be known to be wrong before the first picture. size: width and height.
 
-    Raises: InputError: another suffix, a size that the suffix cannot have, no pictures a second, no folder.
+    Raises: InputError: another suffix, a size that the suffix cannot have, as `check_fps`, no folder.
     MissingExtraError: there is no ffmpeg.
     """
     path = Path(path)
@@ -53,8 +53,7 @@ def check_film(path: str | PathLike[str], size: tuple[int, int], fps: float) -> 
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: films are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     check_size(size)
-    if not 0 < fps <= FASTEST:
-        raise InputError(f"fps: expected above 0, up to {FASTEST:g} pictures a second; got {fps:g}")
+    check_fps(fps)
     refuse_missing_parent(path)
     if suffix not in ENCODED:
         return

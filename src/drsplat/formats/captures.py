@@ -18,10 +18,11 @@ from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
 from .photo_files import find_photo, image_folder, listed, on_photo
 from .point_ply import read_point_ply
+from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
 from .transforms import point_file, read_applied_transform, read_transforms
 from .view_times import with_times
 
-CAMERA_FILES = (("transforms", "transforms.json"), ("transforms", "transforms_train.json"), ("cameras", "cameras.json"))
+CAMERA_FILES = (("transforms", TRANSFORMS), ("transforms", TRAIN_TRANSFORMS), ("cameras", CAMERAS))
 
 
 class SparsePoints(NamedTuple):
@@ -120,15 +121,12 @@ def _find_source(capture: Path) -> _Source:
     if capture.is_file():
         return _file_source(capture)
     if not capture.is_dir():
-        raise InputError(f"{capture}: there is no such capture")
+        raise mistaken(capture, Kind.CAPTURE)
     model = find_model(capture)
     found = [] if model is None else [_Source("colmap", model)]
     found += [_Source(kind, capture / name) for kind, name in CAMERA_FILES if (capture / name).is_file()]
     if not found:
-        raise InputError(
-            f"{capture}: expected a COLMAP model (cameras and images in sparse/0, .bin or .txt), "
-            "a transforms.json, a transforms_train.json or a cameras.json"
-        )
+        raise mistaken(capture, Kind.CAPTURE)
     if len(found) > 1:
         others = ", ".join(str(source.path) for source in found[1:])
         text = f"{capture}: cameras were read from {found[0].path}, not from {others}: name a file to choose it"
@@ -140,7 +138,7 @@ def _file_source(path: Path) -> _Source:
     if path.suffix in (".bin", ".txt"):
         return _Source("colmap", path.parent)
     if path.suffix != ".json":
-        raise InputError(f"{path}: expected a folder, a COLMAP .bin or .txt, a transforms.json or a cameras.json")
+        raise mistaken(path, Kind.CAPTURE)
     return _Source("cameras" if isinstance(read_json(path), list) else "transforms", path)
 
 

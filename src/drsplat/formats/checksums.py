@@ -6,17 +6,21 @@ In safetensors files they stand in the header's metadata, in JSON documents besi
 import hashlib
 import json
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..contents import open_file, pieces
 from ..errors import FormatError
+from .json_files import document_in
 
-TENSORS, HEADER, DOCUMENT = "crc32", "crc32_header", "crc32"
+TENSORS, HEADER, DOCUMENT, ROWS = "crc32", "crc32_header", "crc32", "crc32_rows"
 LARGE, AT_ONCE = 1 << 22, 4  # bytes from which a thread is worth its start; threads
+READ_BYTES = 1 << 20
+INDENTS = (1, 2)  # that we write JSON documents with
 
 
 def hash_file(path: Path) -> str:
@@ -25,12 +29,23 @@ def hash_file(path: Path) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
+def file_checksum(path: Path) -> str:
+    """Return the checksum of a file's content, read a piece at a time."""
+    with open_file(path) as file:
+        return _hex(iter(partial(file.read, READ_BYTES), b""))
+
+
 def with_checksums(header: Mapping[str, object], tensors: Mapping[str, np.ndarray]) -> dict[str, object]:
     """A safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
     metadata = {**_metadata(header), TENSORS: json.dumps(_sums(tensors))}
     metadata.pop(HEADER, None)
     whole = _of_json({**header, "__metadata__": metadata})
     return {**header, "__metadata__": {**metadata, HEADER: whole}}
+
+
+def header_checksum(metadata: object) -> str:
+    """Return the checksum of the header that carries this metadata; "" where it has none."""
+    return str(metadata.get(HEADER, "")) if isinstance(metadata, Mapping) else ""
 
 
 def check_header(header: Mapping[str, object], where: str) -> None:
@@ -42,9 +57,15 @@ def check_header(header: Mapping[str, object], where: str) -> None:
 
 
 def check_checksums(
-    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str, required: bool = True
+    tensors: Mapping[str, np.ndarray],
+    metadata: Mapping[str, str],
+    where: str,
+    required: bool = True,
+    names: Collection[str] | None = None,
 ) -> None:
     """Compare each tensor of a file with its checksum. Files of older versions have none: not `required`.
+
+    names: the tensors to compare; None: all.
 
     Raises: FormatError: another tensor than was written, or no checksums.
     """
@@ -53,9 +74,39 @@ def check_checksums(
     written = _written(metadata)
     if not isinstance(written, dict) or set(written) != set(tensors) or HEADER not in metadata:
         raise FormatError(f"{where}: damaged: expected the checksum of every tensor in its header")
-    for name, value in _sums(tensors).items():
+    compared = {name: value for name, value in tensors.items() if names is None or name in names}
+    for name, value in _sums(compared).items():
         if value != written[name]:
             raise FormatError(f"{where}: damaged: tensor {name!a} is not what was written")
+
+
+def row_checksums(tensors: Mapping[str, np.ndarray]) -> dict[str, str]:
+    """Return metadata with the checksum of each row of some tensors, for files of which few rows are read at a time."""
+    return {ROWS: json.dumps({name: [_hex(pieces(row)) for row in array] for name, array in tensors.items()})}
+
+
+def written_rows(
+    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str
+) -> dict[str, list[str]] | None:
+    """Return the checksums of `row_checksums` by tensor; None in files of older versions, which have none.
+
+    Raises: FormatError: not a checksum for every row.
+    """
+    if ROWS not in metadata:
+        return None
+    written = _written(metadata, ROWS)
+    if not isinstance(written, dict) or written.keys() != tensors.keys():
+        raise FormatError(f"{where}: damaged: expected the checksums of every row")
+    for name, sums in written.items():
+        if not isinstance(sums, list) or len(sums) != len(tensors[name]):
+            raise FormatError(f"{where}: damaged: expected a checksum for each row of {name!a}")
+    return written
+
+
+def check_row(row: np.ndarray, sums: Sequence[str], number: int, where: str) -> None:
+    """Compare one row with its checksum. Raises: FormatError: another row than was written."""
+    if _hex(pieces(row)) != sums[number]:
+        raise FormatError(f"{where}: damaged: row {number} is not what was written")
 
 
 def sealed(document: Mapping[str, object]) -> dict[str, object]:
@@ -74,6 +125,19 @@ def check_seal(document: Mapping[str, object], where: str, required: bool = True
         raise FormatError(f"{where}: damaged or edited: it is not what was written. {cure}".strip())
 
 
+def check_document(path: Path) -> None:
+    """Compare every byte of a sealed JSON document of ours; `check_seal` passes over spaces and the order of keys.
+
+    Raises: FormatError: another document than was written, or one that something else has written anew.
+    """
+    with open_file(path) as file:
+        content = file.read()
+    document = document_in(content, str(path))
+    check_seal(document if isinstance(document, dict) else {}, str(path))
+    if content.removesuffix(b"\n") not in {json.dumps(document, indent=indent).encode() for indent in INDENTS}:
+        raise FormatError(f"{path}: damaged or edited: it is not what was written")
+
+
 def _unsealed(document: Mapping[str, object]) -> dict[str, object]:
     return {key: value for key, value in document.items() if key != DOCUMENT}
 
@@ -83,9 +147,9 @@ def _metadata(header: Mapping[str, object]) -> dict[str, object]:
     return dict(metadata) if isinstance(metadata, dict) else {}
 
 
-def _written(metadata: Mapping[str, str]) -> object:
+def _written(metadata: Mapping[str, str], key: str = TENSORS) -> object:
     try:
-        return json.loads(metadata.get(TENSORS, ""))
+        return json.loads(metadata.get(key, ""))
     except (ValueError, RecursionError):
         return None
 

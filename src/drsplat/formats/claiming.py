@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from .. import system
 from ..errors import InputError
+from .replacing import sweep
 
 LOCK = ".lock"
 LOOK_AGAIN = 0.05  # seconds
@@ -57,6 +58,7 @@ def claimed_output(output: str | os.PathLike[str], patience: float = 0.0) -> Ite
 def _held(lock: Path, output: Path, patience: float = 0.0) -> Iterator[None]:
     file = _locked(lock, output, time.monotonic() + patience)
     try:
+        sweep(lock.parent)  # also where nothing is left to be written
         yield
     finally:
         if not system.RENAMES_OPEN_FILES:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
-from .checksums import check_seal, hash_file, sealed
+from .checksums import check_document, check_seal, hash_file, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .json_files import is_text, read_json, shown
 from .photo_files import listed
@@ -147,6 +147,43 @@ def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity 
         f"{folder} was embedded by '{_told(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
         f"'{_told(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
     )
+
+
+def finished_photos(folder: Path) -> Mapping[str, Finished]:
+    """Return what the record of a folder says of its photos, by stem; {} where it has no record.
+
+    Raises: FormatError: a damaged record.
+    """
+    path = folder / FILE_NAME
+    return _read(path)[1] if path.is_file() else {}
+
+
+def check_finished(entry: Finished, folder: Path, stem: str) -> None:
+    """Compare a photo's files with its entry. Raises: FormatError: others are there, e.g. those of another photo."""
+    if not _fits(entry, folder, stem):
+        raise FormatError(
+            f"{folder / stem}: its features are not those that drsplat embed made of this photo: give the same "
+            f"`drsplat embed` to make them again, or if other features were put there, remove {FILE_NAME}"
+        )
+
+
+def verify_embedding(folder: Path) -> list[str]:
+    """Compare the files of a folder with the hashes in its record; return the names of those that have one.
+
+    Raises: FormatError: another file than was written, or a missing one.
+    """
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return []
+    document = read_json(path)
+    if not isinstance(document, dict) or set(document) != {"format", "settings", "photos"}:  # of older versions
+        check_document(path)
+    _, finished = _read(path)
+    names = {f"{stem}{COMPACT if entry.form == 'compact' else EMBEDDINGS}": entry for stem, entry in finished.items()}
+    for name, entry in names.items():
+        if not (folder / name).is_file() or hash_file(folder / name) != entry.embeddings:
+            raise FormatError(f"{folder / name}: damaged or missing: give the same `drsplat embed` to make it again")
+    return sorted([FILE_NAME, *names])
 
 
 def _told(identity: EncoderIdentity) -> str:

@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
-from ..contents import file_bytes
+from ..contents import file_bytes, open_file
 from ..errors import FormatError, InputError
 
 _PLAIN = {b"IxPq", b"IxPQ"}
 _FLAT = {b"IxFI", b"IxF2", b"IxFl"}
+MARKS = (b"Ix", b"Iw", b"IB", b"IH")  # first bytes of the names of FAISS's kinds
 _MAX_FILE = 1 << 31
 
 
@@ -44,6 +45,16 @@ class _Bytes:
 
     def floats(self, count: int) -> Float32[np.ndarray, " n"]:
         return np.frombuffer(self.take(4 * count), "<f4")
+
+
+def is_faiss(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file begins with the mark of a FAISS index of any kind."""
+    try:
+        with open_file(path) as file:
+            mark = file.read(4)
+    except OSError:
+        return False
+    return len(mark) == 4 and mark[:2] in MARKS and mark.isalnum()
 
 
 def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:

@@ -9,7 +9,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,16 +90,26 @@ def replacing_folder(path: Path, overwrite: bool, mark: str) -> Iterator[Path]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A hidden folder beside `path`, locked; it is gone when the block ends, if it has the name still."""
-    temporary = temporary_beside(path, f"{path.name}.")
-    temporary.mkdir()
-    descriptor = os.open(temporary, os.O_RDONLY)
+    """Make a hidden folder beside `path`, locked; it is gone when the block ends, if it has the name still."""
+    temporary, descriptor = _locked_folder(path)
     try:
-        lock(descriptor)
         yield temporary
     finally:
         os.close(descriptor)
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _locked_folder(path: Path) -> tuple[Path, int]:
+    """Return a hidden folder and its open descriptor. Between its making and its lock it may be swept: then another."""
+    while True:
+        temporary = temporary_beside(path, f"{path.name}.")
+        temporary.mkdir()
+        with suppress(FileNotFoundError):
+            descriptor = os.open(temporary, os.O_RDONLY)
+            lock(descriptor)
+            if temporary.exists():
+                return temporary, descriptor
+            os.close(descriptor)
 
 
 @contextmanager

@@ -104,16 +104,15 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
 
     Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.
 
-    Positions are those of the world: float64 where they are counted from an origin, else float32.
+    Positions are those of the world: float64 where float32 would lose some of them, else float32.
 
     Raises: InputError: values that could not be read back.
     """
     _refuse_unwritable(gaussians)
     rest = [gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])]
     log_scales = np.log(gaussians.scales)
-    positions = gaussians.positions if gaussians.origin.any() else gaussians.means
     return {
-        **dict(zip(MEANS, positions.T, strict=True)),
+        **dict(zip(MEANS, gaussians.narrow_positions.T, strict=True)),
         **{name: np.asarray(gaussians.extra.get(name, np.zeros(len(gaussians))), np.float32) for name in NORMALS},
         **dict(zip(DC, gaussians.sh[:, 0].T, strict=True)),
         **{f"f_rest_{i}": column for i, column in enumerate(rest)},

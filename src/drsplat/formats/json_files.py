@@ -10,6 +10,8 @@ from jaxtyping import Float64
 from ..contents import file_text
 from ..errors import FormatError, InputError
 
+LARGEST = 1e100  # of any number: three multiplied are still finite
+
 
 def read_json(path: Path) -> object:
     """The document in `path`.
@@ -65,9 +67,9 @@ def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def as_number(value: object, where: str) -> float:
-    """A finite float; `where` names the value in the error.
+    """Return a finite float; `where` names the value in the error.
 
-    Raises: FormatError: not a number, not finite, or too large for a double.
+    Raises: FormatError: not a number, not finite, or beyond `LARGEST`.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise FormatError(f"{where}: expected a number, got {shown(value)}")
@@ -75,8 +77,8 @@ def as_number(value: object, where: str) -> float:
         number = float(value)
     except OverflowError:
         number = math.inf
-    if not math.isfinite(number):
-        raise FormatError(f"{where}: expected a finite number, got {shown(value)}")
+    if not abs(number) <= LARGEST:
+        raise FormatError(f"{where}: expected a finite number up to {LARGEST:g}, got {shown(value)}")
     return number
 
 

@@ -16,10 +16,11 @@ from ..masks.features import ViewFeatures
 from ..masks.masks import LEVELS
 from ..terminal import counted
 from .compact_features import CompactFile, read_compact, write_compact
-from .embedding_record import embedded_by
+from .embedding_record import check_finished, embedded_by, finished_photos
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .npy import map_npy, write_npy
 from .photo_files import listed, safe_name
+from .recognising import Kind, mistaken
 
 
 class _Pair(NamedTuple):
@@ -60,7 +61,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     def __init__(self, directory: Path, level: int, encoder: EncoderIdentity | None = None) -> None:
         self.directory, self.level = directory, level
         self.encoder = encoder = embedded_by(directory, encoder)
-        self._keys = _listed_keys(directory)
+        self._keys, self._finished = _listed_keys(directory), finished_photos(directory)
         self.dim = int(self._files(next(iter(self._keys))).embeddings.shape[1])
         if encoder is not None and encoder.dim != self.dim:
             raise MismatchError(
@@ -82,7 +83,8 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     def __getitem__(self, name: str) -> LevelFeatures:
         """Read the features of a photo.
 
-        Raises: KeyError: no such photo. FormatError: a damaged file; the error names file and row.
+        Raises: KeyError: no such photo. FormatError: a damaged file, or those of another photo; the error names file
+        and row.
         """
         files = self._files(self._known(name))
         features = _one_level(files, self.level)
@@ -130,7 +132,10 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         return key
 
     def _files(self, key: str) -> _Pair | CompactFile:
-        return _opened(self.directory, key, self._keys[key])
+        files = _opened(self.directory, key, self._keys[key])
+        if key in self._finished:
+            check_finished(self._finished[key], self.directory, key)
+        return files
 
 
 def read_features(
@@ -154,7 +159,7 @@ def read_features(
     """
     directory = Path(directory)
     if not directory.is_dir():
-        raise InputError(f"{directory}: there is no such folder of features")
+        raise mistaken(directory, Kind.FEATURES)
     return FeatureFolder(directory, level_index(level), encoder)
 
 
@@ -215,10 +220,7 @@ def has_features(directory: Path) -> bool:
 def _listed_keys(directory: Path) -> dict[str, Form]:
     pairs, compact = stems(directory, MAPS), stems(directory, COMPACT)
     if not pairs and not compact:
-        raise InputError(
-            f"{directory}: expected files <photo>{COMPACT} as drsplat embed writes them, or <photo>{MAPS} "
-            f"and <photo>{EMBEDDINGS} as LangSplat does"
-        )
+        raise mistaken(directory, Kind.FEATURES)
     bare = [key for key in pairs if not (directory / f"{key}{EMBEDDINGS}").is_file()]
     if bare:
         raise FormatError(

@@ -29,9 +29,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrame:
-    """What people drew on one photo.
+    """The labels that people drew on one photo.
 
-    name: the photo's, without suffix. polygons, boxes: by category, one or more of each; boxes are (x1, y1, x2, y2).
+    name: the photo's, without suffix. polygons, boxes: by category, one or more of each; boxes are (x1, y1, x2, y2),
+    the least and the greatest corner, whichever corners they were drawn from.
     """
 
     name: str
@@ -148,7 +149,8 @@ def _object(entry: object, size: tuple[int, int], where: str) -> tuple[str, Poly
     polygon = _polygon(entry.get("segmentation"), size, f"{where}: segmentation")
     if "bbox" not in entry:
         return category, polygon, np.concatenate([polygon.min(0), polygon.max(0)]).astype(float)
-    return category, polygon, as_vector(entry["bbox"], 4, f"{where}: bbox")
+    corners = as_vector(entry["bbox"], 4, f"{where}: bbox").reshape(2, 2)
+    return category, polygon, np.concatenate([corners.min(0), corners.max(0)])
 
 
 def _polygon(value: object, size: tuple[int, int], where: str) -> Polygon:

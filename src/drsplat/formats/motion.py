@@ -1,6 +1,6 @@
 """Our own moving scenes: a folder with the canonical scene, scene.ply, and where its rows are, motion.safetensors.
 
-Layout: docs/formats.md. Frames are mapped and used when they are needed, and each is checked then.
+Layout: docs/formats.md. Frames are mapped and used when they are needed, and each is compared with its checksums then.
 """
 
 from collections.abc import Callable
@@ -13,12 +13,15 @@ from ..errors import FormatError, InputError, MismatchError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Frames, Moving, counted_from
 from .activation import checked
+from .checksums import check_checksums, check_row, file_checksum, row_checksums, written_rows
 from .field_folder import replacing_folder
 from .scenes import read_gaussians, write_gaussians
 from .tensors import check_tensors, map_tensors, write_tensors
 
 MOTION, SCENE = "motion.safetensors", "scene.ply"
 FORMAT, VERSION = "drsplat motion", "1"
+SCENE_SUM = "crc32_scene"
+CURE = "Restore the folder from a copy, or write it anew with `drsplat motion`"
 SHAPES = ("means", "quats", "scales", "opacities")
 _ARRAYS = {
     "times": ("float64", "t"), "origin": ("float64", "k"), "means": ("float32", "t n k"), "quats": ("float32", "t n q"),
@@ -27,8 +30,11 @@ _FURTHER = {"scales": ("float32", "t n k"), "opacities": ("float32", "t n")}
 
 
 def read_motion(folder: Path) -> Moving:
-    """Raises: InputError: there is no such folder. FormatError: damaged, truncated, of a newer version, or times that
-    do not increase; a frame that holds no Gaussians, when it is used. MismatchError: motion of other Gaussians.
+    """Read the folder that `write_motion` wrote; frames stay on disk until they are used.
+
+    Raises: InputError: there is no such folder. FormatError: damaged, truncated, of a newer version, or times that
+    do not increase; a frame that is damaged or holds no Gaussians, when it is used. MismatchError: motion of other
+    Gaussians.
     """
     where = str(folder / MOTION)
     tensors, metadata = map_tensors(folder / MOTION)
@@ -38,16 +44,32 @@ def read_motion(folder: Path) -> Moving:
     check_tensors(tensors, _ARRAYS | {name: how for name, how in _FURTHER.items() if name in tensors}, where)
     canonical = read_gaussians(folder / SCENE)
     _check(tensors, metadata, canonical, where)
+    _check_scene_file(folder, metadata)
+    shapes = {name: tensors[name] for name in SHAPES if name in tensors}
+    sums = written_rows(shapes, metadata, where)
+    check_checksums(tensors, metadata, where, names=None if sums is None else tensors.keys() - shapes.keys())
     times = np.array(tensors["times"])
     try:
-        return Moving(canonical, times, Frames(times, _frames(tensors, canonical, where)))
+        return Moving(canonical, times, Frames(times, _frames(tensors, canonical, sums, where)))
     except InputError as error:
         raise FormatError(f"{where}: {error}") from None
 
 
+def verify_motion(folder: Path) -> list[str]:
+    """Compare all of a folder with its checksums; return the names of the files that have some.
+
+    Raises: as `read_motion`.
+    """
+    read_motion(folder)
+    tensors, metadata = map_tensors(folder / MOTION)
+    check_checksums(tensors, metadata, f"{folder / MOTION}")
+    return [MOTION, SCENE] if SCENE_SUM in metadata else [MOTION]
+
+
 def write_motion(folder: Path, moving: Moving, overwrite: bool = False) -> None:
-    """A frame for each of `moving.times`; colours are those of `canonical`. 28 bytes for each row and time, 12 more
-    where sizes change and 4 where opacities do, all of it in memory at once.
+    """Write a frame for each of `moving.times`; colours are those of `canonical`.
+
+    28 bytes for each row and time, 12 more where sizes change and 4 where opacities do, all of it in memory at once.
 
     Raises: InputError: as `replacing_folder`.
     """
@@ -61,7 +83,8 @@ def write_motion(folder: Path, moving: Moving, overwrite: bool = False) -> None:
     with replacing_folder(folder, overwrite, MOTION) as temporary:
         write_gaussians(temporary / SCENE, canonical)
         stamps = {"times": moving.times, "origin": canonical.origin}
-        write_tensors(temporary / MOTION, {**stamps, **tensors}, metadata)
+        sums = row_checksums(tensors) | {SCENE_SUM: file_checksum(temporary / SCENE)}
+        write_tensors(temporary / MOTION, {**stamps, **tensors}, metadata | sums)
 
 
 def _check(tensors: dict[str, np.ndarray], metadata: dict[str, str], canonical: Gaussians, where: str) -> None:
@@ -78,16 +101,29 @@ def _check(tensors: dict[str, np.ndarray], metadata: dict[str, str], canonical: 
         raise FormatError(f"{where}: origin: expected three finite numbers")
 
 
-def _frames(tensors: dict[str, np.ndarray], canonical: Gaussians, where: str) -> Callable[[int], Gaussians]:
+def _check_scene_file(folder: Path, metadata: dict[str, str]) -> None:
+    """Compare scene.ply with its checksum, which folders of older versions lack."""
+    if metadata.get(SCENE_SUM, "") not in ("", file_checksum(folder / SCENE)):
+        raise FormatError(f"{folder / SCENE}: damaged or edited: it is not what was written. {CURE}")
+
+
+def _frames(
+    tensors: dict[str, np.ndarray], canonical: Gaussians, sums: dict[str, list[str]] | None, where: str
+) -> Callable[[int], Gaussians]:
     def value(name: str, number: int) -> np.ndarray:
-        return np.array(tensors[name][number]) if name in tensors else getattr(canonical, name).copy()
+        if name not in tensors:
+            return np.array(getattr(canonical, name))
+        row = np.array(tensors[name][number])
+        if sums is not None:
+            check_row(row, sums[name], number, f"{where}: {name}")
+        return row
 
     def frame(number: int) -> Gaussians:
         try:
             means, quats, scales, opacities = (value(name, number) for name in SHAPES)
             moved = checked(means, quats, scales, opacities, canonical.sh)
         except FormatError as error:
-            raise FormatError(f"{where}: frame {number}: {error}") from None
+            raise FormatError(f"{where}: frame {number}: {error}. {CURE}") from None
         moved = replace(moved, extra=canonical.extra, origin=np.array(tensors["origin"]))
         return counted_from(moved, canonical.origin)
 

@@ -146,9 +146,12 @@ def _float32_words(record: np.dtype, names: Sequence[str]) -> list[int] | None:
 
 
 def write_vertices(
-    path: str | PathLike[str], columns: Mapping[str, Shaped[np.ndarray, " n"]], overwrite: bool = False
-) -> None:
+    path: str | PathLike[str], columns: Mapping[str, Shaped[np.ndarray, " n"]], overwrite: bool = False,
+    comment: str = "",
+) -> None:  # fmt: skip
     """Write a binary little-endian PLY, atomically: one element `vertex`, a property per column.
+
+    comment: a line of the header.
 
     Raises: InputError: a name or type PLY cannot hold, unequal lengths, or `path` exists already.
     """
@@ -157,10 +160,11 @@ def write_vertices(
         raise InputError(f"PLY columns must be of one length, got {sorted(lengths)}")
     count = lengths.pop()
     record = np.dtype([(name, _code(name, column)) for name, column in columns.items()])
-    header = [  # no comment: viewers of 3DGS take the third line for the count
+    header = [  # no comment before it: viewers of 3DGS take the third line for the count
         "ply",
         "format binary_little_endian 1.0",
         f"element vertex {count}",
+        *([f"comment {comment}"] if comment else []),
     ]
     header += [f"property {WRITTEN_TYPES[record[name].str[1:]]} {name}" for name in columns]
     with replacing(path, overwrite) as file:

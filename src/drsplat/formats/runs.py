@@ -25,8 +25,10 @@ def are_rows(spans: Spans) -> bool:
 
 
 def ids_of(spans: Spans) -> Int64[np.ndarray, " m"]:
-    """The rows again; who calls has looked at the last one first, which may be any number."""
-    return np.concatenate([np.arange(begin, end) for begin, end in spans.tolist()])
+    """Return the rows that spans stand for. The caller has checked the last one, which may be any number."""
+    lengths = spans[:, 1] - spans[:, 0]
+    ends = np.cumsum(lengths)
+    return np.asarray(np.arange(lengths.sum()) + np.repeat(spans[:, 1] - ends, lengths))
 
 
 def runs_of(spans: Spans) -> list[int]:
@@ -36,10 +38,11 @@ def runs_of(spans: Spans) -> list[int]:
 
 
 def spans_of_runs(value: object, where: str) -> Spans:
-    """Of what JSON has. Raises: FormatError: no pairs of lengths."""
+    """Return the spans of lengths from JSON. Raises: FormatError: no pairs of lengths."""
     if not isinstance(value, list):
         raise FormatError(f"{where}: expected a list of lengths")
-    lengths = [as_count(run, where) for run in value]
-    if len(lengths) % 2 or any(not 0 <= length <= MAX_GAUSSIANS for length in lengths):
+    are_integers = set(map(type, value)) <= {int}  # millions of them: only others are looked at one by one
+    lengths = value if are_integers else [as_count(run, where) for run in value]
+    if len(lengths) % 2 or not 0 <= min(lengths, default=0) <= max(lengths, default=0) <= MAX_GAUSSIANS:
         raise FormatError(f"{where}: expected pairs of lengths: rows left out, rows in it")
     return np.cumsum(np.array(lengths, np.int64)).reshape(-1, 2)

@@ -20,6 +20,7 @@ from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
 from .ply import write_vertices
 from .ply_header import read_header
+from .recognising import Kind, mistaken, recognised
 from .sog import parse_sog, read_unpacked_sog
 from .sog_files import META, ZIP_MAGIC
 from .splat import parse_splat
@@ -29,6 +30,7 @@ from .streamed_sog import LOD_META, finest_chunks
 from .tiles import TILES, read_tiles
 
 GZIP_DEFLATE = b"\x1f\x8b\x08"
+EDITED, HEADER_BEGIN_BYTES = "edited by drsplat", 256
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
@@ -58,6 +60,8 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
             raise FormatError("the file is empty")
         return local(parse_gaussians(content.data, path.suffix), str(path))
     except FormatError as error:
+        if recognised(path) not in (Kind.SCENE, Kind.OTHER):
+            raise mistaken(path, Kind.SCENE) from None
         raise FormatError(f"{path}: {error}") from None
 
 
@@ -103,7 +107,7 @@ def scene_file(path: Path) -> Path:
     if of_folder is not None:
         return of_folder
     if not path.is_dir():
-        raise InputError(f"there is no file {path}")
+        raise mistaken(path, Kind.SCENE)
     found = {
         int(match[1]): ply
         for ply in path.glob("point_cloud/iteration_*/point_cloud.ply")
@@ -112,9 +116,7 @@ def scene_file(path: Path) -> Path:
     if not found and (path / META).is_file():
         return path / META
     if not found:
-        raise InputError(
-            f"{path} is a folder without point_cloud/iteration_*/point_cloud.ply or {META}: name the scene file itself"
-        )
+        raise mistaken(path, Kind.SCENE)
     return found[max(found)]
 
 
@@ -131,6 +133,8 @@ def write_gaussians(
     columns: Mapping[str, Shaped[np.ndarray, " n"]] = {},
     overwrite: bool = False,
     sh_degree: int | None = None,
+    *,
+    is_edited: bool = False,
 ) -> None:
     """Write a 3DGS PLY, `gaussians.extra` and `columns` as further scalar properties, atomically.
 
@@ -140,6 +144,7 @@ def write_gaussians(
     SuperSplat shows and splat-transform filters any such property (`-V relevancy,gt,0.5`). A column
     takes the place of an extra of the same name. Positions are stored exactly, so the fingerprint
     stays: as float32, or as double where they are counted from an origin. The rest passes through a logarithm and back.
+    is_edited: says so in the header, see `was_edited`.
 
     Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
     another length, type or name than a PLY can hold, or of a property that the format itself uses; a
@@ -155,7 +160,13 @@ def write_gaussians(
             raise InputError(f"column '{name}' would replace a property of the Gaussians: call it something else")
         if column.shape != (len(gaussians),):
             raise InputError(f"column '{name}': expected shape ({len(gaussians)},), got {column.shape}")
-    write_vertices(path, {**properties, **further}, overwrite)
+    write_vertices(path, {**properties, **further}, overwrite, EDITED if is_edited else "")
+
+
+def was_edited(path: Path) -> bool:
+    """Return whether a file is a PLY that was written as edited, beside which the scene itself may lie."""
+    with path.open("rb") as file:
+        return f"\ncomment {EDITED}\n".encode() in file.read(HEADER_BEGIN_BYTES)
 
 
 def _filled(gaussians: Gaussians, sh_degree: int) -> Gaussians:

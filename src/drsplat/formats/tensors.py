@@ -14,7 +14,7 @@ import numpy as np
 
 from ..contents import file_bytes, pieces
 from ..errors import FormatError, InputError
-from .checksums import check_checksums, check_header, with_checksums
+from .checksums import check_checksums, check_header, header_checksum, with_checksums
 from .json_files import unique_names
 from .replacing import replacing
 
@@ -34,8 +34,10 @@ def write_tensors(
     tensors: Mapping[str, np.ndarray],
     metadata: Mapping[str, str] | None = None,
     overwrite: bool = False,
-) -> None:
+) -> str:
     """Write named arrays and text metadata, whole or not at all, with their checksums.
+
+    Returns the checksum of the header, which has those of all arrays in it: other content has another one.
 
     Raises: InputError: a dtype that safetensors has no name for, or `path` exists and `overwrite` is false.
     """
@@ -51,12 +53,14 @@ def write_tensors(
         array, end = arrays[name], offset + arrays[name].nbytes
         header[name] = {"dtype": _NAMES[array.dtype], "shape": array.shape, "data_offsets": [offset, end]}
         offset = end
-    text = json.dumps(with_checksums(header, arrays), separators=(",", ":")).encode()
+    summed = with_checksums(header, arrays)
+    text = json.dumps(summed, separators=(",", ":")).encode()
     text += b" " * (-(8 + len(text)) % LINE)
     with replacing(path, overwrite) as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
             file.writelines(pieces(arrays[name]))
+    return header_checksum(summed["__metadata__"])
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from jaxtyping import Float32, Float64
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, filled
 from ..scene.placing import near_plane
-from .checksums import check_seal, sealed
+from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
 from .json_files import as_count, as_number, as_vector, is_text, shown
 from .replacing import replacing
@@ -35,12 +36,15 @@ _SHAPES = {
     "opacities": ("float32", "n"),
 }
 _COLOURS = {"sh": ("float32", "n k xyz"), "block": ("uint16", "n"), "source_row": ("uint32", "n")}
+SHAPES, COLOURS = "shapes", "colours"
+_KINDS = {SHAPES: _SHAPES, COLOURS: _COLOURS}
 
 
 class Tile(NamedTuple):
     """A run of rows. low, high: the box of its centres, counted from the scene's origin.
 
-    largest: standard deviation of the largest of its Gaussians that can be seen.
+    largest: standard deviation of the largest of its Gaussians that can be seen. checksums: of its files' headers, by
+    kind; none in manifests of older versions.
     """
 
     name: str
@@ -49,6 +53,7 @@ class Tile(NamedTuple):
     low: Float64[np.ndarray, " 3"]
     high: Float64[np.ndarray, " 3"]
     largest: float
+    checksums: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +80,7 @@ class Tiles:
 
     def shapes(self, tile: Tile) -> Gaussians:
         """A tile without its colours, which registration does not need. Raises: FormatError: damaged."""
-        arrays = self._read(tile, "shapes", _SHAPES)
+        arrays = self._read(tile, SHAPES, _SHAPES)
         means, quats, widths, opacities = (arrays[name] for name in _SHAPES)
         return Gaussians(
             means, quats, widths, opacities, np.zeros((tile.num_rows, 1, 3), np.float32), origin=self.origin
@@ -87,27 +92,38 @@ class Tiles:
         Raises: FormatError: damaged.
         """
         shapes = [self.shapes(tile) for tile in self.tiles]
-        colours = [self._read(tile, "colours", _COLOURS) for tile in self.tiles]
+        colours = [self._read(tile, COLOURS, _COLOURS) for tile in self.tiles]
         most = max(part["sh"].shape[1] for part in colours)
         means, quats, widths, opacities = (np.concatenate([getattr(part, name) for part in shapes]) for name in _SHAPES)
         sh = np.concatenate([filled(part["sh"], most) for part in colours])
         origins = {name: np.concatenate([part[name] for part in colours]) for name in ("block", "source_row")}
         return Gaussians(means, quats, widths, opacities, sh, origins, self.origin)
 
+    def verify(self) -> list[str]:
+        """Compare every file with its checksums, a tile at a time; return their names. Raises: FormatError: damaged."""
+        check_document(self.path / TILES)
+        for tile in self.tiles:
+            for kind, expected in _KINDS.items():
+                self._read(tile, kind, expected)
+        return [TILES, *(file_name(tile, kind) for tile in self.tiles for kind in _KINDS)]
+
     def _read(self, tile: Tile, kind: str, expected: Mapping[str, tuple[str, str]]) -> dict[str, np.ndarray]:
-        path = self.path / f"{tile.name}.{kind}.safetensors"
+        path = self.path / file_name(tile, kind)
         try:
-            arrays, _ = read_tensors(path)
-        except InputError as error:
+            arrays, metadata = read_tensors(path)
+        except (InputError, FormatError) as error:
             raise FormatError(f"{error}. {CURE}") from None
+        if tile.checksums.get(kind, header_checksum(metadata)) != header_checksum(metadata):
+            raise FormatError(f"{path}: another file than {TILES} names, of other tiles or damaged. {CURE}")
         check_tensors(arrays, expected, str(path))
         if len(next(iter(arrays.values()))) != tile.num_rows:
             raise FormatError(f"{path}: expected {tile.num_rows} rows. {CURE}")
         return arrays
 
 
-def shapes_name(tile: Tile) -> str:
-    return f"{tile.name}.shapes.safetensors"
+def file_name(tile: Tile, kind: str) -> str:
+    """Return the name of the file that has a tile's SHAPES or COLOURS."""
+    return f"{tile.name}.{kind}.safetensors"
 
 
 def read_tiles(path: Path) -> Tiles:
@@ -143,7 +159,10 @@ def _tile(entry: object, first: int, where: str) -> Tile:
     if not 0 < count <= MOST_ROWS - first:
         raise FormatError(f"{where}: tile {name}: expected 1 to {MOST_ROWS:,} rows in all, got {count}")
     low, high = (as_vector(entry.get(end), 3, f"{where}: {end}") for end in ("low", "high"))
-    return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"))
+    sums = entry.get(DOCUMENT, {})
+    if not isinstance(sums, dict) or not all(map(is_text, sums.values())):
+        raise FormatError(f"{where}: tile {name}: expected the checksums of its files, got {shown(sums)}")
+    return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"), sums)
 
 
 class _Writer:
@@ -158,9 +177,11 @@ class _Writer:
     def add(self, part: Gaussians) -> None:
         name = f"tile{len(self.tiles):05d}"
         shapes = {key: getattr(part, key) for key in _SHAPES}
-        write_tensors(self.folder / f"{name}.shapes.safetensors", shapes)
         colours = {"sh": part.sh} | {key: part.extra[key] for key in ("block", "source_row")}
-        write_tensors(self.folder / f"{name}.colours.safetensors", colours)
+        sums = {
+            kind: write_tensors(self.folder / f"{name}.{kind}.safetensors", arrays)
+            for kind, arrays in ((SHAPES, shapes), (COLOURS, colours))
+        }
         self.digest.add(part)
         self.means.append(part.means)
         self.opacities.append(part.opacities)
@@ -171,6 +192,7 @@ class _Writer:
                 "low": part.means.min(axis=0).tolist(),
                 "high": part.means.max(axis=0).tolist(),
                 "largest": float(part.scales[part.opacities >= FAINTEST].max(initial=0.0)),
+                DOCUMENT: sums,
             }
         )
 

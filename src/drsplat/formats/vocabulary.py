@@ -1,6 +1,5 @@
 """A file of words and their embeddings as an encoder: queries without a text model."""
 
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..encoders import EncoderIdentity
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, did_you_mean
 from .checksums import check_checksums
 from .json_files import as_vector, is_text, parsed, read_json, shown
 from .sog import is_sog_meta
@@ -41,15 +40,9 @@ class VocabularyEncoder:
     def _row(self, text: str) -> int:
         if text in self._rows:
             return self._rows[text]
-        by_lower = {known.lower(): known for known in self.texts}
-        close = [by_lower[word] for word in difflib.get_close_matches(text.lower(), by_lower, n=5, cutoff=0.5)]
-        advice = (
-            f"closest: {', '.join(map(repr, close))}"
-            if close
-            else f"it starts with {', '.join(map(repr, self.texts[:5]))}"
-        )
+        near = did_you_mean(text, self.texts) or f" It starts with {', '.join(map(repr, self.texts[:5]))}."
         raise InputError(
-            f"{text!r} is not among the {len(self.texts)} texts of vocabulary '{self.identity.name}'; {advice}"
+            f"{text!r} is not among the {len(self.texts)} texts of vocabulary '{self.identity.name}'.{near}"
         )
 
 
@@ -98,7 +91,9 @@ def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     first = next(iter(document.values()))
     dim = len(first) if isinstance(first, list) else 0
     if dim < 1:
-        raise FormatError(f"{path}: expected a list of numbers for each text, got {shown(first)}")
+        raise FormatError(
+            f"{path}: expected a vocabulary, a list of numbers for each text; the first has {shown(first)}"
+        )
     vectors = [as_vector(value, dim, f"{path}: {shown(text)}") for text, value in document.items()]
     return list(document), np.stack(vectors)
 

@@ -122,16 +122,23 @@ def remove_views(
     track: Track = untracked,
 ) -> Change:
     """Take some views out of a field, by name; `add_views` leaves them out then. Words and negatives stay, objects are
-    left out: see `change_field`.
+    left out: see `change_field`. Views that were removed before are passed over (`left_out`): a killed command can be
+    given again.
 
     Raises: InputError: views that are not in it, or all of them; the field does not know how it was made.
     MismatchError: another scene.
     """
     watch = Stopwatch()
     before, how = _opened(field, scene)
+    assert field.growth is not None
+    gone = set(names) & set(field.growth.removed) - set(before.masks.view_names)
+    names = set(names) - gone
+    if gone and not names:
+        return Change(field, known=before.masks.view_names, left_out=tuple(sorted(gone)), seconds=watch.seconds)
     after = before.without(names)
     watch.lap("weights")
-    change = Change(field, removed=tuple(sorted(names)), known=after.masks.view_names)
+    left_out = tuple(sorted(gone))
+    change = Change(field, removed=tuple(sorted(names)), known=after.masks.view_names, left_out=left_out)
     return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 

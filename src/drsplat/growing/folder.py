@@ -8,6 +8,7 @@ from pathlib import Path
 from ..evidence.columns import part_name
 from ..field import LanguageField, load_field
 from ..formats.claiming import claimed_output
+from ..formats.replacing import sweep
 from ..objects.finding import find_objects
 from ..progress import Stopwatch
 from ..scene.gaussians import Gaussians
@@ -54,8 +55,10 @@ def change_field(
 
 
 def remove_parts(parts: Path, names: Collection[str]) -> None:
-    """Of views that are in the field now; the folder too, if nothing else is in it."""
+    """Remove the parts of views that are in the field now; the folder too, if nothing else is in it."""
     for name in names:
         (parts / part_name(name)).unlink(missing_ok=True)
+    if parts.is_dir():
+        sweep(parts)
     if parts.is_dir() and not any(parts.iterdir()):
         parts.rmdir()

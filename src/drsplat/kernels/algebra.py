@@ -1,4 +1,4 @@
-"""The algebra after registration (native; float32): rows of W @ E, codes.
+"""The algebra of embedding and after registration (native; float32): products of matrices, rows of W @ E, codes.
 
 Every function is the same to the bit for any number of threads; `threads=0` takes all cores and
 `isa` names an instruction set of `available_isas()`, "" the best.
@@ -12,6 +12,7 @@ from ..errors import InputError
 from .splatting import _checked_isa
 
 CENTROIDS = 256
+LANES = 16  # numbers that the native code takes at once
 Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # row starts, columns and float32 numbers of CSR
 
 
@@ -47,6 +48,22 @@ def weighted_rows(
     except ValueError as error:
         raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
     return np.asarray(rows)
+
+
+def dense_rows(
+    a: Float32[np.ndarray, "n k"], b: Float32[np.ndarray, "k m"], *, threads: int = 0, isa: str = ""
+) -> Float32[np.ndarray, "n m"]:
+    """Return A @ B, to the same bits for any number of threads or rows, unlike a BLAS.
+
+    Raises: InputError: A has not as many columns as B has rows.
+    """
+    width = b.shape[1]
+    columns = np.pad(b, ((0, 0), (0, -width % LANES)))
+    try:
+        product = _native.dense_rows(np.ascontiguousarray(a), np.ascontiguousarray(columns), threads, _checked_isa(isa))
+    except ValueError:
+        raise InputError(f"expected matrices (n, k) and (k, m), got {a.shape} and {b.shape}") from None
+    return np.asarray(product)[:, :width]
 
 
 def changed_columns(

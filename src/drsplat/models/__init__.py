@@ -3,5 +3,5 @@ ones.
 
 Other libraries are imported when a model is asked for.
 
-Imports `encoders`, `masks` and `formats`.
+Imports `encoders`, `masks`, `formats` and `kernels`.
 """

@@ -18,14 +18,15 @@ OPENCLIP_NAMES = {"ViT-B-16/laion2b_s34b_b88k": DEFAULT_ENCODER}
 
 
 def load_encoder(
-    name: str = DEFAULT_ENCODER, device: str = "auto", dtype: str = "auto"
+    name: str = DEFAULT_ENCODER, device: str = "auto", dtype: str = "auto", *, threads: int = 0
 ) -> "WordEncoder | MiniEncoder | TransformersEncoder":
     """A built-in encoder, or a CLIP, SigLIP, SigLIP 2 or DINOv2 of transformers.
 
     name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging
     Face hub, which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
     device: auto, cpu, cuda or mps. dtype of images: auto, float32, bfloat16 or float16; auto is
-    float16 on CUDA and bfloat16 on processors that multiply it.
+    float16 on CUDA and bfloat16 on processors that multiply it. threads: of drsplat-mini, 0 for all cores; the
+    libraries of the others have settings of their own.
 
     Raises: InputError: no such model, a gated one, another architecture, pickles, no such device.
     FormatError: damaged or missing weights. MissingExtraError: torch, transformers or the device is
@@ -34,7 +35,7 @@ def load_encoder(
     if name == WordEncoder.identity.name:
         return WordEncoder()
     if name == MiniEncoder.name:
-        return MiniEncoder()
+        return MiniEncoder(threads=threads)
     models_library()
     folder = model_folder(OPENCLIP_NAMES.get(name, name))
     from .transformers_encoders import TransformersEncoder

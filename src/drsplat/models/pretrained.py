@@ -15,7 +15,9 @@ from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weight
 
 _WANTED = ["*.json", "merges.txt", "vocab.txt", "*.model", WEIGHTS, "model-*-of-*.safetensors"]
 _VOCABULARIES = ("tokenizer.json", "vocab.json", "vocab.txt", "*.model")
-_ID = re.compile(r"[A-Za-z0-9][\w.-]*(/[\w.-]+)?")
+_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
+_EXAMPLES = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (CLIP) or facebook/sam2.1-hiera-tiny (SAM)"
+BUILT_IN = "built in, without a download: the segmenter graph and the encoder drsplat-mini (coarser, for trials)"
 
 
 def model_folder(name: str) -> Path:
@@ -31,7 +33,7 @@ def model_folder(name: str) -> Path:
     if folder.exists() or not _ID.fullmatch(name):
         raise InputError(
             f"{name}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and {OPEN_CLIP}), or an "
-            "id of the Hugging Face hub such as laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+            f"id of the Hugging Face hub, AUTHOR/NAME, such as {_EXAMPLES}; {BUILT_IN}"
         )
     return _downloaded(name)
 
@@ -174,12 +176,12 @@ def _downloaded(name: str) -> Path:
     except errors.RepositoryNotFoundError as error:
         raise InputError(
             f"{name}: there is no such folder here and no such model on the Hugging Face hub (or it "
-            "is private: `hf auth login`). Check the spelling"
+            f"is private: `hf auth login`). Check the spelling; {BUILT_IN}"
         ) from error
     except (OSError, errors.LocalEntryNotFoundError) as error:  # all else of the network is OSError
         raise DrSplatError(
             f"{name}: not in the local cache in full, and the hub cannot be reached ({_first_line(error)}). Run once "
-            "with a network and without HF_HUB_OFFLINE, or copy the model's folder here and give its path"
+            f"with a network and without HF_HUB_OFFLINE, or copy the model's folder here and give its path; {BUILT_IN}"
         ) from error
 
 

@@ -157,14 +157,14 @@ class SamPredictor:
 
 
 def load_segmenter(
-    name: str = DEFAULT_SEGMENTER, device: str = "auto", settings: PointMaskSettings | None = None
+    name: str = DEFAULT_SEGMENTER, device: str = "auto", settings: PointMaskSettings | None = None, *, threads: int = 0
 ) -> PointSegmenter | GraphSegmenter:
-    """The built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
+    """Return the built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
 
     name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it,
     or an id of the Hugging Face hub, which is
     downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are loaded,
-    never pickles. device: auto, cpu, cuda or mps.
+    never pickles. device: auto, cpu, cuda or mps. threads: of `graph`, 0 for all cores.
 
     identity of SAM: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
     pixels, and the settings. The device is not part of it, although it may change single pixels.
@@ -176,7 +176,7 @@ def load_segmenter(
     if name == GraphSegmenter.name:
         if settings is not None:
             raise InputError("the segmenter graph has no point grid: load it without settings")
-        return GraphSegmenter()
+        return GraphSegmenter(threads=threads)
     models_library()
     device = chosen_device(device)
     folder = model_folder(name)

@@ -4,7 +4,8 @@ Every rule of measuring, cutting and grouping is here, and every default: the co
 MCP, the demo and the evaluation turn their input into a query and show an answer. Names are loaded when they are
 first used: the command line reads the defaults here without NumPy.
 
-Imports `encoders`, `scene`, `masks`, `formats`, `kernels`, `evidence`, `field`, `objects`, `models` and `drawing`.
+Imports `encoders`, `scene`, `masks`, `formats`, `kernels`, `codes`, `evidence`, `field`, `objects`, `models` and
+`drawing`.
 """
 
 from importlib import import_module

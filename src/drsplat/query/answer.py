@@ -26,7 +26,7 @@ class Answer:
 
     measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
     encoder or default; object or label, where exactly what belongs together is meant. drawn: who draws it, the
-    `picture` of its scene; None: nobody.
+    `picture` of its scene; None: nobody. doubt: reason not to rely on it, "" if there is none.
     """
 
     field: LanguageField
@@ -37,6 +37,7 @@ class Answer:
     rule: str
     scores: Float32[np.ndarray, " r"]
     drawn: Callable[..., np.ndarray] | None = None
+    doubt: str = ""
 
     @classmethod
     def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
@@ -114,7 +115,8 @@ class Match:
 
     center, axes, extent: oriented box; row a of `axes` is the unit direction of full length extent[a].
     Upright: the third axis is up, the first the longer of the others. Free: longest first. score: mean value of its
-    Gaussians weighted by opacity. support: the masks that contribute most, none where the field kept no evidence.
+    Gaussians weighted by opacity, which with its mass makes its place among others (`tasks.rank`). support: the masks
+    that contribute most, none where the field kept no evidence.
     object_id: the number of the object that it is, None where it is none. label: the name that people gave it.
     """
 
@@ -149,6 +151,11 @@ class Segmentation:
     names: tuple[str, ...]
     labels: Int32[np.ndarray, " n"]
     answers: list[Answer]
+
+    @property
+    def doubt(self) -> str:
+        """Reason not to rely on some of the classes, "" if there is none."""
+        return next((answer.doubt for answer in self.answers if answer.doubt), "")
 
     @property
     def counts(self) -> list[int]:

@@ -109,12 +109,20 @@ def relevancy_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) 
     return clear_threshold(relevancy, 0.5, CLEAR, peak=peak)
 
 
+def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndarray, "s D"]:
+    """Return embeddings of masks spread over the photos; where they were not kept, features of Gaussians."""
+    evidence = field.evidence
+    count = len(field) if evidence is None else len(evidence.embeddings)
+    rows = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+    return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
+
+
 CLEAR = 1 / (1 + float(np.exp(-0.45)))  # a margin of 0.45 spreads
 _LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
 def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
-    usual, spread = _usual(_pictures(field), vectors)
+    usual, spread = _usual(usual_pictures(field), vectors)
     scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads))
     return Contrast(vectors, usual, spread, scores, words)
 
@@ -150,14 +158,6 @@ def _keep_best(
     order = np.argsort(-both, axis=1, kind="stable")[:, : scores.shape[1]]
     scores[rows] = np.take_along_axis(both, order, axis=1)
     words[rows] = np.take_along_axis(names, order, axis=1)
-
-
-def _pictures(field: LanguageField) -> Float32[np.ndarray, "s D"]:
-    """Embeddings of masks spread over the photos; where they were not kept, features of Gaussians."""
-    evidence = field.evidence
-    count = len(field) if evidence is None else len(evidence.embeddings)
-    rows = np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).astype(np.int64))
-    return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
 
 
 def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) -> float:

@@ -14,7 +14,8 @@ from ..masks.crops import crop
 from .answer import Answer
 from .contrast import Contrast, contrast, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
-from .query import Cut
+from .naming import doubt_of
+from .query import Cut, Query
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
 from .thresholds import PEAK, default_threshold, peak_score, share_threshold, threshold_above
 from .wholes import by_object, cut_of
@@ -93,6 +94,15 @@ class Measuring:
     cut: Cut
     exclude: tuple[str, ...] = ()
 
+    def of(self, query: Query) -> Answer:
+        """Return the answer to a text, a picture or a vector. Raises: as of each of these."""
+        if query.text is not None:
+            return self.of_text(query.text)
+        if query.image is not None:
+            return self.of_image(query.image)
+        assert query.vector is not None
+        return self.of_vector(query.vector)
+
     def of_text(self, text: str) -> Answer:
         """To a text; "mug, not red" leaves out what "red mug" fits as well.
 
@@ -109,6 +119,7 @@ class Measuring:
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
                 answer = self._of_words(query, own)
+                answer = replace(answer, doubt=doubt_of(encoder, field, wanted))
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
     def of_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Answer:

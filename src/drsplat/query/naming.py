@@ -1,4 +1,4 @@
-"""The best words for a feature."""
+"""The best words for a feature, and whether the nouns among them are to be believed."""
 
 from collections.abc import Sequence
 
@@ -10,12 +10,41 @@ from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
 from ..models.mini import MiniEncoder
-from ..models.mini.lexicon import COLORS, NAMES, STRUCTURES
+from ..models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
+
+SAMPLED_ROWS = 1000
+ONLY_COLORS = (
+    "the built-in encoder learnt nouns from made-up rooms and this scene looks unlike them, so only its colours can be "
+    "trusted ('something red'): for names embed the photos with SAM and CLIP (`drsplat embed CAPTURE`), then register"
+)
 
 
-def own_vocabulary(encoder: Encoder) -> tuple[str, ...] | None:
-    """The texts that an encoder can be asked for by itself, None where it takes any."""
+def knows_nouns(encoder: Encoder, field: LanguageField) -> bool:
+    """Return whether a scene looks like what an encoder learnt nouns from; True for encoders that do not say.
+
+    Photos of a thing agree on what it is where the encoder knows such things: `fit_of` is high there.
+    """
+    return not isinstance(encoder, MiniEncoder) or not len(field) or fit_of(encoder, field) >= encoder.least_fit
+
+
+def fit_of(encoder: MiniEncoder, field: LanguageField) -> float:
+    """Return the cosine of the best noun that half of a field's features reach."""
+    rows = np.unique(np.linspace(0, len(field) - 1, SAMPLED_ROWS).astype(np.intp))
+    return float(np.median((field.feature(rows) @ encoder.encode_texts(encoder.nouns).T).max(axis=1)))
+
+
+def doubt_of(encoder: Encoder, field: LanguageField, text: str | None = None) -> str:
+    """Return the reason not to believe the nouns of a text, or of names, in a scene; "" if there is none."""
+    if text is not None and not nouns_in(text):
+        return ""
+    return "" if knows_nouns(encoder, field) else ONLY_COLORS
+
+
+def own_vocabulary(encoder: Encoder, field: LanguageField) -> tuple[str, ...] | None:
+    """Return the texts that an encoder can name things of a field by, None where it takes any."""
     if isinstance(encoder, MiniEncoder):
+        if not knows_nouns(encoder, field):
+            return tuple(f"something {color}" for color in COLORS)
         colored = tuple(f"{color} {name}" for name in NAMES for color in COLORS)
         return (*NAMES, *STRUCTURES, *colored)
     if isinstance(encoder, VocabularyEncoder):
@@ -32,7 +61,7 @@ def object_names(
     threshold of an encoder that has one. Raises: MismatchError: another encoder. InputError: words that it does not
     know.
     """
-    texts, objects = tuple(words) or own_vocabulary(encoder), field.objects
+    texts, objects = tuple(words) or own_vocabulary(encoder, field), field.objects
     if not texts or objects is None:
         return [None] * len(nodes)
     field.check_encoder(encoder.identity)
@@ -55,7 +84,7 @@ def best_names(
 
     Raises: InputError: no texts. MismatchError: another encoder.
     """
-    texts = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
+    texts = own_vocabulary(encoder, field) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
     if not texts:
         raise InputError(f"the encoder '{encoder.identity.name}' takes any words: name those to choose from")
     field.check_encoder(encoder.identity)

@@ -13,6 +13,8 @@ from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
+from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken
+from ..formats.scenes import was_edited
 from ..formats.tiles import TILES
 from ..models.loading import load_encoder
 from ..scene.gaussians import Gaussians
@@ -21,8 +23,6 @@ from ..scene.views import View
 from .encoding import Load, encoder_for
 from .scene import Scene
 
-FIELD_SUFFIX = ".field"
-SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
 EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
 CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
@@ -47,20 +47,20 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"{folder}: there is no such folder")
+        raise mistaken(folder, Kind.FIELD)
     entries = sorted(folder.iterdir())
     fields = [path for path in entries if path.suffix == FIELD_SUFFIX and path.is_dir()]
-    if len(fields) != 1:
-        listed = ", ".join(path.name for path in fields) or "none"
-        raise InputError(
-            f"{folder}: expected one field (a folder NAME{FIELD_SUFFIX}, as `drsplat register` writes), got {listed}"
-        )
+    if not fields:
+        raise mistaken(folder, Kind.FIELD)
+    if len(fields) > 1:
+        raise InputError(f"{folder}: expected one field, got {', '.join(map(str, fields))}: name the one that you mean")
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
     scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
     edited = {path.name.removesuffix(EDITS) for path in entries if path.name.endswith(EDITS)}
-    scenes.sort(key=lambda path: path.stem not in edited)  # what was saved of it lies beside it with the same rows
+    # what was saved of a scene lies beside it with the same rows
+    scenes.sort(key=lambda path: (path.stem not in edited, path.is_file() and was_edited(path)))
     if not scenes:
         kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
         raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")

@@ -33,7 +33,9 @@ class Cut:
         if self.threshold is not None and self.top_share is not None:
             raise InputError("threshold=NUMBER and top_share=SHARE both set the cut: drop one")
         if self.threshold == AUTO and self.measures_relevancy:
-            raise InputError("threshold=AUTO cuts cosines: drop relevancy=True and negatives=WORDS, or give a number")
+            raise InputError(
+                "threshold: 'auto' is for cosines: give a number, or drop relevancy=True and negatives=WORDS"
+            )
         if self.during is not None and not -np.inf < self.during[0] <= self.during[1] < np.inf:
             raise InputError(f"during: expected two finite times, the first no later than the second: {self.during}")
 
@@ -68,14 +70,16 @@ class Query(Cut):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [name for name in KINDS if getattr(self, name) is not None]
+        given = [spelled for name, spelled in KINDS.items() if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError(
-                "expected exactly one of text=WORDS, vector=VECTOR, image=PICTURE, point=X,Y,Z and click=VIEW:X,Y; "
-                f"got {' and '.join(given) or 'none'}"
+                f"expected exactly one of {', '.join(KINDS.values())}; got {' and '.join(given) or 'none'}"
             )
         if self.exclude and self.text is None:
             raise InputError("exclude=WORDS goes with a query in words")
 
 
-KINDS = ("text", "vector", "image", "point", "click")
+KINDS = {
+    "text": "text=WORDS", "vector": "vector=VECTOR", "image": "image=PICTURE", "point": "point=X,Y,Z",
+    "click": "click=VIEW:X,Y",
+}  # fmt: skip

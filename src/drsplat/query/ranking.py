@@ -89,8 +89,10 @@ class Surroundings:
         Raises: InputError: a point, a click or a share, which are of one scene; no encoder; words that it does not
         know. MismatchError: a vector of another dimension, or another encoder.
         """
-        if query.point is not None or query.click is not None or query.top_share is not None:
-            raise InputError("a point, a click and a share mean something in one scene only: give words or a picture")
+        if any(part is not None for part in (query.point, query.click, query.top_share, query.during)):
+            raise InputError(
+                "a point, a click, a share and a span of time mean something in one scene only: give words or a picture"
+            )
         if query.text is not None:
             return self._text(split_negation(query.text)[0])
         if query.image is not None:

@@ -39,7 +39,7 @@ def region(
     if not (np.isfinite(at).all() and np.isfinite(radius) and radius > 0):
         raise InputError(f"expected a point and a positive radius, got {center}, {radius}")
     field, encoder = scene.field, scene.encoder
-    names = own_vocabulary(encoder) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
+    names = own_vocabulary(encoder, field) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
     if not names:
         raise InputError(f"'{encoder.identity.name}' takes any words: name those to choose from")
     means = scene.gaussians.positions[field.gaussian_ids]

@@ -35,7 +35,7 @@ from .answer import Answer, Match, MatchTrack, Segmentation, Word
 from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
 from .encoding import source_of
 from .measuring import Background, Measuring
-from .naming import best_names, object_names
+from .naming import best_names, doubt_of, object_names
 from .objects import answer_of, match_of, most_seen, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
@@ -145,6 +145,14 @@ class Scene:
         except (InputError, MissingExtraError):  # nobody embeds words here
             return [None] * len(chosen)
 
+    @property
+    def doubt(self) -> str:
+        """Reason not to rely on names of things here, "" if there is none or no encoder embeds words."""
+        try:
+            return doubt_of(self.encoder, self.field)
+        except (InputError, MissingExtraError):
+            return ""
+
     def object_ids(self) -> Int32[np.ndarray, " n"]:
         """Per Gaussian of the scene the number of its object, -1 for none. Raises: InputError: the field has none."""
         ids = np.full(self.field.num_gaussians, -1, np.int32)
@@ -169,7 +177,7 @@ class Scene:
         named = match_of(self.field, node)
         new = Label.of(name, self.field.scene, named.gaussian_ids, named.center)
         former = [self.labels.by_node[node]] if node in self.labels.by_node else []
-        self.labels = matched(self.label_file.add(new, former), self.field)
+        self.labels = matched(self.label_file.add(new, instead=former), self.field)
 
     def object_at(self, place: Place) -> list[int]:
         """The nodes of what is at a Gaussian, a point or a click, smallest first: parts, thing, groups.
@@ -210,15 +218,10 @@ class Scene:
 
     def _answer(self, query: Query) -> Answer:
         measuring = Measuring(self.background, query, query.exclude)
-        if query.text is not None:
-            named = self._labelled(query)
-            return measuring.of_text(query.text) if named is None else named
-        if query.image is not None:
-            return measuring.of_image(query.image)
-        if query.vector is not None:
-            return measuring.of_vector(query.vector)
         place = query.click if query.point is None else query.point
-        assert place is not None
+        if place is None:
+            named = None if query.text is None else self._labelled(query)
+            return measuring.of(query) if named is None else named
         if query.is_default and self.field.objects is not None:
             return self._thing_at(place, measuring)
         return measuring.of_vector(self.feature_of(place))
@@ -258,8 +261,8 @@ class Scene:
     def when(
         self, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None = None
     ) -> tuple[Span, ...]:
-        """Spans of time in which one match, or the best of a query, stands in a relation to another: on, in, next_to,
-        above, left_of, right_of.
+        """Return the spans of time in which one match, or any that is sure of a query, stands in a relation to another:
+        on, in, next_to, above, left_of, right_of.
 
         view: the camera, or a photo's name, that left_of and right_of are meant from.
 
@@ -277,7 +280,7 @@ class Scene:
         top: int | None = None,
         box: BoxKind = "upright",
     ) -> list[Match]:
-        """The places that a query, or an answer, finds, best first, with their support; nothing found is [].
+        """The places that a query, or an answer, finds, best first (`tasks.rank`), with their support; nothing is [].
 
         min_gaussians: smaller ones are specks. top: how many of them. box: "upright" stands on the ground, where
         the photos tell which way is up; "free" lies as the thing does.

@@ -11,6 +11,7 @@ from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
 from .answer import Match
 from .scene import Scene
+from .tasks import sure_matches
 
 ABOVE = 0.5  # of its extent: how far a thing's lower side may hang above what it stands on
 REACH = 0.05  # of its size: how far a thing may stand out of what it stands on
@@ -24,17 +25,18 @@ def gap(gaussians: Gaussians, one: Match, other: Match) -> float:
 
 
 def standing_on(scene: Scene, matches: Sequence[Match], text: str) -> list[Match]:
-    """Those of some matches that stand on the largest match of a text, that one itself left out.
+    """Return the matches that stand on a sure match of a text.
 
     Raises: InputError: nothing is called so, or the photos do not tell which way is up.
     """
     supports = scene.locate(text)
     if not supports:
         raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")
-    support = max(supports, key=len)
-    if scene.up is None:
+    gaussians, up = scene.gaussians, scene.up
+    if up is None:
         raise InputError("the photos of this scene do not tell which way is up: query without 'on'")
-    return [one for one in matches if stands_on(scene.gaussians, one, support, scene.up)]
+    supports = sure_matches(supports, gaussians)
+    return [one for one in matches if any(stands_on(gaussians, one, support, up) for support in supports)]
 
 
 def stands_on(gaussians: Gaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:

@@ -19,6 +19,8 @@ from .defaults import MIN_GAUSSIANS
 NO_CLASS = -1
 NEIGHBOURS = 8
 BORDER = 0.5
+MASS_POWER = 0.1  # ten times the mass weighs as much as a score that is 1.26 times as high
+SURE = 0.85  # share of the best match's rank from which on another is meant as well
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 
 
@@ -30,7 +32,7 @@ def locate(
     min_gaussians: int = MIN_GAUSSIANS,
     up: Float64[np.ndarray, " 3"] | None = None,
 ) -> list[Match]:
-    """The places that an answer's Gaussians make, best score first; nothing found is [].
+    """Return the places that an answer's Gaussians make, the highest `rank` first; nothing found is [].
 
     What is selected of an object of the field is one place. Loose Gaussians nearer than `link_distance` (scene units)
     belong together; None takes three times the median distance to the 8th neighbour among them. Where half of those
@@ -55,7 +57,24 @@ def locate(
         for place, group in zip(np.unique(places), members, strict=True)
         if np.count_nonzero(solid[group]) >= min_gaussians
     ]
-    return sorted(found, key=lambda match: (-match.score, int(match.gaussian_ids[0])))
+    return sorted(found, key=lambda match: (-rank(match, gaussians), int(match.gaussian_ids[0])))
+
+
+def rank(match: Match, gaussians: Gaussians) -> float:
+    """Return how good a match is: its score times the tenth root of its mass, the sum of its Gaussians' opacities.
+
+    So a splinter that fits a little better does not come before the thing that it is of, and a large thing that fits
+    clearly worse does not come before a small one. A score that is not above 0 stands for itself.
+    """
+    mass = float(gaussians.opacities[match.gaussian_ids].sum(dtype=np.float64))
+    return match.score * mass**MASS_POWER if match.score > 0 else match.score
+
+
+def sure_matches(matches: Sequence[Match], gaussians: Gaussians) -> list[Match]:
+    """Return the matches whose rank is near that of the best, in their order: those that a query certainly means."""
+    ranks = [rank(match, gaussians) for match in matches]
+    best = max(ranks, default=0.0)
+    return [match for match, own in zip(matches, ranks, strict=True) if own >= min(SURE * best, best)]
 
 
 def _places(answer: Answer, gaussians: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:

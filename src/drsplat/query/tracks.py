@@ -1,6 +1,7 @@
 """Where matches of a scene that moves are over time, when photos see them, and when they stand in a relation."""
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import product
 from typing import cast
 
 import numpy as np
@@ -19,8 +20,10 @@ from .answer import Match, MatchTrack
 from .query import Query
 from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
 from .scene import Scene
+from .tasks import sure_matches
 
 THERE = 0.1  # of the Gaussians that a match has where it has most: with fewer it is not there
+MOST_MEANT = 8  # matches of a query whose relations are examined
 KEPT = 2  # scenes of a time, and of a span, that are held
 SLIVER = 0.01  # of what the best photo shows of a match: a photo with less does not see it
 
@@ -81,9 +84,11 @@ def runs(times: Float64[np.ndarray, " t"], holds: Bool[np.ndarray, " t"]) -> tup
 
 
 def when(
-    moving: Moving, relation: Relation | Side, one: MatchTrack, other: MatchTrack, up: Up | None, view: View | None
-) -> tuple[Span, ...]:
-    """Spans of the scene's times, first to last, in which one match stands in a relation to another; both are there.
+    moving: Moving, relation: Relation | Side, ones: Sequence[MatchTrack], others: Sequence[MatchTrack], up: Up | None,
+    view: View | None,
+) -> tuple[Span, ...]:  # fmt: skip
+    """Return the spans of the scene's times, first to last, in which any of some matches stands in a relation to any of
+    others; both are there.
 
     view: the camera that left and right are meant from; it stands still. Source: docs/moving.md.
 
@@ -95,7 +100,11 @@ def when(
     if relation in SIDES and view is None:
         raise InputError(f"'{relation}' is meant as seen from a camera: give view=NAME, a photo's or a View")
     times = moving.times
-    holds = [_holds(moving, float(time), relation, one, other, up, view) for time in times.tolist()]
+    pairs = list(product(ones, others))
+    holds = [
+        any(_holds(moving, float(time), relation, one, other, up, view) for one, other in pairs)
+        for time in times.tolist()
+    ]
     return runs(times, np.array(holds, np.bool_))
 
 
@@ -120,9 +129,10 @@ def when_of(
     known: dict[str, Relation | Side] = {name: name for name in (*RELATIONS, *SIDES)}
     if relation not in known:
         raise InputError(f"relation: expected one of {', '.join(known)}; got '{relation[:60]}'")
-    ends = scene.tracks([_best(scene, one), _best(scene, other)])
+    ones, others = _meant(scene, one), _meant(scene, other)
+    tracked = scene.tracks([*ones, *others])
     seen_from = scene.view(view) if isinstance(view, str) else view
-    return when(scene.moving, known[relation], ends[0], ends[1], scene.up, seen_from)
+    return when(scene.moving, known[relation], tracked[: len(ones)], tracked[len(ones) :], scene.up, seen_from)
 
 
 def at_time(scene: Scene, time: float) -> Scene:
@@ -164,12 +174,13 @@ def _spanned(scene: Scene, span: Span) -> Scene:
     )  # fmt: skip
 
 
-def _best(scene: Scene, what: Match | Query | str) -> Match:
-    found = [what] if isinstance(what, Match) else scene.locate(what, top=1)
-    if not found:
+def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
+    """Return a match itself, or the sure ones of a query. Raises: InputError: it has none."""
+    matches = [what] if isinstance(what, Match) else sure_matches(scene.locate(what), scene.gaussians)[:MOST_MEANT]
+    if not matches:
         asked = what.text if isinstance(what, Query) else what
         raise InputError(f"no match for '{str(asked)[:60]}': ask for other words, or lower the threshold")
-    return found[0]
+    return matches
 
 
 def spans_said(spans: Iterable[Sequence[float | int]]) -> str:

@@ -21,6 +21,11 @@ def weighted_rows(
     return np.asarray(np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 0))
 
 
+def dense_rows(a: Float[np.ndarray, "n k"], b: Float[np.ndarray, "k m"]) -> Float64[np.ndarray, "n m"]:
+    """Return A @ B."""
+    return np.asarray(a.astype(np.float64) @ b.astype(np.float64))
+
+
 def pq_distances(
     features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]
 ) -> Float64[np.ndarray, "n L c"]:

@@ -40,7 +40,7 @@ class Splats(Protocol):
 
 
 class Projection(NamedTuple):
-    """Gaussians in front of the camera as image-plane ellipses, front to back, ties by index.
+    """Gaussians in front of the camera as image-plane ellipses, front to back, ties by content.
 
     centers: pixels. depths: camera z. conics: inverse covariances (xx, xy, yy) in 1 / pixel^2.
     tiles, certain_tiles, possible_tiles: half-open tile rectangles (x0, y0, x1, y1) of the 3-sigma
@@ -71,8 +71,7 @@ def project(splats: Splats, view: View) -> Projection:
     points = (rotation @ means + translation).T
     error = ROUNDING * (np.abs(rotation) @ np.abs(means) + np.abs(translation)).T
     visible = (points[:, 2] > near - error[:, 2]) & (splats.opacities >= MIN_ALPHA)
-    # Sorted as float32, so that what is one depth to the native sort is one depth here.
-    order = np.argsort(points[:, 2].astype(np.float32), kind="stable")
+    order = _front_to_back(splats, points[:, 2])
     ids = order[visible[order]]
     points, error = points[ids], error[ids]
     depths, depth_error = points[:, 2], error[:, 2]
@@ -112,6 +111,16 @@ def project(splats: Splats, view: View) -> Projection:
         ),
         possible_tiles=_tile_rectangles(centers, np.ceil(radius + radius_error) + margin, depths > near - depth_error),
     )
+
+
+def _front_to_back(splats: Splats, depths: Float64[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Return the rows by depth; of one depth by the bits of place, covariance and opacity, then by index.
+
+    Depths as float32, so that what is one depth to the native sort is one depth here.
+    """
+    content = (*splats.means, *splats.covariances, splats.opacities)
+    bits = [np.ascontiguousarray(column, np.float32).view(np.uint32) for column in content]
+    return np.lexsort((*reversed(bits), depths.astype(np.float32)))
 
 
 def _jacobian(

@@ -69,14 +69,22 @@ class Gaussians:
 
         Of positions in the world, so that it does not depend on the origin they are counted from.
         """
-        positions = self.means if not self.origin.any() else _narrowest(self.positions)
-        digest = hashlib.blake2b(np.ascontiguousarray(positions).tobytes(), digest_size=12)
+        digest = hashlib.blake2b(np.ascontiguousarray(self.narrow_positions).tobytes(), digest_size=12)
         return f"{len(self)}-{digest.hexdigest()}"
 
     @property
     def positions(self) -> Float64[np.ndarray, "n 3"]:
         """In the coordinates of the world: `means` counted from zero."""
         return np.asarray(self.means.astype(np.float64) + self.origin)
+
+    @property
+    def narrow_positions(self) -> Float32[np.ndarray, "n 3"] | Float64[np.ndarray, "n 3"]:
+        """Positions in the coordinates of the world: float32 where that says the same, else float64."""
+        if not self.origin.any():
+            return self.means
+        positions = self.positions
+        narrow = positions.astype(np.float32)
+        return narrow if (narrow == positions).all() else positions
 
     @cached_property
     def near(self) -> float:
@@ -170,9 +178,3 @@ def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
 def filled(sh: Float32[np.ndarray, "n k 3"], coefficients: int) -> Float32[np.ndarray, "n c 3"]:
     """Harmonics with zeros up to a number of coefficients."""
     return np.pad(sh, ((0, 0), (0, coefficients - sh.shape[1]), (0, 0)))
-
-
-def _narrowest(positions: Float64[np.ndarray, "n 3"]) -> np.ndarray:
-    """As float32 where that says the same."""
-    narrow = positions.astype(np.float32)
-    return narrow if (narrow == positions).all() else positions

@@ -5,11 +5,12 @@ exact as one about zero. Poses, boxes and whatever else is reported stay in the 
 """
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing that is nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: scenes smaller than four units
-FAR = 256.0  # sizes from zero: beyond, float32 rounds positions to more than 1e-5 of the scene's size
+FAR = 2.0  # sizes from zero: beyond, float32 would round positions more coarsely than about zero
+FAR_IN_FLOAT32 = 256.0  # beyond, float32 rounds to more than 1e-5 of the scene's size, and arithmetic on it to more
 FEWEST = 16  # fewer Gaussians than this say nothing of a scene's size
 SOLID = 0.1  # opacity; fainter Gaussians may float anywhere
 MIDDLE = (0.05, 0.95)
@@ -41,20 +42,31 @@ def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n
 
 
 def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """What to count positions from: zero along every axis on which the scene is not far from zero.
+    """Return the point that positions are counted from: zero unless the scene is far from zero along some axis.
 
-    Far is more than 256 times the scene's size. The origin is a multiple of a power of two of about that size, so
-    that positions in float32 lose nothing by being counted from it.
+    Far is more than twice the scene's size; 256 times where float32 holds all positions as they are, since nothing is
+    lost by leaving them there. The origin is near the middle along every axis, and a multiple of a power of two of
+    about the scene's size. It is zero along an axis on which float32 holds the positions but not what is left of them,
+    so that a scene in float32 has the same positions to the bit before and after.
     """
     origin = np.zeros(3)
     size = size_of(positions)
     if not size > 0 or np.abs(positions).max() <= FAR * size:  # so is the middle then
         return origin
-    middle = middle_of(positions)
-    far = np.abs(middle) > FAR * size
+    middle, exact = middle_of(positions), positions.astype(np.float64)
+    held = _held(exact)
+    if np.abs(middle).max() <= (FAR_IN_FLOAT32 if held.all() else FAR) * size:
+        return origin
     step = 2.0 ** np.floor(np.log2(size))
-    origin[far] = np.round(middle[far] / step) * step
-    return origin
+    steps = np.round(middle / step)
+    loses = held & ~_held(exact - steps * step)
+    return np.where(loses | (steps == 0), 0.0, steps * step)
+
+
+def _held(positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " 3"]:
+    """Check for each axis whether float32 holds all coordinates as they are."""
+    with np.errstate(over="ignore"):
+        return np.asarray((positions.astype(np.float32) == positions).all(axis=0))
 
 
 def rounding(positions: Float32[np.ndarray, "n 3"]) -> float:

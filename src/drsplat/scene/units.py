@@ -9,18 +9,19 @@ from .placing import FEWEST, middle_of, rounding, size_of
 from .views import View
 
 SMALLEST, LARGEST = 1e-3, 1e5  # scene units
+LOST_SHARE = 1e-5  # of the scene's size: positions that are rounded by more are warned of
 AWAY = 100.0  # sizes of the scene
 ENOUGH = 1 << 16  # Gaussians, spread over the file, that tell where the scene is
 
 
 def lost_precision(gaussians: Gaussians) -> list[str]:
-    """What float32 positions far from zero have lost."""
-    placed = gaussians.localized()
-    if placed is gaussians:
+    """Return a sentence on what float32 positions far from zero have lost, if that is much."""
+    lost = rounding(gaussians.means)
+    if len(gaussians) < FEWEST or not lost > LOST_SHARE * size_of(gaussians.means) > 0:
         return []
-    lost, typical = rounding(gaussians.means), float(np.median(gaussians.scales))
+    away, typical = np.abs(middle_of(gaussians.means)).max(), float(np.median(gaussians.scales))
     return [
-        f"the scene lies {np.abs(placed.origin).max():.3g} units from zero and its positions are float32, which "
+        f"the scene lies {away:.3g} units from zero and its positions are float32, which "
         f"rounds them there to {lost:.2g} units; half of its Gaussians are smaller than {typical:.2g}. Keep x, y and z "
         "as double, or move scene and cameras towards zero before they are written"
     ]

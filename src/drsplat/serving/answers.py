@@ -97,7 +97,7 @@ def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
 def objects(scene: Scene, _: Objects, __: Limits) -> ObjectList:
     found = scene.objects
     return object_list(
-        scene, found, "" if found else "photos agree on nothing: more of them, or larger masks, may help"
+        scene, found, scene.doubt if found else "photos agree on nothing: more of them, or larger masks, may help"
     )
 
 
@@ -165,6 +165,7 @@ def segmented(scene: Scene, asked: Segment, _: Limits) -> Segmented:
         ],
         labels=found.labels.tolist() if asked.labels else None,
         field=scene.field.fingerprint,
+        doubt=found.doubt,
     )
 
 

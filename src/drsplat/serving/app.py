@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import FastAPI, Query, Response
+from fastapi import FastAPI, Query, Request, Response
 from fastapi import Path as InPath
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse
@@ -24,7 +24,7 @@ from .limits import Limits
 from .metrics import Metrics
 from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
 from .refusals import faults_of
-from .replies import JPEG, PLY, PNG, Reply, problem, refusal
+from .replies import BUG, JPEG, NO_JSON, PLY, PNG, Reply, is_json, problem, refusal
 from .requests import Locate, Picture, Segment, Select, WhatIs, When
 from .scene_folder import SceneFolder, Sources, without_paths
 from .workbench import Job, Workbench
@@ -33,13 +33,16 @@ from .worker import Workplace
 FIELD_HEADER = "x-drsplat-field"
 DESCRIPTION = """\
 Scenes that answer words. Positions are world coordinates in scene units. Whatever cannot be answered gets
-`{"error": ..., "kind": ...}` with a status of 4xx, or 503 where it can be asked again later."""
+`{"error": ..., "kind": ...}` with a status of 4xx, 503 where it can be asked again later, or 500 for a fault of the
+service."""
 
 Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
 Number = Annotated[int, InPath(ge=0, le=2**31 - 1, description="an id from /scenes/{scene}/objects")]
 _REFUSALS = {
     400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
-    413: "the body is too large", 422: "the request makes no sense, or not for this scene",
+    413: "the body is too large", 415: "the content type of the body is not JSON",
+    422: "the request makes no sense, or not for this scene",
+    500: "a fault of the service; its log has the details",
     503: "too busy, too slow, or the scene's files are damaged",
 }  # fmt: skip
 REFUSALS: dict[int | str, dict[str, Any]] = {
@@ -122,12 +125,28 @@ def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
         return _sent(refusal(error, without_paths(str(error), scene_folder.roots)))
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(_: Any, error: RequestValidationError) -> Response:
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        given = request.headers.get("content-type", "")
+        if request.method == "POST" and not is_json(given):
+            return _sent(problem(415, f"{NO_JSON}; got {given!a:.80}" if given else NO_JSON, "media type"))
         return _sent(problem(422, faults_of(error.errors()), "invalid"))
 
     @app.exception_handler(HTTPException)
-    async def http(_: Any, error: HTTPException) -> Response:
-        return _sent(problem(error.status_code, str(error.detail), "http"), error.headers)
+    async def http(request: Request, error: HTTPException) -> Response:
+        return _sent(problem(error.status_code, _routing_fault(request, error), "http"), error.headers)
+
+    @app.exception_handler(Exception)
+    async def failed(_: Any, __: Exception) -> Response:
+        return _sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
+
+
+def _routing_fault(request: Request, error: HTTPException) -> str:
+    """Return what was expected of a request that no route takes."""
+    if error.status_code == 404:
+        return f"there is nothing at {request.url.path!a:.80}: GET /openapi.json lists the routes"
+    if error.status_code == 405:
+        return f"expected {(error.headers or {}).get('Allow', 'another method')} here, got {request.method}"
+    return str(error.detail)
 
 
 def _sent(reply: Reply, headers: Any = None) -> Response:

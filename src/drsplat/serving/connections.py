@@ -2,10 +2,14 @@
 
 import asyncio
 import json
+import socket
 from collections import OrderedDict
 from collections.abc import Mapping
+from contextlib import suppress
 from enum import Enum
+from typing import Any
 
+import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ..system import allow_open_files
@@ -131,6 +135,16 @@ def room() -> int:
 def connection_class(most: int, seconds: Mapping[Stage, float] = SECONDS) -> type[Connection]:
     """What uvicorn makes for each connection of one service. most: of a `Lobby`. seconds: that it waits at most."""
     return type("Connection", (Connection,), {"lobby": Lobby(most), "seconds": seconds})
+
+
+def run(app: Any, listening: socket.socket, **options: Any) -> None:
+    """Run an ASGI application on a socket until SIGINT or SIGTERM, with bounded connections. options: uvicorn's."""
+    config = uvicorn.Config(app, http=connection_class(room()), ws="none", server_header=False, **options)
+    server = uvicorn.Server(config)
+    with suppress(KeyboardInterrupt):
+        server.run(sockets=[listening])
+    if not server.started:
+        raise SystemExit(3)  # the log says why
 
 
 def _too_slow(seconds: float) -> bytes:

@@ -337,8 +337,12 @@ _TOOLS: Mapping[str, Callable[..., Body]] = {
 
 
 def told(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
-    """What a tool says of a scene."""
-    return _TOOLS[asked.tool](Conversation(scene, asked.name), **asked.arguments)
+    """Return a tool's answer with the reason not to rely on names in its scene, if there is one."""
+    answer = _TOOLS[asked.tool](Conversation(scene, asked.name), **asked.arguments)
+    advice = [getattr(answer, "advice", None), scene.doubt]
+    if None in advice or not scene.doubt:
+        return answer
+    return answer.model_copy(update={"advice": ". ".join(filter(None, advice))})
 
 
 def _query(text: str, on: str | None) -> str:

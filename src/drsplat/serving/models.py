@@ -70,6 +70,9 @@ class SceneDetails(SceneSummary):
     field: Fingerprint = ""
 
 
+DOUBT: str = Field("", description="reason not to rely on the answer; empty if there is none")
+
+
 class Measured(Body):
     """How a query was scored and cut."""
 
@@ -78,6 +81,7 @@ class Measured(Body):
     threshold_rule: str
     num_selected: int
     num_registered: int
+    doubt: str = DOUBT
 
 
 class Selected(Body):
@@ -103,6 +107,7 @@ class Segmented(Body):
     classes: list[ClassCount]
     labels: list[int] | None = Field(None, description="per Gaussian of the scene the number of its class, -1 for none")
     field: Fingerprint = ""
+    doubt: str = DOUBT
 
 
 class SceneList(Body):
@@ -197,6 +202,7 @@ def measured(answer: engine.Answer) -> Measured:
         threshold_rule=answer.rule,
         num_selected=len(answer.gaussian_ids),
         num_registered=len(answer.field),
+        doubt=answer.doubt,
     )
 
 

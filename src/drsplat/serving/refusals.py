@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 MOST, LONGEST = 5, 1000
+_WORDED = {"extra_forbidden": "there is no such field; /openapi.json lists those there are"}
 
 
 def faults_of(errors: Sequence[Mapping[str, Any]]) -> str:
-    """Where each fault that pydantic found is, and what was expected there; no values, which may be large."""
-    faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in errors]
+    """Return where each fault that pydantic found is, and what was expected there; no values, which may be large."""
+    faults = [f"{'.'.join(map(str, fault['loc']))}: {_WORDED.get(fault['type'], fault['msg'])}" for fault in errors]
     return "; ".join(faults[:MOST])[:LONGEST]

@@ -6,6 +6,8 @@ from typing import NamedTuple
 from ..errors import DrSplatError, MissingExtraError
 from .scene_folder import SceneFaultError, UnknownSceneError
 
+BUG = "this is a fault of the service, not of the request; its log has the details"
+NO_JSON = "expected JSON and the header Content-Type: application/json (curl: -H 'content-type: application/json')"
 JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
 
 
@@ -29,6 +31,12 @@ class Reply(NamedTuple):
     media_type: str = JSON
     status: int = 200
     field: str = ""
+
+
+def is_json(content_type: str) -> bool:
+    """Return whether a content type is JSON, which pages of other sites cannot send without a preflight request."""
+    kind = content_type.partition(";")[0].strip().lower()
+    return kind.startswith("application/") and kind.endswith(("/json", "+json"))
 
 
 def problem(status: int, error: str, kind: str) -> Reply:

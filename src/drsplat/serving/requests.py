@@ -77,7 +77,7 @@ class Locate(Query):
 
 
 class When(Request):
-    """Two queries in words, of which the best match is taken, and a relation of the one to the other."""
+    """Two queries in words, of which the sure matches are taken, and a relation of the one to the other."""
 
     one: Text
     relation: OfTwo = Field(description="left_of and right_of are meant as seen from view")

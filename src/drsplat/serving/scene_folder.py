@@ -13,10 +13,11 @@ from ..encoders import Encoder
 from ..errors import DrSplatError, InputError
 from ..field.labels import LabelFile
 from ..formats.field_folder import read_manifest
+from ..formats.recognising import FIELD_SUFFIX
 from ..formats.vocabulary import read_vocabulary
 from ..models.loading import load_encoder
 from ..query import Scene, SceneFiles, find_scene, open_scene
-from ..query.opening import CAMERAS, FIELD_SUFFIX
+from ..query.opening import CAMERAS
 
 LISTED = 20
 _MOST_GAUSSIANS = (1 << 31) - 1

@@ -2,14 +2,14 @@
 
 import os
 import signal
+import socket
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import anyio
-import uvicorn
 from mcp.server import MCPServer
 
-from .connections import connection_class, room
+from .connections import run
 from .guards import DoorKeeper
 
 STOPPED = 130  # as shells say that Ctrl-C ended a program
@@ -26,19 +26,10 @@ def over_stdio(server: MCPServer) -> None:
     anyio.run(server.run_stdio_async)
 
 
-def over_http(server: MCPServer, host: str, port: int, key: str | None, hosts: Sequence[str] | None) -> None:
-    """Streamable HTTP at /mcp until SIGINT or SIGTERM. key, hosts: as of `DoorKeeper`."""
-    app = DoorKeeper(server.streamable_http_app(host=host), key, hosts)
-    uvicorn.run(
-        app,
-        host=host,
-        port=port,
-        http=connection_class(room()),
-        ws="none",
-        log_level="warning",
-        timeout_graceful_shutdown=5,
-        server_header=False,
-    )
+def over_http(server: MCPServer, listening: socket.socket, key: str | None, hosts: Sequence[str] | None) -> None:
+    """Speak streamable HTTP at /mcp of a socket until SIGINT or SIGTERM. key, hosts: see `DoorKeeper`."""
+    app = DoorKeeper(server.streamable_http_app(host=listening.getsockname()[0]), key, hosts)
+    run(app, listening, log_level="warning", timeout_graceful_shutdown=5)
 
 
 def _leave(code: int) -> Callable[[int, Any], None]:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypeVar
 
 from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
+from mcp.server.stdio import stdio_server
 from mcp_types import CallToolResult, ImageContent, TextContent, ToolAnnotations
 from pydantic import Field, ValidationError
 
@@ -29,6 +30,7 @@ from .conversation import (
     Shown,
 )  # fmt: skip
 from .limits import Limits
+from .malformed import Answering
 from .models import Body, Located, ObjectList, SceneList, When
 from .refusals import faults_of
 from .scene_folder import SceneFolder
@@ -60,6 +62,12 @@ class _Server(MCPServer):  # type: ignore[type-arg]
 
     Arguments that a tool does not know are refused, and answers are JSON without the spaces that cost tokens.
     """
+
+    async def run_stdio_async(self) -> None:
+        """Speak on stdin and stdout; malformed lines are answered too."""
+        async with stdio_server() as (messages, answers):
+            server: Any = self._lowlevel_server
+            await server.run(Answering(messages, answers), answers, server.create_initialization_options())
 
     async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
         for tool in await self.list_tools():

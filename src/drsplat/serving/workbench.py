@@ -3,6 +3,7 @@ again."""
 
 import asyncio
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -23,6 +24,7 @@ from .worker import Workplace
 
 OPENING = 600.0  # seconds that a worker may take to open a scene and load its models
 LONGEST = 1 << 30  # bytes of an answer
+COMMAND = [sys.executable, "-P", "-m", "drsplat.serving.worker"]
 
 
 @dataclass(eq=False)
@@ -211,7 +213,7 @@ def _process(place: Workplace) -> "tuple[subprocess.Popen[bytes], Connection]":
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "drsplat.serving.worker", str(theirs.fileno())],
+            [*COMMAND, str(theirs.fileno()), str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=[theirs.fileno()],

@@ -1,16 +1,14 @@
 """A process that answers one question at a time, and that can be ended at any moment.
 
 It opens scenes and decodes pictures of strangers; what goes wrong in it, be it a loop or a damaged file, costs one
-answer.
+answer. No exception ends it: only a signal, a fault in native code or the end of the service does.
 Questions and answers are JSON and bytes over a socket: nothing that arrives is unpickled.
 """
 
 import json
-import os
-import select
+import logging
 import signal
 import sys
-import threading
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
@@ -18,12 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DrSplatError
+from ..system import end_with
 from .answers import ANSWERS, answered
 from .catalogued import catalogue_reply
 from .limits import Limits
 from .models import SceneList, summarized
-from .replies import Reply, packed, refusal
+from .replies import BUG, Reply, packed, problem, refusal
 from .scene_folder import SceneFolder, Sources, without_paths
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,10 @@ class Workplace:
         return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]), given["catalogue"])
 
 
-def main(descriptor: int) -> None:
-    """Answer what comes over an inherited socket until it is closed."""
+def main(descriptor: int, parent: int) -> None:
+    """Answer what comes over an inherited socket until it is closed, or the process `parent` ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started this process ends it
-    threading.Thread(target=_end_with, args=(descriptor,), daemon=True).start()
+    end_with(parent)
     link = Connection(descriptor)
     with suppress(EOFError, OSError):
         place = Workplace.from_json(link.recv_bytes())
@@ -55,7 +56,16 @@ def main(descriptor: int) -> None:
         scene_folder = SceneFolder(Path(place.folder), place.sources, catalogue_path=catalogue)
         while True:
             asked = json.loads(link.recv_bytes())
-            link.send_bytes(packed(reply_to(scene_folder, place, **asked)))
+            link.send_bytes(packed(safe_reply_to(scene_folder, place, **asked)))
+
+
+def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) -> Reply:
+    """Return the reply to a question, see `reply_to`; a fault of ours becomes a 500, with its traceback on stderr."""
+    try:
+        return reply_to(scene_folder, place, **question)
+    except BaseException as error:  # panics of Rust, which LanceDB is made of, are no `Exception`
+        _log.error("no answer to %s", f"{question!a:.300}", exc_info=error)
+        return problem(500, BUG, "bug")
 
 
 def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
@@ -81,13 +91,5 @@ def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, 
         return refusal(error, without_paths(str(error), scene_folder.roots))
 
 
-def _end_with(descriptor: int) -> None:
-    """A process whose parent has gone has nobody to answer."""
-    other_end = select.poll()
-    other_end.register(descriptor, 0)  # hanging up is always told
-    other_end.poll()
-    os._exit(0)
-
-
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ..codes import Track
 from ..errors import DrSplatError, InputError, MissingExtraError
+from ..system import end_with
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -66,7 +67,7 @@ class Processes:
 
     def _of_one_pool(self, work: Callable[[T], R], items: Sequence[T], left: set[int]) -> Iterator[R]:
         """Of those items that are `left`; takes out what is done."""
-        with ProcessPoolExecutor(self.count, get_context("spawn"), _take, (work,)) as pool:
+        with ProcessPoolExecutor(self.count, get_context("spawn"), _take, (os.getpid(), work)) as pool:
             waiting = iter(sorted(left))
             running: dict[Future[Any], int] = {}
             try:
@@ -86,9 +87,10 @@ class Processes:
 _work: Callable[[Any], Any] | None = None
 
 
-def _take(work: Callable[[Any], Any]) -> None:
-    """Of a new process: what it is there for, sent once."""
+def _take(parent: int, work: Callable[[Any], Any]) -> None:
+    """Begin as a worker of the process `parent`, and end with it. work: what to do with each item, sent once."""
     global _work
+    end_with(parent)
     _work = work
 
 

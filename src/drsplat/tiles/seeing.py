@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from ..evidence.columns import Seen
-from ..formats.tiles import Tile, Tiles, shapes_name
+from ..formats.tiles import SHAPES, Tile, Tiles, file_name
 from ..kernels import SplatArrays, laid_out
 from ..scene.views import View
 from .store import Shared, Store
@@ -125,11 +125,11 @@ def with_tiles(store: Store, tiles: Tiles) -> Store | None:
         if not store.has(name):
             here = store.folder / name
             here.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(tiles.path / shapes_name(tile), here)
+            shutil.copyfile(tiles.path / file_name(tile, SHAPES), here)
             store.send(name)
     return store
 
 
 def _stored(tiles: Tiles, tile: Tile) -> str:
     """The name of a tile in a store, which may have held other scenes, whose tiles are called the same."""
-    return f"{tiles.digest}/{shapes_name(tile)}"
+    return f"{tiles.digest}/{file_name(tile, SHAPES)}"

@@ -35,6 +35,7 @@ from ..scene.placing import local_origin
 from ..scene.views import View
 from .settings import TrainingSettings
 
+CHECKPOINT = "checkpoint.safetensors"
 _LEFT_BEHIND = re.compile(r"\.[0-9a-f]{16}\.tmp")  # by a run that was killed while it wrote
 
 
@@ -61,7 +62,7 @@ class ModelFolder:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.start = self.path / "input.ply"
-        self.checkpoint = self.path / "checkpoint.safetensors"
+        self.checkpoint = self.path / CHECKPOINT
         self.results = self.path / "results.json"
         self.test_pictures = self.path / "test"
 

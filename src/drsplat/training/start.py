@@ -3,17 +3,19 @@
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
+from warnings import warn
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
-from ..errors import InputError
+from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS
 from ..scene.placing import local_origin, size_of
 from ..scene.views import View
+from .metrics import WINDOW
 from .settings import TrainingSettings
 
 NEIGHBOURS = 3
@@ -21,6 +23,7 @@ LEAST_DISTANCE2 = 1e-7  # scene units squared; of points that are in one place
 LEAST_SHARE = 1e-3  # of the points' size, where that is less
 IN_ONE_PLACE = 1e-8  # of the cameras' distance from zero: float64 rounding
 LEAST_VIEWS = 2
+SMALL_SIDE = 64  # pixels, about six windows of SSIM: smaller photos get a warning
 
 
 class Split(NamedTuple):
@@ -85,6 +88,24 @@ def _require_photos(views: Sequence[View]) -> None:
     names = [view.name for view in views]
     if len(set(names)) < len(names):
         raise InputError("two views have one name: names are how photos are told apart")
+    _require_pixels(views)
+
+
+def _require_pixels(views: Sequence[View]) -> None:
+    """Refuse photos that the window of SSIM does not fit into, and warn of small ones."""
+    least = min(views, key=lambda view: min(view.width, view.height), default=None)
+    if least is None:
+        return
+    small = f"photos of {least.width}x{least.height} pixels"
+    if min(least.width, least.height) < WINDOW:
+        raise InputError(
+            f"{small}: the loss compares squares of {WINDOW}x{WINDOW} pixels, so no side may be shorter, and less than "
+            f"{SMALL_SIDE} pixels teach little. Scale them down less: resolution=PIXELS is the longer side, and 1, 2, "
+            "4 or 8 divide the sides"
+        )
+    if max(least.width, least.height) < SMALL_SIDE:
+        text = f"{small}: only what fills a good part of a photo is learnt: take {SMALL_SIDE} pixels or more"
+        warn(text, DrSplatWarning, stacklevel=4)
 
 
 def scene_extent(views: Sequence[View]) -> float:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..scene.views import View
+from ..system import end_with
 from .keypoints import Detection, detect
 
 LEAST_PHOTOS = 8  # of a process: to start it takes as long as a few of them
@@ -37,7 +38,7 @@ def detect_all(stored: Sequence[View], *, threads: int = 0) -> list[Detection]:
 @contextmanager
 def _started(share: Sequence[View]) -> Iterator["subprocess.Popen[bytes]"]:
     """Another process at work on its share; it is ended with the context."""
-    command = [sys.executable, "-P", "-c", f"from {__name__} import main; main()"]
+    command = [sys.executable, "-P", "-c", f"from {__name__} import main; main({os.getpid()})"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL) as process:
         try:
@@ -78,7 +79,12 @@ def _view(path: str, width: int, height: int) -> View:
     return View(path, np.eye(3), np.eye(4), width, height, image_path=Path(path))
 
 
-def main() -> None:
-    """Of another process: [path, width, height] of photos as JSON in, their detections out."""
+def main(parent: int | None = None) -> None:
+    """Detect in the photos that come in as JSON, [path, width, height] each, and write their detections to stdout.
+
+    parent: the process to end with, if there is one.
+    """
+    if parent is not None:
+        end_with(parent)
     asked = json.load(sys.stdin)
     sys.stdout.buffer.write(_packed([detect(_view(*photo)) for photo in asked]))

@@ -81,7 +81,7 @@ def as_stored(view: View) -> View:
 
 def _shrunk(view: View) -> View:
     if view.image_path is None:
-        raise InputError(f"view '{view.name}' has no photo: pass images=FOLDER to read_views")
+        raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     width, height = photo_size(view.image_path)
     scale = min(1.0, LONGER_SIDE / max(width, height))
     return view.resized(max(1, round(width * scale)), max(1, round(height * scale)))

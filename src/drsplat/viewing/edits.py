@@ -63,15 +63,17 @@ class Edits:
     _rows: tuple[EditList, Shown] | None = field(default=None, init=False)
 
     @classmethod
-    def of(cls, scene: Scene) -> "Edits":
-        """With those that are kept beside the scene's file.
+    def of(cls, scene: Scene, kept: bool = True) -> "Edits":
+        """Make the state of a scene on show, with the edits that are kept beside its file.
+
+        kept: false leaves these out and keeps none that are made here.
 
         Raises: FormatError, MismatchError: their files are damaged, or of another scene.
         """
         gaussians = scene.gaussians
         if scene.field.objects:
             gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: scene.object_ids()})
-        file = None if scene.path is None else EditFile.beside(scene.path)
+        file = EditFile.beside(scene.path) if scene.path is not None and kept else None
         notes = None if scene.path is None else AnnotationFile.beside(scene.path)
         listed = EditList(gaussians.fingerprint) if file is None else file.read(gaussians)
         first = _State.of(gaussians, listed, file)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64, Shaped, UInt8, UInt16
 
 from ..drawing.heat import heat_of
+from ..editing.kept import KeptEdits, without_kept
 from ..errors import DrSplatError, InputError
 from ..filming.looking import before, up_direction
 from ..filming.paths import CameraPath
@@ -35,20 +36,26 @@ def export_page(
     max_gaussians: int | None = None,
     path_name: str = ORBIT,
     title: str = "",
+    edits: KeptEdits = "kept",
     overwrite: bool = False,
 ) -> Page:
     """Write a scene and its answers to one HTML file, which needs nothing but a browser; returns what is in it.
 
     words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
     held. max_gaussians: the most significant ones are shown, 200,000 at most. path_name: of the film that it plays, as
-    `filming.planning.path_named` has it. title: the scene's name if empty.
+    `filming.planning.path_named` has it. title: the scene's name if empty. edits: "kept" shows the scene with the edits
+    kept beside it, `num_edits` of the page; "none" as its file has it.
 
     Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
     that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
     """
-    session = Session(scene, min(max_gaussians or MOST, MOST), words)
+    session = Session(
+        scene, min(max_gaussians or MOST, MOST), words, edits_kept=not without_kept(edits, changes=False, saves=False)
+    )
     if bool(queries) != session.is_askable:
-        raise InputError(NO_FIELD if queries else "a page holds answers: give it queries, as in 'red mug; lamp'")
+        raise InputError(
+            NO_FIELD if queries else 'a page holds answers: give it queries, as in drsplat view --ask "red mug; lamp"'
+        )
     up = up_direction(scene) if up is None else up
     film = path_named(path_name, scene.gaussians, scene.views, up=up)
     page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title, film)
@@ -80,6 +87,7 @@ def page_of(
         None if best is None else _shown(session, best),
         objects=objects_of_page(session, up, times), annotations=annotations_of_page(session, up),
         object_numbers=None if numbers is None else _shown(session, numbers), path=path, times=times,
+        num_edits=session.edits.listed.done,
     )  # fmt: skip
 
 

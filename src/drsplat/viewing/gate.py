@@ -8,7 +8,7 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
@@ -21,6 +21,7 @@ from websockets.http11 import Request, Response
 
 from ..serving.access import is_addressed, is_own_page, is_secret, names_of
 from . import messages
+from .control_values import fits
 from .uploads import Uploads
 
 MOST_INSIDE = 16  # pages that are open at once
@@ -43,6 +44,7 @@ class Gate:
         self.names, self.token = names_of(host), token
         self.cookie = "drsplat"
         self.stands = False
+        self.controls: Mapping[str, Any] = {}  # by viser's names
         self._waiting: dict[Visitor, None] = {}
         self._inside: set[Visitor] = set()
 
@@ -157,6 +159,10 @@ class Visitor(ServerConnection):
     def _passed(self, message: messages.Message) -> messages.Message | None:
         """viser forgets what a page has uploaded when the page goes, if that has shown a camera before."""
         self.looks = self.looks or message["type"] == messages.CAMERA
+        if message["type"] == messages.CONTROL:
+            control = self.gate.controls.get(message["uuid"])
+            if control is None or not fits(control, message["updates"]["value"]):
+                return None
         return self.uploads.passed(message) if self.looks else None
 
     async def _paced(self) -> None:

@@ -58,18 +58,14 @@ def _is_angle(value: Any) -> bool:
 
 
 def _is_pressed(value: Any) -> bool:
-    """A new value, and nothing else of a control; lists are colours."""
+    """Return whether it is a new value, and nothing else of a control; lists are colours, places and spans."""
     return isinstance(value, dict) and value.keys() == {"value"} and _is_value(value["value"])
 
 
 def _is_value(value: Any) -> bool:
     if isinstance(value, str):
         return len(value) <= MOST_TEXT
-    return isinstance(value, bool) or _is_number(value) or _list_of(3, _is_channel)(value)
-
-
-def _is_channel(value: Any) -> bool:
-    return type(value) is int and 0 <= value <= 255
+    return isinstance(value, bool) or _is_number(value) or _point(value) or _place(value)
 
 
 def _list_of(count: int, check: Check) -> Check:

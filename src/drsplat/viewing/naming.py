@@ -70,7 +70,7 @@ def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
 
 def words_of(scene: Scene) -> tuple[str, ...]:
     """The encoder's own, or those of a household for one that takes any."""
-    return own_vocabulary(scene.encoder) or (*NAMES, *STRUCTURES)
+    return own_vocabulary(scene.encoder, scene.field) or (*NAMES, *STRUCTURES)
 
 
 def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:

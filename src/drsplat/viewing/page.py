@@ -53,7 +53,7 @@ class Page:
 
     best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
     object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
-    that moves.
+    that moves. num_edits: kept edits that are in it.
     """
 
     title: str
@@ -70,6 +70,7 @@ class Page:
     object_numbers: UInt16[np.ndarray, " m"] | None = None
     path: CameraPath | None = None
     times: PageTimes | None = None
+    num_edits: int = 0
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:

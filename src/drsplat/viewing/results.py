@@ -42,11 +42,12 @@ class Result:
 
     @property
     def said(self) -> str:
-        """How many matches there are; "No match" where there is none."""
+        """Sentence with the number of matches, and the reason not to rely on them, if there is one."""
+        doubt = f" ({self.answer.doubt})" if self.answer.doubt else ""
         if not self.matches:
-            return f"No match for '{self.label}'."
+            return f"No match for '{self.label}'.{doubt}"
         matches = counted(len(self.matches), "match", "matches")
-        return f"{self.label}: {matches}, {counted(len(self.gaussian_ids), 'Gaussian')}"
+        return f"{self.label}: {matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{doubt}"
 
 
 def result_of(scene: Scene, label: str, answer: Answer) -> Result:

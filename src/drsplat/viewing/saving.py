@@ -39,7 +39,7 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
     columns = {"relevancy": np.zeros(len(ids), np.float32), "match_id": np.full(len(ids), -1, np.int32)}
     columns["relevancy"][own] = results.relevancy(session.results, count)[ids[own]]
     columns["match_id"][own] = results.match_ids(session.results, count)[ids[own]]
-    write_gaussians(path, gaussians, columns)
+    write_gaussians(path, gaussians, columns, is_edited=session.edits.is_edited)
     return len(gaussians)
 
 

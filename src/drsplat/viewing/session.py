@@ -49,7 +49,8 @@ class Session:
 
     words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets. chosen: the part,
     thing or group that was clicked, None for none. time: at which a scene that moves is shown; None: it stands still.
-    during: the span of time that queries ask of.
+    during: the span of time that queries ask of. edits_kept: whether edits are those kept beside the scene, or in
+    memory from none on.
     """
 
     scene: Scene
@@ -62,6 +63,7 @@ class Session:
     chosen: Chosen | None = None
     time: float | None = None
     during: Span | None = None
+    edits_kept: bool = True
     _edits: Edits = field(init=False)
     _before: Mode = Mode.SCENE
 
@@ -69,7 +71,7 @@ class Session:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
 
     def __post_init__(self) -> None:
-        self._edits = Edits.of(self.scene)
+        self._edits = Edits.of(self.scene, self.edits_kept)
 
     @property
     def edits(self) -> Edits:

@@ -71,15 +71,21 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     part = gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)
     frame = frame or frame_of(gaussians)
     return Shown(
-        ids, frame.shown(part.positions).astype(np.float32), _shown_covariances(part, frame), base_colors(part),
+        ids, _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part),
         part.opacities, frame, len(gaussians) - len(ids),
     )  # fmt: skip
+
+
+def _shown_centers(gaussians: Gaussians, frame: Frame) -> Float32[np.ndarray, "n 3"]:
+    """Return the centres in a frame; what lies beyond float32 is put at its ends, where nobody looks."""
+    farthest = float(np.finfo(np.float32).max)
+    return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
 
 
 def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
     """The same Gaussians, in the same frame, where a state of the scene has them."""
     part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)
-    centers = shown.frame.shown(part.positions).astype(np.float32)
+    centers = _shown_centers(part, shown.frame)
     covariances = _shown_covariances(part, shown.frame)
     return replace(shown, centers=centers, covariances=covariances, rgb=base_colors(part), opacities=part.opacities)
 

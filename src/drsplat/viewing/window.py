@@ -50,6 +50,7 @@ def guarded_server(host: str, port: int, token: str | None) -> Any:
         raise MissingExtraError(
             f"viser {viser.__version__} lets every page in, so the viewer does not start: {INSTALL}"
         )
+    gate.controls = server.gui._gui_input_handle_from_uuid
     return server
 
 

@@ -11,6 +11,7 @@ from ...scene.gaussians import Gaussians
 from ..evidence import Evidence
 from .reliability import reliability
 
+SAME = 1e-5  # relative; support that differs by less is one: products of float32 end otherwise on other processors
 BLOCK = 512  # receivers at once, near each other: they share most neighbours
 
 Points = Float32[np.ndarray, "r 3"]
@@ -23,7 +24,8 @@ class ModeVoting:
     d_ik = min(1, a_k / a_i)^footprint exp(-|x_i - x_k|^2 / 2 s^2): s is the distance of i to the middle one
     of its `neighbours`, a the product of the two larger scales, so that many small Gaussians on a thing do not
     outvote the large one that it stands on. g_jk = exp((cos(f_j, f_k) - 1) / bandwidth). R is `reliability`.
-    Gaussian i takes the feature of the best j where S_ij > (1 + margin) S_ii; of equal ones the nearest.
+    Gaussian i takes the feature of the best j where S_ij > (1 + margin) S_ii by more than rounding; of equal ones the
+    nearest.
 
     Source: NormLift (2026), mode voting. Of what we know of it d, g and the margin are open; they, and a, are
     ours.
@@ -69,7 +71,7 @@ class ModeVoting:
         support = trust[candidates] * np.matmul(alike, believed[:, :, None])[:, :, 0]
         own = np.where(candidates == rows[:, None], support, 0).max(axis=1)
         best = support.argmax(axis=1)[:, None]
-        wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * own
+        wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SAME) * own
         taken = np.take_along_axis(candidates, best, 1)[:, 0]
         return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
 

@@ -12,6 +12,7 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
+from ...kernels.algebra import dense_rows
 from ..convolving import convolve
 
 LEVELS = 5
@@ -40,8 +41,8 @@ def shipped_network() -> tuple[Tensors, str]:
     return weights, hashlib.blake2b(data, digest_size=8).hexdigest()
 
 
-def look(image: UInt8[np.ndarray, "h w 3"], weights: Tensors) -> Sight:
-    """What the network sees in an image of any size.
+def look(image: UInt8[np.ndarray, "h w 3"], weights: Tensors, *, threads: int = 0) -> Sight:
+    """Return what the network sees in an image of any size; the same bits at any `threads`.
 
     weights: stem, down<i>a, down<i>b, up<i>a, up<i>b as `convolve` has them, `.weight` and `.bias`; head (C, 4 (1 +
     TRAITS)): for each pixel of a 2x2 block, rows first, within each channel.
@@ -50,32 +51,39 @@ def look(image: UInt8[np.ndarray, "h w 3"], weights: Tensors) -> Sight:
     step = 2**LEVELS
     padding = ((0, -height % step), (0, -width % step), (0, 0))
     pixels = np.pad(image, padding, mode="edge").astype(np.float32) / np.float32(127.5) - 1
-    out = _head(_middle(_apart(pixels)[None], weights)[0], weights)[:height, :width]
+    out = _head(_middle(_apart(pixels)[None], weights, threads)[0], weights, threads)[:height, :width]
     likely = 1 / (1 + np.exp(-out[..., 0].astype(np.float64)))
     traits = np.clip(np.rint(out[..., 1:] * TRAIT_STEPS), -MOST, MOST).astype(np.int32)
     return Sight(np.rint(likely * BORDER_STEPS).astype(np.int32), traits)
 
 
-def _middle(x: Float32[np.ndarray, "1 h w c"], weights: Tensors) -> Float32[np.ndarray, "1 h w d"]:
-    x, seen = _convolved(x, "stem", weights), []
+def _middle(x: Float32[np.ndarray, "1 h w c"], weights: Tensors, threads: int) -> Float32[np.ndarray, "1 h w d"]:
+    x, seen = _convolved(x, "stem", weights, threads), []
     for level in range(LEVELS):
-        x = _block(_pooled(x) if level else x, f"down{level}", weights)
+        x = _block(_pooled(x) if level else x, f"down{level}", weights, threads)
         seen.append(x)
     for level in reversed(range(LEVELS - 1)):
-        x = _block(np.concatenate([seen[level], x.repeat(2, 1).repeat(2, 2)], axis=3), f"up{level}", weights)
+        both = np.concatenate([seen[level], x.repeat(2, 1).repeat(2, 2)], axis=3)
+        x = _block(both, f"up{level}", weights, threads)
     return x
 
 
-def _block(x: Float32[np.ndarray, "1 h w c"], name: str, weights: Tensors) -> Float32[np.ndarray, "1 h w d"]:
-    return _convolved(_convolved(x, f"{name}a", weights), f"{name}b", weights)
+def _block(
+    x: Float32[np.ndarray, "1 h w c"], name: str, weights: Tensors, threads: int
+) -> Float32[np.ndarray, "1 h w d"]:
+    return _convolved(_convolved(x, f"{name}a", weights, threads), f"{name}b", weights, threads)
 
 
-def _convolved(x: Float32[np.ndarray, "1 h w c"], name: str, weights: Tensors) -> Float32[np.ndarray, "1 h w d"]:
-    return convolve(x, weights[f"{name}.weight"], weights[f"{name}.bias"])
+def _convolved(
+    x: Float32[np.ndarray, "1 h w c"], name: str, weights: Tensors, threads: int
+) -> Float32[np.ndarray, "1 h w d"]:
+    return convolve(x, weights[f"{name}.weight"], weights[f"{name}.bias"], threads=threads)
 
 
-def _head(x: Float32[np.ndarray, "h w c"], weights: Tensors) -> Float32[np.ndarray, "h2 w2 t"]:
-    return _together(x @ weights["head.weight"] + weights["head.bias"])
+def _head(x: Float32[np.ndarray, "h w c"], weights: Tensors, threads: int) -> Float32[np.ndarray, "h2 w2 t"]:
+    height, width, count = x.shape
+    rows = dense_rows(x.reshape(-1, count), weights["head.weight"], threads=threads) + weights["head.bias"]
+    return _together(rows.reshape(height, width, -1))
 
 
 def _pooled(x: Float32[np.ndarray, "1 h w c"]) -> Float32[np.ndarray, "1 h2 w2 c"]:

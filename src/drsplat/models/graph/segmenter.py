@@ -40,13 +40,13 @@ class GraphSegmenter:
 
     Regions of like colour are merged as long as a learned rule, which is told what a small network sees,
     finds it likely that they belong to one thing. Both know renderings of the small world. Images of more
-    than 640x480 pixels are cut at that size. The same image gives the same masks.
+    than 640x480 pixels are cut at that size. The same image gives the same masks, whatever the number of threads.
     """
 
     name = "graph"
 
-    def __init__(self, settings: GraphSettings | None = None) -> None:
-        self.settings = settings or GraphSettings()
+    def __init__(self, settings: GraphSettings | None = None, *, threads: int = 0) -> None:
+        self.settings, self._threads = settings or GraphSettings(), threads
         self.network, seen = shipped_network()
         self.rule, weights = shipped_rule()
         self.identity: Mapping[str, object] = {
@@ -63,17 +63,18 @@ class GraphSegmenter:
         height, width = image.shape[:2]
         if not height * width:
             raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
-        labels = segment_labels(regions.working_image(image), self.rule, self.network, self.settings)
+        working = regions.working_image(image)
+        labels = segment_labels(working, self.rule, self.network, self.settings, threads=self._threads)
         return {"large": label_masks(regions.enlarged(labels, height, width))}
 
 
 def segment_labels(
-    image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, weights: Tensors, settings: GraphSettings
+    image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, weights: Tensors, settings: GraphSettings, *, threads: int = 0
 ) -> Int64[np.ndarray, "h w"]:
-    """A number from 0 for each thing."""
+    """Return the number of each pixel's thing, from 0."""
     lab = regions.lab_colors(image)
     labels = regions.small_regions(lab)
-    owner = merged(region_graph(labels, lab, look(image, weights)), rule, settings)
+    owner = merged(region_graph(labels, lab, look(image, weights, threads=threads)), rule, settings)
     return np.asarray(owner[labels], np.int64)
 
 

@@ -89,6 +89,11 @@ def _singular(word: str) -> str:
     return next((candidate for candidate in candidates if candidate in WORDS), word)
 
 
+def nouns_in(text: str) -> list[str]:
+    """Return the words of a text that say what a thing is or is made of; colours and "thing" do not."""
+    return [word for word in words_of(text) if TONES.get(word, word) not in PAINTS and word not in ANYTHING]
+
+
 def fits(word: str, name: str, color: str, material: str) -> bool | None:
     """Whether a word says something true of a thing; None where its colour or material is not known ("")."""
     if word in ANYTHING or word in name.split() or name in GROUPS.get(word, ()):

@@ -1,0 +1,132 @@
+"""A scene in few vectors answers as the scene itself does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from safetensors.numpy import load, save
+
+from catalogued import boxes_of
+from drsplat import Query, Scene, WordEncoder
+from drsplat.errors import FormatError
+from drsplat.query.sketch import Sketch, SketchedScene, _Copies, sketch_of
+from known_objects import known_scene
+
+WORDS = ("red mug", "wooden table", "green plant")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    gaussians = known_scene()
+    return Scene(boxes_of(WORDS, gaussians), gaussians)
+
+
+@pytest.fixture(scope="module")
+def sketch(scene: Scene) -> Sketch:
+    return sketch_of(scene)
+
+
+def sketched(scene: Scene, sketch: Sketch, labels: tuple[str | None, ...] = (None, None, None)) -> SketchedScene:
+    objects = scene.field.objects
+    assert objects is not None
+    descriptors = [objects.descriptors_of(node) for node in objects.things.tolist()]
+    return SketchedScene(sketch, descriptors, labels, scene.field.encoder, WordEncoder)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        *(Query(text) for text in ("red mug", "mug", "table", "lamp", "plant", "mug, not red", "red")),
+        Query("mug", threshold=0.9),
+        Query("mug", threshold=-1.0),
+        Query("mug", relevancy=True),
+        Query("plant", exclude=("green",)),
+        Query(vector=WordEncoder().encode_texts(["wooden table"])[0]),
+    ],
+)
+def test_it_answers_as_the_scene_does(scene: Scene, sketch: Sketch, query: Query) -> None:
+    own = {match.object_id for match in scene.locate(query)}
+    assert set(sketched(scene, sketch).answers(query).tolist()) == own
+
+
+def test_names_that_people_gave_are_meant_exactly(scene: Scene, sketch: Sketch) -> None:
+    labelled = sketched(scene, sketch, (None, "Red Mug", None))
+    assert labelled.answers(Query("red mug ")).tolist() == [1]
+    assert labelled.answers(Query("red mug", threshold=0.5)).tolist() == [0]
+
+
+def test_what_has_few_gaussians_that_can_be_seen_is_no_match(scene: Scene, sketch: Sketch) -> None:
+    for solid, found in ((40, [0]), (39, [])):
+        few = replace(sketch, solid=np.array([solid, 500, 500], np.int32))
+        assert sketched(scene, few).answers(Query("red mug")).tolist() == found
+
+
+def test_it_stands_for_all_rows(scene: Scene, sketch: Sketch) -> None:
+    objects = scene.field.objects
+    assert objects is not None
+    numbers = objects.thing_of()
+    assert sketch.counts.sum() == len(scene.field)
+    assert_array_equal(np.bincount(sketch.numbers, sketch.counts), np.bincount(numbers))
+    assert_allclose(sketch.counts @ sketch.features, scene.field.feature(slice(None)).sum(0), rtol=1e-3, atol=1e-2)
+
+
+def test_bytes_and_back(sketch: Sketch) -> None:
+    back = Sketch.from_bytes(sketch.to_bytes(), 512, 3)
+    assert_allclose(back.features, sketch.features, atol=2e-3)
+    assert_allclose(np.linalg.norm(back.pictures, axis=1), 1, atol=1e-6)
+    for name in ("counts", "numbers", "solid"):
+        assert_array_equal(getattr(back, name), getattr(sketch, name))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("counts", None),
+        ("counts", np.array([2**30] * 3, np.int32)),
+        ("counts", np.array([0, 1, 1], np.int32)),
+        ("counts", np.ones(3, np.int64)),
+        ("counts", np.ones(2, np.int32)),
+        ("numbers", np.array([0, 1, 3], np.int32)),
+        ("numbers", np.array([0, 1, -2], np.int32)),
+        ("solid", np.ones(4, np.int32)),
+        ("features", np.ones((3, 512), np.float32)),
+        ("features", np.ones((3, 511), np.int8)),
+        ("features_steps", np.full(512, np.nan, np.float32)),
+        ("features_steps", np.full(512, 3e38, np.float32)),
+        ("pictures", np.zeros((4, 512), np.int8)),
+        ("pictures", np.zeros((0, 512), np.int8)),
+    ],
+)
+def test_damaged_sketches_are_refused(name: str, value: np.ndarray | None) -> None:
+    vectors = WordEncoder().encode_texts(list(WORDS))
+    numbers, ones = np.arange(3, dtype=np.int32), np.ones(3, np.int32)
+    whole = Sketch(vectors, numbers + 1, numbers, vectors, vectors[:0], ones)
+    arrays = load(whole.to_bytes())
+    Sketch.from_bytes(save(arrays), 512, 3)
+    if value is None:
+        del arrays[name]
+    else:
+        arrays[name] = value
+    with pytest.raises(FormatError, match="sketch of a scene"):
+        Sketch.from_bytes(save(arrays), 512, 3)
+
+
+@pytest.mark.parametrize("data", [b"", b"{}", b"\xff" * 8 + b"{}", b"no sketch at all"])
+def test_other_bytes_are_refused(data: bytes) -> None:
+    with pytest.raises(FormatError, match="no sketch"):
+        Sketch.from_bytes(data, 512, 3)
+
+
+def test_copies_are_searched_as_any_code() -> None:
+    rng = np.random.default_rng(0)
+    vectors, queries = rng.standard_normal((4, 8)).astype(np.float32), rng.standard_normal((3, 8)).astype(np.float32)
+    code = _Copies(vectors, np.array([2, 0, 0, 3, 1]))
+    every = code.decode(np.arange(5)) @ queries.T
+    assert_allclose(code.scores(queries), every.T, rtol=1e-5)
+    best = code.best(queries)
+    assert_array_equal(best.index, every.argmax(1))
+    assert_allclose(np.stack([best.scores, best.runner_up], 1), np.sort(every, axis=1)[:, :0:-1], rtol=1e-5)
+    assert_array_equal(code.top(queries[0], 2).rows, np.argsort(-every[:, 0], kind="stable")[:2])
+    assert_array_equal(code.select(queries[0], 0.0).rows, np.flatnonzero(every[:, 0] > 0))
+    assert len(code.rows(np.array([1, 1]))) == 2
