@@ -32,7 +32,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
     if is_faiss(path):
         raise FormatError(
             f"{path}: a FAISS index, which does not say which encoder made its embeddings: "
-            "read it with drsplat.codes.official, which takes the name of the encoder"
+            "read it with drsplat.codes.official.read_codebook, which takes the encoder's name"
         )
     tensors, metadata = map_tensors(path)
     if metadata.get("format") != CODEBOOK_FORMAT:

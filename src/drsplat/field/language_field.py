@@ -57,7 +57,8 @@ class WordList:
 
 _OTHER_FILE = (
     "give the file that was registered (of a scene that was edited, the one that the edits lie beside), or register "
-    "this one; where it is the same scene compressed, carry the field over: drsplat field carry"
+    "this one; where it is the same scene compressed, carry the field over: "
+    "drsplat field carry FIELD NEW_SCENE --scene OLD_SCENE --output NEW_FIELD"
 )
 
 
