@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -842,23 +843,22 @@ def test_a_catalogue_without_a_record_is_read_and_gets_one(tmp_path: Path) -> No
 def test_what_is_asked_while_others_write_is_no_damage(tmp_path: Path) -> None:
     """Whoever asks reads the record of one version and may open the next one."""
     catalogue, path = two_rooms(tmp_path), tmp_path / "c"
-    rng, encoder, ended = np.random.default_rng(9), EncoderIdentity("test", 16), threading.Event()
+    rng, encoder = np.random.default_rng(9), EncoderIdentity("test", 16)
 
     def write() -> None:
         for number in range(12):
-            with claimed_output(path, 60):
+            with claimed_output(path, 60.0):
                 table.replace_scene(
                     path, f"s{number % 3}", rows_of(f"s{number % 3}", unit(rng, 4, 16), encoder), encoder
                 )
-        ended.set()
 
-    writer = threading.Thread(target=write)
-    writer.start()
     asked = 0
-    while not ended.is_set():
-        assert len(catalogue) >= 8
-        asked += 1
-    writer.join()
+    with ThreadPoolExecutor(1) as writer:
+        written = writer.submit(write)
+        while not written.done():
+            assert len(catalogue) >= 8
+            asked += 1
+        written.result()
     assert asked > 1
     catalogue.verify()
 

@@ -29,6 +29,7 @@ from drsplat.training.start import first_gaussians
 from drsplat.training.training_photos import TrainingPhotos
 from test_training_parts import gradients, parameters
 
+pytestmark = pytest.mark.filterwarnings("ignore:photos of 48x36 pixels")  # small, so that a run takes no time
 missing = [name for name in ("torch", "gsplat") if importlib.util.find_spec(name) is None]
 needs_torch = pytest.mark.skipif("torch" in missing, reason="needs torch")
 _absent = pytest.mark.skipif(bool(missing), reason=f"needs {' and '.join(missing)}")

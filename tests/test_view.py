@@ -192,8 +192,9 @@ def test_up_is_what_the_photos_call_up() -> None:
     leaning = np.array([0.1, 0.0, np.sqrt(0.99)])  # as the field has it, so its boxes stand: not along the nearest axis
     np.testing.assert_array_equal(looking.up_direction(Scene(replace(field, up=leaning), views=views)), leaning)
     np.testing.assert_array_equal(looking.named_up("-y"), (0, -1, 0))
+    np.testing.assert_array_equal(looking.named_up("z"), (0, 0, 1))
     with pytest.raises(InputError, match="expected one of"):
-        looking.named_up("z")
+        looking.named_up("w")
 
 
 def test_a_flight_is_a_loop_at_one_height_and_distance() -> None:
