@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float32
 
-from ..query.thresholds import default_threshold
+from ..query.thresholds import CUT, default_threshold
 from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer
 
@@ -13,11 +13,11 @@ def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
 
     Gaussians without a feature have no say; without any, nothing is selected.
     """
-    least, cut = scorer.least, scorer.cut
-    how = "from" if least is None else f"the encoder's {least:g} or {cut:g} of the peak of"
+    least = scorer.least
+    how = "from" if least is None else f"the encoder's {least:g} or {CUT:g} of the peak of"
 
     def chosen(scores: Float32[np.ndarray, " N"]) -> float:
         known = scores[np.isfinite(scores)]
-        return default_threshold(known, least, cut) if len(known) else float("inf")
+        return default_threshold(known, least) if len(known) else float("inf")
 
     return {AUTOMATIC: (chosen, f"per query, {how} its scores")}

@@ -14,8 +14,7 @@ from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
 from ..query import Scene
 from ..query.search import CHUNK, NEGATIVES, embed_query
-from ..query.thresholds import CUT
-from ..query.wholes import by_object, cut_of
+from ..query.wholes import by_object
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
@@ -32,7 +31,7 @@ class Scorer:
 
     scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in tables. threshold:
     the fixed one, chosen without the scenes that are scored. least: the encoder's own, below which its scores say that
-    nothing is meant; None where it has none. cut: of the way to the peak, where the automatic threshold lies. sweep:
+    nothing is meant; None where it has none.  sweep:
     thresholds that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of the photos
     that it was made from, None where nobody knows. several: the scores of a few texts at once, where that takes less
     time. answer: what `drsplat select` compares for a text, and with which threshold.
@@ -48,7 +47,6 @@ class Scorer:
     least: float | None = None
     several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
     answer: Callable[[str], tuple[Scores, float]] | None = None
-    cut: float = CUT
 
     def each(self, texts: Sequence[str]) -> Iterator[Scores]:
         """The scores of each text in turn."""
@@ -60,7 +58,7 @@ class Scorer:
 
 
 def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0) -> Scorer:
-    """Cosines of the field; of one with objects, means over these. threshold: the encoder's own, or 0.5 without one.
+    """Cosines of the field; of one with objects, as whole ones. threshold: the encoder's own, or 0.5 without one.
 
     Raises: MismatchError: another encoder than the field's.
     """
@@ -68,8 +66,8 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
 
     def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
         queries = np.stack([embed_query(encoder, known, text) for text in texts])
-        pairs = zip(known.scores(queries, threads=threads), queries, strict=True)
-        return np.stack([known.dense(by_object(known, one, query), fill=float("nan")) for one, query in pairs])
+        each = known.scores(queries, threads=threads)
+        return np.stack([known.dense(by_object(known, one), fill=float("nan")) for one in each])
 
     def scores(text: str) -> Scores:
         one: Scores = several([text])[0]
@@ -86,7 +84,6 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
     return Scorer(
         name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
         _answer(known, encoder, threads),
-        cut_of(known),
     )  # fmt: skip
 
 

@@ -17,11 +17,10 @@ from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RE
 from .naming import doubt_of
 from .query import Cut, Query
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
-from .thresholds import PEAK, default_threshold, peak_score, share_threshold, threshold_above
-from .wholes import by_object, cut_of
+from .thresholds import PEAK, default_threshold, peak_score, share_threshold
+from .wholes import by_object
 from .word_list import list_vectors
 
-LEAST_OF_OBJECTS = 0.35  # relevancy of a whole thing: some of its Gaussians fit no better than any word
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
 
 _Default = tuple[float | None, str]
@@ -161,23 +160,14 @@ class Measuring:
         if values is None:
             return self._measured(query, scores, (None, AUTO))
         default = self._list_threshold(scores, values), LIST
-        of_wholes, values = by_object(self._field, scores), by_object(self._field, values)
-        return self._cut(query, scores, self._whole(of_wholes, values), RELEVANCY, default)
+        return self._cut(query, scores, self._whole(scores, values), RELEVANCY, default)
 
     def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
-        """As relevancies have it, or the highest where cosines are too low for this scene.
-
-        Whether there is such a thing is told by single Gaussians. Of objects, those that are far below the best are
-        left out: a piece of the floor that is as brown as the table.
-        """
+        """As relevancies have it, or the highest where cosines are too low for this scene."""
         if not len(scores):
             return RELEVANCY_THRESHOLD
-        least = relevancy_threshold(values)
-        if peak_score(scores) <= self.background.least_peak or least != RELEVANCY_THRESHOLD:
-            return float(values.max())
-        if self._field.objects is None:
-            return least
-        return threshold_above(by_object(self._field, values), LEAST_OF_OBJECTS, cut_of(self._field))
+        is_low = peak_score(scores) <= self.background.least_peak
+        return float(values.max()) if is_low else relevancy_threshold(values)
 
     def _contrasted(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
@@ -193,8 +183,8 @@ class Measuring:
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
     ) -> Answer:
         if not self.cut.measures_relevancy:
-            return self._cut(query, scores, by_object(self._field, scores, query), COSINE, default)
-        values = by_object(self._field, relevancy_from_scores(scores, self._negatives.maxima))
+            return self._cut(query, scores, scores, COSINE, default)
+        values = relevancy_from_scores(scores, self._negatives.maxima)
         return self._cut(query, scores, values, RELEVANCY, (RELEVANCY_THRESHOLD, DEFAULT))
 
     def _cut(
@@ -205,17 +195,21 @@ class Measuring:
         measure: str,
         default: _Default,
     ) -> Answer:
-        threshold, rule = self._threshold(values, default)
-        return Answer(self._field, query, values, measure, threshold, rule, scores)
+        """values: of single Gaussians, which the threshold is chosen by; rows of objects are then compared with it together."""
+        whole = by_object(self._field, values)
+        threshold, rule = self._threshold(values, whole, default)
+        return Answer(self._field, query, whole, measure, threshold, rule, scores)
 
-    def _threshold(self, values: Float32[np.ndarray, " r"], default: _Default) -> tuple[float, str]:
+    def _threshold(
+        self, values: Float32[np.ndarray, " r"], whole: Float32[np.ndarray, " r"], default: _Default
+    ) -> tuple[float, str]:
         given = self.cut
         if given.top_share is not None:
-            return share_threshold(values, given.top_share), SHARE
+            return share_threshold(whole, given.top_share), SHARE
         if given.threshold is not None and given.threshold != AUTO:
             return float(given.threshold), GIVEN
         cut, rule = default
-        return default_threshold(values, cut, cut_of(self._field)) if cut is None or rule == ENCODER else cut, rule
+        return default_threshold(values, cut) if cut is None or rule == ENCODER else cut, rule
 
     @cached_property
     def _negatives(self) -> Negatives:

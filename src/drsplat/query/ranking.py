@@ -18,13 +18,15 @@ from ..field import relevancy_from_scores
 from .contrast import Contrast, contrast_of, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD
 from .encoding import Embedded
-from .measuring import LEAST_OF_OBJECTS, embedded_image, least_peak, own_threshold, whole
+from .measuring import embedded_image, least_peak, own_threshold, whole
 from .query import Query
 from .search import NEGATIVES, embed_query, split_negation
-from .thresholds import CUT_OF_OBJECTS, automatic_threshold, threshold_above
+from .thresholds import automatic_threshold, threshold_above
 from .word_list import list_vectors
 
 ONE = 1  # object that fits is enough
+CUT_OF_OBJECTS = 0.8  # of the way to the peak: values of whole objects are further apart than those of Gaussians
+LEAST_OF_OBJECTS = 0.35  # relevancy of a whole thing: some of its Gaussians fit no better than any word
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
 CUT = 0.6  # of the way to the peak: from the median, or from 0
-CUT_OF_OBJECTS = 0.8  # the same where values are of whole objects: these are further apart
 
 Scores = Float[np.ndarray, " r"]
 
