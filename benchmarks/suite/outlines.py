@@ -2,7 +2,7 @@
 
 In JSON: name of a photo -> name of a thing -> corners of its outline in pixels of the stored photo, as it was drawn.
 Outlines show what is visible of a thing. Where one thing lies on another and the outlines overlap, as a mouse on a mat,
-the smaller outline wins.
+the pixels are the smaller one's; the functions here draw each outline alone and do not take them from the larger one.
 """
 
 import json
