@@ -9,7 +9,8 @@ click, that is what somebody gets who clicks on until the thing is whole, with t
 hundredth of the outline.
 
 --features: what `embed` wrote. Prints what masks alone can do, in the photos themselves: the best single mask, and
-all together that are mostly inside. --outlines: others than those of the tests. --pictures: what the first click
+all together that are mostly inside. --outlines: others than those of the tests for a capture of this name (the folder
+CAPTURE is called plush, desk_penguin or brighton_beach). --pictures: what the first click
 found, in each photo, with the outline drawn by hand in yellow.
 """
 
@@ -23,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from scipy import ndimage
 
-from benchmarks.suite.outlines import PLUSH, Click, Clicks, fits_of_masks, middle, read_outlines
+from benchmarks.suite.outlines import Click, Clicks, fits_of_masks, middle, outlines_path, read_outlines
 from drsplat import Query, open_scene, read_features
 from drsplat.drawing.pictures import write_picture
 
@@ -76,12 +77,13 @@ def main() -> None:
     parser.add_argument("capture", type=Path)
     parser.add_argument("scene", type=Path)
     parser.add_argument("field", type=Path)
-    parser.add_argument("--outlines", type=Path, default=PLUSH)
+    parser.add_argument("--outlines", type=Path)
     parser.add_argument("--features", type=Path)
     parser.add_argument("--pictures", type=Path)
     arguments = parser.parse_args()
+    outlines = read_outlines(arguments.outlines or outlines_path(arguments.capture.resolve().name))
     scene = open_scene(arguments.field, scene=arguments.scene, views=arguments.capture)
-    clicks = Clicks(scene, read_outlines(arguments.outlines))
+    clicks = Clicks(scene, outlines)
     print("| thing | click | in single photos | best level | all pieces | pieces |")
     print("|---" * 6 + "|")
     for thing in clicks.masks:

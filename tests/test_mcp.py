@@ -224,7 +224,11 @@ def test_malformed_lines_are_answered(tmp_path: Path) -> None:
         (rb'{"jsonrpc":"2.0","id":"\ud800","method":"ping"}', None, -32700, "hex escape"),
         (b"[" * 100_000, None, -32700, "one JSON-RPC message a line"),
         (b"\xff\xfe", None, -32700, "one JSON-RPC message a line"),
-        (b'{"jsonrpc":"1.0","id":1,"method":"ping"}', None, -32600, "expected a JSON-RPC message"),
+        (b'{"jsonrpc":"1.0","id":1,"method":"ping"}', 1, -32600, "expected a JSON-RPC message"),
+        (b'{"jsonrpc":"2.0","id":"six","method":"tools/list","params":5}', "six", -32600, "expected a JSON-RPC"),
+        (b'{"jsonrpc":"2.0","id":[1],"method":"ping"}', None, -32600, "the id a text or a whole number"),
+        (b'{"jsonrpc":"2.0","id":null,"method":"tools/list"}', None, -32600, "the id a text or a whole number"),
+        (b'{"jsonrpc":"2.0","id":1.5,"method":"tools/list"}', None, -32600, "the id a text or a whole number"),
     ]
     command = [sys.executable, *COMMAND, str(tmp_path)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}

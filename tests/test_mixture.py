@@ -63,6 +63,13 @@ def test_quantised_vectors_have_unit_length_and_hardly_turn() -> None:
         quantised(np.full((1, 2), np.inf, np.float32))
 
 
+def test_vectors_too_short_to_be_scaled_count_as_none() -> None:
+    """Warnings are errors: 127 over such an entry is infinite."""
+    found = quantised(np.array([[1e-38, 0, 0], [1e-36, 0, 0]], np.float32))
+    assert found.values.tolist() == [[0, 0, 0], [127, 0, 0]]
+    assert found.scales[0] == 0
+
+
 def test_rows_of_up_to_four_masks_are_kept() -> None:
     lengths = np.diff(evidence().weights.indptr)
     short = (lengths > 0) & (lengths <= 4)

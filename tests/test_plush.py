@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.suite.outlines import PLUSH as OUTLINES
-from benchmarks.suite.outlines import Clicks, fits_of_masks, inside, iou, middle, read_outlines
+from benchmarks.suite.outlines import Clicks, fits_of_masks, inside, iou, middle, outlines_path, read_outlines
 
 from drsplat import (
     MiniEncoder,
@@ -28,12 +27,32 @@ needs_plush = pytest.mark.skipif(not PLUSH.is_dir(), reason="the shared plush ca
 
 
 def test_four_things_are_outlined_in_four_photos_each():
-    photos = read_outlines(OUTLINES)
+    photos = read_outlines(outlines_path("plush"))
     things = sorted(thing for outlines in photos.values() for thing in outlines)
     assert things == sorted(["carrot", "doll", "quilt", "wardrobe"] * 4)
     corners = np.concatenate([outline for outlines in photos.values() for outline in outlines.values()])
     assert (corners >= 0).all()
     assert (corners <= (1008, 756)).all()
+
+
+DESK = {"laptop", "penguin", "mouse", "mat", "kettle", "bag", "cup", "notes", "case", "lid"}
+BEACH = {*(f"car_{n}" for n in range(1, 7)), "shelter", "table", "lawn", "island"}
+
+
+@pytest.mark.parametrize(
+    ("capture", "things", "size"), [("desk_penguin", DESK, (1906, 1070)), ("brighton_beach", BEACH, (2000, 1125))]
+)
+def test_things_of_other_captures_are_outlined_in_two_photos_each(capture, things, size):
+    """Outlines show what is visible; where they overlap, as the mouse and the mat do, the smaller one wins."""
+    photos = read_outlines(outlines_path(capture))
+    assert sorted(thing for outlines in photos.values() for thing in outlines) == sorted([*things] * 2)
+    for outline in (np.array(outline) for outlines in photos.values() for outline in outlines.values()):
+        assert len(outline) >= 4
+        assert (outline >= 0).all()
+        assert (outline < size).all()
+        x, y = outline.T
+        area = abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2  # the shoelace formula
+        assert area > 500
 
 
 def test_an_outline_is_undistorted_with_its_photo():
@@ -65,7 +84,7 @@ def test_masks_of_a_photo_are_held_to_outlines_at_their_own_size():
 @pytest.fixture(scope="module")
 def clicks(tmp_path_factory: pytest.TempPathFactory) -> Clicks:
     """Of every ninth photo and those with outlines, in a small and rough scene."""
-    outlines = read_outlines(OUTLINES)
+    outlines = read_outlines(outlines_path("plush"))
     views = [view for n, view in enumerate(read_views(PLUSH)) if n % 9 == 0 or view.name in outlines]
     settings = TrainingSettings(iterations=100, test_every=0, sh_degree=0)
     points = read_sparse_points(PLUSH)

@@ -1,6 +1,8 @@
 """True outlines of things, drawn by hand in photos, and how well what a click finds fits them.
 
 In JSON: name of a photo -> name of a thing -> corners of its outline in pixels of the stored photo, as it was drawn.
+Outlines show what is visible of a thing. Where one thing lies on another and the outlines overlap, as a mouse on a mat,
+the pixels are the smaller one's; the functions here draw each outline alone and do not take them from the larger one.
 """
 
 import json
@@ -21,9 +23,13 @@ from drsplat.field.objects import LEVELS
 from drsplat.kernels import render_channels
 from drsplat.scene.photos import undistort_ids
 
-PLUSH = Path(__file__).resolve().parents[2] / "tests" / "plush_outlines.json"
 Outlines = Mapping[str, Mapping[str, list[list[float]]]]
 BESIDE = 0.01  # of the outline: smaller pieces are not counted
+
+
+def outlines_path(capture: str) -> Path:
+    """Return the file with the outlines of a capture, by the name of its folder: plush, desk_penguin, ..."""
+    return Path(__file__).resolve().parents[2] / "tests" / f"{capture}_outlines.json"
 
 
 def read_outlines(path: Path) -> Outlines:

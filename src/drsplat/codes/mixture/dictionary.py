@@ -10,11 +10,14 @@ from ...kernels.mixture import ADDRESSABLE, Dictionary
 
 SCENE_ATOM = -1  # of no mask
 BLOCK = 512  # vectors at once, near the processor
+LEAST_ENTRY = 127 / float(np.finfo(np.float32).max)  # 127 over anything smaller is infinite
 _DTYPES = {"values": np.int8, "scales": np.float32, "masks": np.int32}
 
 
 def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     """Signed bytes, a scale per vector; what they stand for has unit length, or none where a vector has none.
+
+    A vector whose entries are all below 3.8e-37 counts as one without length.
 
     Raises: InputError: a vector that is not finite.
     """
@@ -27,7 +30,7 @@ def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
 
 def _quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
-    steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > 0)
+    steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > LEAST_ENTRY)
     whole = np.rint(vectors * steps)
     squared = np.einsum("ad,ad->a", whole, whole, dtype=np.float64)
     scales = np.divide(1, np.sqrt(squared), out=np.zeros_like(squared), where=squared > 0)
