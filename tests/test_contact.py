@@ -54,6 +54,11 @@ def test_a_vase_is_on_a_table_that_it_overlaps_or_hovers_over(above: float) -> N
     assert not is_on(TABLE, vase)
 
 
+def test_nothing_is_on_itself() -> None:
+    gaussians, (table,) = scene_of(TABLE)
+    assert not rests_on(gaussians, table, table, UP)
+
+
 @pytest.mark.parametrize("above", [0.06, 0.3])
 def test_what_hangs_higher_than_a_splat_is_thick_is_not_on_it(above: float) -> None:
     assert not is_on(block((-0.05, -0.05, 0.75 + above), (0.05, 0.05, 1.05 + above)), TABLE)

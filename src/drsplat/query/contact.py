@@ -30,11 +30,11 @@ def rests_on(gaussians: Gaussians, thing: Ids, support: Ids, up: Up) -> bool:
     Args:
         gaussians: the scene.
         thing: rows of what may rest; those that can be seen count, here and of the support.
-        support: rows of what it may rest on.
+        support: rows of what it may rest on; those that it shares do not count, so that nothing is on itself.
         up: the unit direction that is up.
     """
     positions, own = gaussians.positions, solid(gaussians, thing)
-    heights, others = positions[own] @ up, solid(gaussians, support)
+    heights, others = positions[own] @ up, solid(gaussians, np.setdiff1d(support, thing))
     low, high = np.quantile(heights, (0.02, 0.98))
     ankle = low + FOOT_SHARE * (high - low)
     foot, rest = own[heights <= ankle], own[heights > ankle]
