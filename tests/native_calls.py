@@ -227,7 +227,8 @@ def boxes(rogue: Rogue) -> Call:
     solids = rogue.floats(n, 3), rogue.floats(n, 4), rogue.floats(n, 3), rogue.floats(n)
     members = rogue.spoiled(starts.astype(np.int64)), rogue.whole(0, n, (starts[-1],), "i8")
     up = rogue.one((None, np.array([0, 0.6, 0.8]), np.zeros(3), np.zeros(2), np.full(3, np.nan)))
-    return partial(_native.boxes, *solids, *members, up, rogue.one((0.003, 0.0, np.nan, 2.0)), rogue.how()[0])
+    rule = [rogue.one((0.003, 0.0, np.nan, 2.0)) for _ in range(3)]
+    return partial(_native.boxes, *solids, *members, up, *rule, rogue.how()[0])
 
 
 def merges(rogue: Rogue) -> Call:

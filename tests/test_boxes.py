@@ -19,7 +19,7 @@ from drsplat.formats.field_folder import MANIFEST
 from drsplat.kernels.boxes import box_of, boxes_of
 from drsplat.query.tasks import locate
 from drsplat.reference import boxes as twin
-from drsplat.reference.boxes import mixture_quantile
+from drsplat.reference.boxes import core, mixture_quantile
 from drsplat.scene.boxes import Box, up_of, upward
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
@@ -87,12 +87,63 @@ def test_strays_and_haze_do_not_stretch_it() -> None:
     assert_allclose(everything(dirty).extent, everything(clean).extent, atol=0.03)
 
 
+def test_a_tail_goes_where_it_is_sparse_and_light() -> None:
+    """To 101 points a hundredth apart, one more is a tail of 1 % of the mass, worth 8 % of the length."""
+    row = np.linspace(0, 1, 101)
+
+    def core_with(tail: list[float], weight: float = 1.0) -> tuple[float, float]:
+        mass = np.append(np.ones(101), np.full(len(tail), weight))
+        return core(np.append(row, tail), mass / mass.sum())
+
+    assert core_with([]) == (0, 1)
+    assert core_with([3.0]) == (0, 1)
+    assert core_with([-2.0]) == (0, 1)
+    assert core_with([1.05]) == (0, 1.05)  # 5 % longer for 1 % of the mass: less than eight times as sparse
+    assert core_with([1.3, 1.4]) == (0, 1)
+    assert core_with([3.0] * 5) == (0, 3)  # 5 % of the mass are no strays
+
+
+def knife(halo: int, seed: int = 2) -> Gaussians:
+    """A flat blade and its handle, 0.27 x 0.03 x 0.03, in a halo of the table around it."""
+    blade = shell((0.27, 0.03, 0.03), turn=25, count=500)
+    blade = replace(blade, scales=blade.scales * np.float32(0.1))
+    rng = np.random.default_rng(seed)
+    angles, far = rng.uniform(0, 2 * np.pi, halo), rng.uniform(0.03, 0.09, halo)
+    means = np.stack([far * np.cos(angles), far * np.sin(angles), rng.uniform(-0.09, 0.09, halo)], axis=1)
+    ids = np.arange(halo)
+    around = replace(blade.subset(ids), means=means.astype(np.float32))
+    return replace(
+        blade,
+        **{
+            name: np.concatenate([getattr(blade, name), getattr(around, name)])
+            for name in ("means", "quats", "scales", "opacities", "sh")
+        },
+    )
+
+
+@pytest.mark.parametrize("up", [None, UP])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_halo_of_a_thin_thing_neither_widens_nor_turns_its_box(up: np.ndarray | None, seed: int) -> None:
+    clean, found = everything(knife(0), up), everything(knife(20, seed), up)
+    assert_allclose(found.extent, clean.extent, atol=0.012)
+    assert abs(found.axes[0] @ clean.axes[0]) > np.cos(np.radians(2))
+
+
 @pytest.mark.parametrize("up", [None, UP, np.array([0.6, 0, 0.8])])
 @pytest.mark.parametrize("count", [3, 40, 900])
 def test_native_is_the_twin(up: np.ndarray | None, count: int) -> None:
     scene = replace(random_gaussians(1000), origin=np.array([5.0, 0, -7]))
     ids = np.random.default_rng(count).choice(1000, count, replace=False)
     for fast, slow in zip(box_of(scene, ids, up), twin.box_of(scene, ids, up), strict=True):
+        assert_allclose(fast, slow, atol=2e-6)
+
+
+@pytest.mark.parametrize("up", [None, UP])
+@pytest.mark.parametrize("seed", range(4))
+def test_native_leaves_out_the_strays_that_the_twin_does(up: np.ndarray | None, seed: int) -> None:
+    thing = knife(20, seed)
+    ids = np.arange(len(thing))
+    for fast, slow in zip(box_of(thing, ids, up), twin.box_of(thing, ids, up), strict=True):
         assert_allclose(fast, slow, atol=2e-6)
 
 
@@ -200,6 +251,19 @@ def test_a_field_remembers_what_is_up_and_locate_uses_it(tmp_path: Path) -> None
     assert_allclose(match.axes[2], registration.up)
     (free,) = locate(every, gaussians, link_distance=9.0)
     assert (np.diff(free.extent) <= 0).all()
+
+
+def test_haze_of_a_match_does_not_stretch_its_box() -> None:
+    """As of objects: what cannot be seen is selected, and the box is of the rest."""
+    thing = shell()
+    means, opacities = thing.means.copy(), thing.opacities.copy()
+    means[:800] *= np.float32(1.5)
+    opacities[:800] = 0.09
+    dirty = replace(thing, means=means, opacities=opacities)
+    field = field_of(dirty, np.zeros(len(dirty), np.int64))
+    (match,) = locate(Answer.of(field, np.ones(len(field), np.float32), 0.5), dirty, link_distance=9.0, up=UP)
+    assert len(match) == len(dirty)
+    assert_allclose(match.extent, everything(thing.subset(np.arange(800, len(thing)))).extent, atol=1e-6)
 
 
 def test_without_up_boxes_are_free() -> None:

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <utility>
+#include <vector>
 
 namespace drsplat {
 
@@ -15,6 +17,10 @@ constexpr double kPrecision = 1e-7;  // of the range of a set
 constexpr int kSteps = 100;          // of which it needs less than 20
 constexpr double kPi = 3.14159265358979323846, kRootOfHalf = 0.70710678118654752440;
 constexpr int kSweeps = 30;  // of Jacobi's rotations, of which it needs less than ten
+constexpr int kRounds = 2;   // of leaving strays out
+constexpr int kTails = 13;   // shares of the mass that a tail may have: none, and steps of one factor up to the largest
+constexpr size_t kFewest = 4;  // points: fewer have no axes in space
+constexpr double kTailStep = 0.77;
 
 using Vector3 = std::array<double, 3>;
 using Matrix3 = std::array<Vector3, 3>;  // by rows
@@ -79,6 +85,10 @@ struct Normal {
 };
 
 const Normal kNormal;
+
+double tail_share(int number, const BoxRule &rule) {
+  return number ? rule.strays * std::pow(kTailStep, kTails - 1 - number) : 0;
+}
 
 // One set's Gaussians along the axes of its box.
 struct Set {
@@ -202,22 +212,65 @@ struct Set {
     return below;
   }
 
-  // Of those inside the axes, and of all where along these the outliers begin.
-  Matrix3 find_ends(const Solids &all, const int64_t *ids, const BoxRule &rule, Vector3 &low, Vector3 &high) {
-    const Matrix3 axes = axes_of_inside(rule.up);
-    lay_along(all, ids, axes);
-    for (int k = 0; k < 3; k++) low[k] = end(k, 1, rule), high[k] = end(k, -1, rule);
-    return axes;
+  // Marks as inside what is in the core along each axis. Axes of everything may be turned by strays, so that a second
+  // round has better ones.
+  Matrix3 leave_strays_out(const BoxRule &rule) {
+    for (int round = 0; round < kRounds; round++) {
+      const Matrix3 axes = axes_of_inside(rule.up);
+      for (size_t i = 0; i < points.size(); i++)
+        for (int k = 0; k < 3; k++) along[i][k] = dot(axes[k], points[i]);
+      inside.assign(points.size(), 1);
+      for (int k = 0; k < 3; k++) {
+        const auto [low, high] = core(k, rule);
+        for (size_t i = 0; i < points.size(); i++) inside[i] &= along[i][k] >= low && along[i][k] <= high;
+      }
+      size_t left = 0;
+      for (size_t i = 0; i < points.size(); i++) left += inside[i] && mass[i] > 0;
+      if (left < kFewest) inside.assign(points.size(), 1);
+    }
+    return axes_of_inside(rule.up);
   }
 
-  // Strays would turn it. Whether something is inside.
-  bool leave_strays_out(const Vector3 &low, const Vector3 &high) {
-    double left = 0;
-    for (size_t i = 0; i < points.size(); i++) {
-      for (int k = 0; k < 3; k++) inside[i] &= along[i][k] >= low[k] && along[i][k] <= high[k];
-      if (inside[i]) left += mass[i];
+  // The interval between the centres of two tails that has the largest mass^sparse / length.
+  std::pair<double, double> core(int axis, const BoxRule &rule) {
+    const auto lows = tail(axis, 1, rule), highs = tail(axis, -1, rule);
+    const double least = 1e-9 * (highs[0] - lows[0]) + std::numeric_limits<double>::min();
+    double best = -std::numeric_limits<double>::infinity();
+    std::pair<double, double> ends{lows[0], highs[0]};
+    for (int i = 0; i < kTails; i++)
+      for (int j = 0; j < kTails; j++) {
+        const double kept = 1 - tail_share(i, rule) - tail_share(j, rule);
+        const double value = rule.sparse * std::log(kept) - std::log(std::max(highs[j] - lows[i], least));
+        if (highs[j] >= lows[i] && value > best) best = value, ends = {lows[i], highs[j]};
+      }
+    return ends;
+  }
+
+  // The centres along an axis with more than each of some shares of the mass on their side of `sign`, itself included.
+  std::array<double, kTails> tail(int axis, double sign, const BoxRule &rule) {
+    std::vector<std::pair<double, double>> heap(points.size());
+    for (size_t i = 0; i < points.size(); i++) heap[i] = {-sign * along[i][axis], mass[i]};
+    std::make_heap(heap.begin(), heap.end());
+    std::array<double, kTails> ends;
+    double below = 0, at = 0;
+    int found = 0;
+    while (found < kTails && !heap.empty()) {
+      std::pop_heap(heap.begin(), heap.end());
+      at = -sign * heap.back().first, below += heap.back().second;
+      heap.pop_back();
+      while (found < kTails && below > tail_share(found, rule)) ends[(size_t)found++] = at;
     }
-    return left > 0;
+    while (found < kTails) ends[(size_t)found++] = at;
+    return ends;
+  }
+
+  void drop_strays(std::vector<int64_t> &ids) {
+    size_t kept = 0;
+    double total = 0;
+    for (size_t i = 0; i < points.size(); i++)
+      if (inside[i]) points[kept] = points[i], mass[kept] = mass[i], ids[kept++] = ids[i], total += mass[i];
+    points.resize(kept), mass.resize(kept), ids.resize(kept), along.resize(kept), deviations.resize(kept);
+    for (double &m : mass) m /= total;
   }
 };
 
@@ -247,10 +300,12 @@ void boxes(const Solids &all, const int64_t *starts, const int64_t *ids, uint64_
   over_rows(sets, 1, threads, [&](int, uint64_t s, uint64_t) {
     Set set;
     Vector3 low, high;
-    const int64_t *members = ids + starts[s];
-    set.take(all, members, (size_t)(starts[s + 1] - starts[s]));
-    Matrix3 own = set.find_ends(all, members, rule, low, high);
-    if (set.leave_strays_out(low, high)) own = set.find_ends(all, members, rule, low, high);
+    std::vector<int64_t> members(ids + starts[s], ids + starts[s + 1]);
+    set.take(all, members.data(), members.size());
+    Matrix3 own = set.leave_strays_out(rule);
+    set.drop_strays(members);
+    set.lay_along(all, members.data(), own);
+    for (int k = 0; k < 3; k++) low[k] = set.end(k, 1, rule), high[k] = set.end(k, -1, rule);
     order(own, low, high, rule.up != nullptr);
     for (int k = 0; k < 3; k++) {
       centers[3 * s + k] = 0, lengths[3 * s + k] = high[k] - low[k];

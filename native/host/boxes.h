@@ -9,6 +9,8 @@ struct Solids { const float *means, *quats, *scales, *mass; };
 
 struct BoxRule {
   double outliers;   // of a set's mass, cut off at each end of each axis
+  double strays;     // of a set's mass at each end of each axis: no more is left out before
+  double sparse;     // how many times less mass per length than the set has a tail that is left out
   const double *up;  // a unit direction in which boxes stand, or none
 };
 

@@ -140,6 +140,8 @@ def boxes(
     ids: Array,
     up: Array | None,
     outliers: float,
+    strays: float,
+    sparse: float,
     threads: int,
 ) -> tuple[Array, Array, Array]: ...
 def agglomerate(

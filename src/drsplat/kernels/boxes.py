@@ -11,6 +11,8 @@ from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
 
 OUTLIERS = 0.003  # of a thing's mass, cut off at each end of each axis
+STRAYS = 0.02  # of a set's mass: the most that is left out as strays at each end of each axis
+SPARSE = 8.0  # times less mass per length than the set has: from here on a tail is strays
 
 
 class Boxes(NamedTuple):
@@ -22,11 +24,13 @@ class Boxes(NamedTuple):
 
 
 def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
-    """The box that holds the Gaussians `ids`, but for the outliers of their mass.
+    """Return the box that holds the Gaussians `ids`, but for strays and the outliers of their mass.
 
     up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
-    principal axes. Along each axis the Gaussians, weighted by opacity, are a mixture of normal distributions; three
-    thousandths of it lie beyond either side of the box.
+    principal axes. Gaussians count by their opacity. First a halo and floaters are left out: along each axis the tails
+    of at most 2 % of the mass that make mass^8 / length of what lies between them largest, so that a tail goes where
+    it holds less than an eighth of the mass per length that the thing has. Of the others, along the axes that they have
+    without strays, three thousandths of the mixture of normal distributions lie beyond either side of the box.
 
     Raises: InputError: no ids, or such as there are no Gaussians of.
     Twin: reference.boxes.box_of.
@@ -54,6 +58,8 @@ def boxes_of(
             np.ascontiguousarray(ids),
             None if up is None else np.ascontiguousarray(up, np.float64),
             OUTLIERS,
+            STRAYS,
+            SPARSE,
             threads,
         )
     except ValueError as error:

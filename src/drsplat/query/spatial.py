@@ -10,11 +10,11 @@ from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
 from .answer import Match
+from .contact import rests_on
 from .scene import Scene
 from .tasks import sure_matches
 
-ABOVE = 0.5  # of its extent: how far a thing's lower side may hang above what it stands on
-REACH = 0.05  # of its size: how far a thing may stand out of what it stands on
+REACH = 0.05  # of its size: how far the middle of a thing may stand out of what it is over
 
 
 def gap(gaussians: Gaussians, one: Match, other: Match) -> float:
@@ -40,18 +40,8 @@ def standing_on(scene: Scene, matches: Sequence[Match], text: str) -> list[Match
 
 
 def stands_on(gaussians: Gaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
-    """Whether a thing's middle is over the support, and its lower side at the upper half of the support or
-    not far above.
-
-    Over is meant as seen from above: within a twentieth of the support's size of one of its Gaussians.
-    """
-    below, above = _solid(gaussians, support), _solid(gaussians, thing)
-    heights, own = below @ up, above @ up
-    low, top = np.quantile(heights, (0.02, 0.98))
-    foot, head = np.quantile(own, (0.02, 0.98))
-    if foot < (low + top) / 2 or foot - top > ABOVE * max(head - foot, 1e-9):
-        return False
-    return is_over(above, below, up)
+    """Return whether a thing rests on another one, by contact of their Gaussians; see `contact.rests_on`."""
+    return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up)
 
 
 def is_over(

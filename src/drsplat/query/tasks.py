@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of
-from ..scene.boxes import HAZE
+from ..scene.boxes import HAZE, solid
 from ..scene.gaussians import Gaussians
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
@@ -51,11 +51,11 @@ def locate(
     places = _places(answer, gaussians, link_distance)
     order = np.argsort(places, kind="stable")
     members = np.split(ids[order], np.flatnonzero(np.diff(places[order])) + 1)
-    solid = gaussians.opacities >= HAZE
+    visible = gaussians.opacities >= HAZE
     found = [
         _match(gaussians, by_id, group, up, int(place))
         for place, group in zip(np.unique(places), members, strict=True)
-        if np.count_nonzero(solid[group]) >= min_gaussians
+        if np.count_nonzero(visible[group]) >= min_gaussians
     ]
     return sorted(found, key=lambda match: (-rank(match, gaussians), int(match.gaussian_ids[0])))
 
@@ -202,4 +202,4 @@ def _match(
     mass = gaussians.opacities[ids].astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
     score = float(mass @ scores[ids].astype(np.float64))
-    return Match(*box_of(gaussians, ids, up), score, ids, object_id=place if place >= 0 else None)
+    return Match(*box_of(gaussians, solid(gaussians, ids), up), score, ids, object_id=place if place >= 0 else None)

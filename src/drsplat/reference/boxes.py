@@ -1,15 +1,18 @@
 """The slow twin of `kernels.boxes`: one set at a time."""
 
 import numpy as np
-from jaxtyping import Float64, Integer
+from jaxtyping import Bool, Float64, Integer
 from scipy.special import ndtr
 
-from ..kernels.boxes import OUTLIERS
+from ..kernels.boxes import OUTLIERS, SPARSE, STRAYS
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
 
 DEVIATIONS = 6.0  # beyond which a Gaussian has no mass
 STEPS = 30  # of bisection: to a billionth of the range
+ROUNDS = 2  # of leaving strays out
+FEWEST = 4  # points: fewer have no axes in space
+TAILS = np.append(0, STRAYS * 0.77 ** np.arange(11, -1, -1))  # shares of the mass that a tail may have
 
 
 def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
@@ -17,27 +20,47 @@ def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.
     mass = part.opacities.astype(np.float64)
     mass = mass if mass.sum() > 0 else np.ones(len(part))
     points, covariances = part.means.astype(np.float64), part.covariances()
+    inside = without_strays(points, mass / mass.sum(), up)
+    points, covariances, mass = points[inside], covariances[inside], mass[inside] / mass[inside].sum()
     axes = _axes(points, mass, up)
-    along, low, high = _ends(points, covariances, mass, axes)
-    inside = ((along >= low) & (along <= high)).all(axis=1)
-    if mass[inside].sum() > 0:  # strays would turn it
-        axes = _axes(points[inside], mass[inside], up)
-        _, low, high = _ends(points, covariances, mass, axes)
+    along, spread = np.einsum("mi,ai->ma", points, axes), np.sqrt(_variances(covariances, axes))
+    low, high = (mixture_quantile(along, spread, mass, share) for share in (OUTLIERS, 1 - OUTLIERS))
     axes, low, high = _ordered(axes, low, high, 2 if up is not None else 3)
     return Box((low + high) / 2 @ axes + gaussians.origin, axes, high - low)
 
 
-def _ends(
-    points: Float64[np.ndarray, "m 3"],
-    covariances: Float64[np.ndarray, "m 6"],
-    mass: Float64[np.ndarray, " m"],
-    axes: Float64[np.ndarray, "3 3"],
-) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """The points along the axes, and where along each the outliers begin."""
-    along, spread = np.einsum("mi,ai->ma", points, axes), np.sqrt(_variances(covariances, axes))
-    shares = mass / mass.sum()
-    ends = (mixture_quantile(along, spread, shares, share) for share in (OUTLIERS, 1 - OUTLIERS))
-    return along, *ends
+def without_strays(
+    points: Float64[np.ndarray, "m 3"], mass: Float64[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None
+) -> Bool[np.ndarray, " m"]:
+    """Return which points are in the core along each axis. mass: sums to 1.
+
+    Axes of everything may be turned by strays, so that a second round has better ones.
+    """
+    inside = np.ones(len(points), bool)
+    for _ in range(ROUNDS):
+        along = np.einsum("mi,ai->ma", points, _axes(points[inside], mass[inside], up))
+        low, high = np.array([core(column, mass) for column in along.T]).T
+        inside = ((along >= low) & (along <= high)).all(axis=1)
+        if np.count_nonzero(mass[inside] > 0) < FEWEST:
+            inside[:] = True
+    return inside
+
+
+def core(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) -> tuple[float, float]:
+    """Return the interval between two tails that has the largest mass^SPARSE / length. mass: sums to 1."""
+    lows, highs = _tail(values, mass), -_tail(-values, mass)
+    length = highs - lows[:, None]
+    least = 1e-9 * length[0, 0] + np.finfo(np.float64).tiny
+    kept = SPARSE * np.log(1 - TAILS - TAILS[:, None]) - np.log(np.maximum(length, least))
+    low, high = np.unravel_index(np.where(length >= 0, kept, -np.inf).argmax(), kept.shape)
+    return float(lows[low]), float(highs[high])
+
+
+def _tail(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " t"]:
+    """Return, for each share of TAILS, the first value with more of the mass up to it, itself included."""
+    order = np.argsort(values, kind="stable")
+    first = np.searchsorted(np.cumsum(mass[order]), TAILS, side="right")
+    return np.asarray(values[order[np.minimum(first, len(order) - 1)]])
 
 
 def mixture_quantile(

@@ -1,0 +1,103 @@
+"""Where one thing rests on another: its lower Gaussians touch the other's, which lie around or under its middle.
+
+Boxes overlap, or hover by the thickness of a splat, and photos see little of what lies under a thing. Both say little
+of whether it stands there; Gaussians beside its foot do. Defined in docs/objects.md.
+"""
+
+import numpy as np
+from jaxtyping import Float64, Integer
+from scipy.spatial import cKDTree
+
+from ..scene.boxes import solid
+from ..scene.gaussians import Gaussians
+
+FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
+DEVIATIONS = 2.0  # of two Gaussians, towards each other, within which they touch
+NEIGHBOURS = 8
+SPACING_NEIGHBOUR = 3  # whose median distance is the typical spacing
+LEAST_TOUCHING = 0.1  # of the foot's Gaussians
+ENCLOSED = np.pi  # widest angle without contact around what cannot fall off
+ONE_SIDED = 4 / 3 * np.pi  # the same where only the foot touches: photos see one side of a shelf
+
+Points = Float64[np.ndarray, "_ 3"]
+Ids = Integer[np.ndarray, " _"]
+Up = Float64[np.ndarray, " 3"]
+
+
+def rests_on(gaussians: Gaussians, thing: Ids, support: Ids, up: Up) -> bool:
+    """Return whether some Gaussians rest on others, by contact.
+
+    Args:
+        gaussians: the scene.
+        thing: rows of what may rest; those that can be seen count, here and of the support.
+        support: rows of what it may rest on; those that it shares do not count, so that nothing is on itself.
+        up: the unit direction that is up.
+    """
+    positions, own = gaussians.positions, solid(gaussians, thing)
+    heights, others = positions[own] @ up, solid(gaussians, np.setdiff1d(support, thing))
+    low, high = np.quantile(heights, (0.02, 0.98))
+    ankle = low + FOOT_SHARE * (high - low)
+    foot, rest = own[heights <= ankle], own[heights > ankle]
+    touching, touched = contacts(gaussians, own, foot, others)
+    if len(touching) < max(LEAST_TOUCHING * len(foot), 1):
+        return False
+    places = positions[touched]
+    if heights.mean() <= (places @ up).mean():
+        return False
+    gap = widest_gap(places, positions[foot].mean(axis=0), up)
+    if ENCLOSED < gap <= ONE_SIDED:
+        beside = contacts(gaussians, own, rest, others)[1]
+        return not len(beside) or bool((positions[beside] @ up).mean() <= ankle)
+    return gap <= ENCLOSED
+
+
+def contacts(gaussians: Gaussians, thing: Ids, part: Ids, others: Ids) -> tuple[Ids, Ids]:
+    """Return those rows of a part of a thing that touch others, and those of the others that they touch, each once.
+
+    Two touch where their centres are no further apart than two standard deviations of both, along the line between
+    them, and the mean of the typical spacings of the thing and of the others there. Of each, the eight nearest others
+    are looked at. Things of so few Gaussians that they have no spacing touch nothing.
+    """
+    others = _near(gaussians, part, others)
+    if min(len(others), len(thing)) <= SPACING_NEIGHBOUR or not len(part):
+        return part[:0], others[:0]
+    here, there = (gaussians.subset(ids).positions for ids in (part, others))
+    spacing = (_spacing(gaussians.subset(thing).positions) + _spacing(there)) / 2
+    distances, nearest = cKDTree(there).query(here, np.arange(1, min(NEIGHBOURS, len(others)) + 1))
+    first, second = np.repeat(part, nearest.shape[1]), others[nearest.ravel()]
+    along = there[nearest.ravel()] - np.repeat(here, nearest.shape[1], axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+    deviations = _deviations(gaussians, first, along) + _deviations(gaussians, second, along)
+    touch = distances.ravel() <= DEVIATIONS * deviations + spacing
+    return np.unique(first[touch]), np.unique(second[touch])
+
+
+def _near(gaussians: Gaussians, part: Ids, others: Ids) -> Ids:
+    """Return the others in the box of a part of a thing, widened by half of its diagonal."""
+    here, there = (gaussians.subset(ids).positions for ids in (part, others))
+    if not len(here):
+        return others[:0]
+    low, high = here.min(axis=0), here.max(axis=0)
+    margin = float(np.linalg.norm(high - low)) / 2
+    return np.asarray(others[((there >= low - margin) & (there <= high + margin)).all(axis=1)])
+
+
+def widest_gap(places: Points, middle: Up, up: Up) -> float:
+    """Return the widest angle, seen from above, in which none of some places lies around a middle, in radians."""
+    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    offsets = places - middle
+    angles = np.sort(np.arctan2(offsets @ np.cross(up, east), offsets @ east))
+    return float(np.diff(np.append(angles, angles[0] + 2 * np.pi)).max())
+
+
+def _spacing(points: Points) -> float:
+    """Return the typical distance to a near neighbour."""
+    return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
+
+
+def _deviations(gaussians: Gaussians, ids: Ids, directions: Points) -> Float64[np.ndarray, " _"]:
+    """Return the standard deviation of each Gaussian along a unit direction of its own."""
+    covariances = gaussians.subset(ids).covariances().astype(np.float64)
+    a, b = np.triu_indices(3)
+    factors = np.where(a == b, 1.0, 2.0) * directions[:, a] * directions[:, b]
+    return np.asarray(np.sqrt(np.maximum((covariances * factors).sum(axis=1), 0)))

@@ -1,0 +1,118 @@
+"""A thing is on another where its foot touches Gaussians that lie around or under its middle."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from drsplat import Gaussians
+from drsplat.query.contact import contacts, rests_on, widest_gap
+
+UP = np.array([0.0, 0, 1])
+THICK = 0.005
+
+
+def block(low: tuple[float, float, float], high: tuple[float, float, float], count: int = 1500) -> np.ndarray:
+    """The surface of a cuboid but for its underside, which no photo sees."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 1, (count, 3))
+    side = rng.integers(0, 5, count)
+    points[np.arange(count), [0, 0, 1, 1, 2] @ np.eye(5, dtype=int)[side].T] = np.array([0, 1, 0, 1, 1])[side]
+    return low + points * (np.array(high) - low)
+
+
+def scene_of(*things: np.ndarray, turn: np.ndarray | None = None) -> tuple[Gaussians, list[np.ndarray]]:
+    """Round Gaussians, and the rows of each thing."""
+    points = np.concatenate(things) @ (np.eye(3) if turn is None else turn).T
+    n, ends = len(points), np.cumsum([0, *map(len, things)])
+    gaussians = Gaussians(
+        points.astype(np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.full((n, 3), THICK, np.float32),
+        np.full(n, 0.9, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+    return gaussians, [np.arange(*pair) for pair in pairwise(ends)]
+
+
+def is_on(thing: np.ndarray, other: np.ndarray) -> bool:
+    gaussians, (own, support) = scene_of(thing, other)
+    return rests_on(gaussians, own, support, UP)
+
+
+TABLE = block((-0.8, -0.5, 0.7), (0.8, 0.5, 0.75), 20_000)
+TABLE = TABLE[np.linalg.norm(TABLE[:, :2], axis=1) > 0.05]  # nor does a photo see the table under a vase
+SOFA = np.concatenate(
+    [block((-0.8, -0.4, 0.0), (0.8, 0.4, 0.44), 20_000), block((-0.8, 0.4, 0), (0.8, 0.5, 0.9), 6_000)]
+)
+
+
+@pytest.mark.parametrize("above", [-0.01, 0.0, 0.01])
+def test_a_vase_is_on_a_table_that_it_overlaps_or_hovers_over(above: float) -> None:
+    vase = block((-0.05, -0.05, 0.75 + above), (0.05, 0.05, 1.05))
+    assert is_on(vase, TABLE)
+    assert not is_on(TABLE, vase)
+
+
+def test_nothing_is_on_itself() -> None:
+    gaussians, (table,) = scene_of(TABLE)
+    assert not rests_on(gaussians, table, table, UP)
+
+
+@pytest.mark.parametrize("above", [0.06, 0.3])
+def test_what_hangs_higher_than_a_splat_is_thick_is_not_on_it(above: float) -> None:
+    assert not is_on(block((-0.05, -0.05, 0.75 + above), (0.05, 0.05, 1.05 + above)), TABLE)
+
+
+@pytest.mark.parametrize("above", [0.0, 0.012])
+def test_a_plate_is_on_the_table_and_not_the_table_on_it(above: float) -> None:
+    """It hovers by more than half of its height, which was the limit of boxes."""
+    plate = block((0.2, -0.1, 0.75 + above), (0.4, 0.1, 0.77 + above))
+    assert is_on(plate, TABLE)
+    assert not is_on(TABLE, plate)
+
+
+def test_a_book_is_on_the_seat_of_a_sofa_below_half_of_its_height() -> None:
+    assert is_on(block((-0.1, -0.1, 0.44), (0.1, 0.1, 0.48)), SOFA)
+
+
+def test_what_stands_beside_a_thing_is_not_on_it() -> None:
+    """Mug and book touch, on one table."""
+    mug, book = block((0.0, 0.0, 0.75), (0.08, 0.08, 0.85)), block((0.081, -0.05, 0.75), (0.11, 0.15, 0.98))
+    assert not is_on(mug, book)
+    assert not is_on(book, mug)
+    assert is_on(mug, TABLE)
+
+
+def test_what_hangs_on_a_wall_is_not_on_it() -> None:
+    wall = block((-2.0, 1.0, 0.0), (2.0, 1.1, 2.5), 20_000)
+    assert not is_on(block((-0.2, 0.97, 1.2), (0.2, 1.0, 1.6)), wall)
+
+
+def test_contact_is_told_by_size_and_spacing() -> None:
+    """Rows a tenth apart, so that the third neighbour is two tenths away, and two deviations of both are 0.02."""
+    row = np.arange(9.0)[:, None] * [0.1, 0, 0]
+    for height, touches in ((0.215, True), (0.225, False)):
+        gaussians, (one, two) = scene_of(row, row + np.array([0, 0, height]))
+        touching, touched = contacts(gaussians, one, one, two)
+        assert touching.tolist() == one.tolist() * touches
+        assert touched.tolist() == two.tolist() * touches
+
+
+def test_gaps_are_meant_from_above() -> None:
+    places = np.array([[1.0, 0, 5], [0, 1.0, -5], [-1.0, 0, 0]])
+    assert widest_gap(places, np.zeros(3), UP) == pytest.approx(np.pi)
+    assert widest_gap(places[:2], np.zeros(3), UP) == pytest.approx(1.5 * np.pi)
+    assert widest_gap(places[:1], np.zeros(3), UP) == pytest.approx(2 * np.pi)
+
+
+def test_up_may_be_any_direction() -> None:
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    gaussians, (vase, table) = scene_of(block((-0.05, -0.05, 0.75), (0.05, 0.05, 1.05)), TABLE, turn=turn)
+    assert rests_on(gaussians, vase, table, turn @ UP)
+    assert not rests_on(gaussians, vase, table, UP)
+
+
+def test_things_of_a_few_gaussians_touch_nothing() -> None:
+    assert not is_on(np.array([[0.3, 0, 0.76]]), TABLE)
+    assert not is_on(block((-0.05, -0.05, 0.75), (0.05, 0.05, 1.05)), np.array([[0.0, 0, 0.74]]))
