@@ -27,7 +27,8 @@ from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat.evaluation import lerf_ovs, metrics
 from drsplat.evaluation.predictions import FIXED
 from drsplat.evaluation.scorers import Scorer
-from drsplat.query.thresholds import CUT, CUT_OF_OBJECTS, default_threshold
+from drsplat.query.thresholds import default_threshold
+from drsplat.query.wholes import with_objects
 
 Selection = Callable[[str], np.ndarray]
 
@@ -44,14 +45,12 @@ class Asked:
         return np.asarray(self.features @ MINI.encode_texts([text])[0], np.float32)
 
     def of_objects(self, text: str) -> np.ndarray:
-        """Means over objects; loose Gaussians keep their own."""
-        values, numbers = self.cosines(text), self.things + 1
-        means = np.bincount(numbers, values) / np.maximum(np.bincount(numbers), 1)
-        return np.where(numbers > 0, means[numbers], values).astype(np.float32)
+        """As `drsplat select` has them."""
+        return with_objects(self.cosines(text), self.things)
 
-    def by_default(self, values: Callable[[str], np.ndarray], cut: float, text: str) -> np.ndarray:
+    def by_default(self, values: Callable[[str], np.ndarray], text: str) -> np.ndarray:
         found = values(text)
-        return np.asarray(found >= default_threshold(found, MINI.threshold, cut))
+        return np.asarray(found >= default_threshold(found, MINI.threshold))
 
     def by_best_threshold(self, values: Callable[[str], np.ndarray], text: str) -> np.ndarray:
         """That of the largest IoU, over Gaussians, with those of the category."""
@@ -78,8 +77,8 @@ class Asked:
 
     def selections(self) -> Mapping[str, Selection]:
         return {
-            "Gaussians, default": partial(self.by_default, self.cosines, CUT),
-            "objects, default": partial(self.by_default, self.of_objects, CUT_OF_OBJECTS),
+            "Gaussians, default": partial(self.by_default, self.cosines),
+            "objects, default": partial(self.by_default, self.of_objects),
             "Gaussians, best threshold": partial(self.by_best_threshold, self.cosines),
             "objects, best threshold": partial(self.by_best_threshold, self.of_objects),
             "best object": partial(self.objects, most=1),

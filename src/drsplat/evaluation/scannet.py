@@ -121,9 +121,11 @@ def predict_classes(
     answers = scorer.answer if AUTOMATIC in chosen else None
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
     numbers = track(range(1, len(scene.labels.prompts) + 1), f"{scene.name}: classes")
-    for number, scores in zip(numbers, scorer.each(scene.labels.prompts), strict=True):
-        higher = scores > best  # NaN is not
-        found[higher], best[higher] = number, scores[higher]
+    prompts = scene.labels.prompts
+    several = zip(numbers, scorer.each(prompts), scorer.compared(prompts), strict=True)
+    for number, scores, compared in several:
+        higher = compared > best  # NaN is not
+        found[higher], best[higher] = number, compared[higher]
         if keep_scores:
             write_npy(scores_path(folder, scene.name, number), scores, overwrite=True)
             for name, (choose, _) in chosen.items():

@@ -14,7 +14,7 @@ from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
 from ..query import Scene
 from ..query.search import CHUNK, NEGATIVES, embed_query
-from ..query.wholes import by_object
+from ..query.wholes import by_object, for_comparing
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
@@ -31,10 +31,11 @@ class Scorer:
 
     scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in tables. threshold:
     the fixed one, chosen without the scenes that are scored. least: the encoder's own, below which its scores say that
-    nothing is meant; None where it has none.  sweep:
-    thresholds that the tuned one is chosen from. about: what it is made of, hashes among it. views: names of the photos
-    that it was made from, None where nobody knows. several: the scores of a few texts at once, where that takes less
-    time. answer: what `drsplat select` compares for a text, and with which threshold.
+    nothing is meant; None where it has none. sweep: thresholds that the tuned one is chosen from. about: what it is
+    made of, hashes among it. views: names of the photos that it was made from, None where nobody knows. several: the
+    scores of a few texts at once, where that takes less time. answer: what `drsplat select` compares for a text, and
+    with which threshold. classes: of some texts in turn the scores by which `drsplat segment` compares them; None:
+    `scores`.
     """
 
     name: str
@@ -47,6 +48,11 @@ class Scorer:
     least: float | None = None
     several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
     answer: Callable[[str], tuple[Scores, float]] | None = None
+    classes: Callable[[Sequence[str]], Iterator[Scores]] | None = None
+
+    def compared(self, texts: Sequence[str]) -> Iterator[Scores]:
+        """Of each text in turn the scores by which one class is better than another."""
+        return self.each(texts) if self.classes is None else self.classes(texts)
 
     def each(self, texts: Sequence[str]) -> Iterator[Scores]:
         """The scores of each text in turn."""
@@ -73,6 +79,12 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
         one: Scores = several([text])[0]
         return one
 
+    def classes(texts: Sequence[str]) -> Iterator[Scores]:
+        for text in texts:
+            query = embed_query(encoder, known, text)
+            own = known.scores(query, threads=threads)
+            yield known.dense(for_comparing(known, own, query), fill=float("nan"))
+
     about = {
         "field": known.fingerprint,
         "scene": known.scene,
@@ -83,7 +95,7 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
     views = None if known.evidence is None else known.evidence.masks.view_names
     return Scorer(
         name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
-        _answer(known, encoder, threads),
+        _answer(known, encoder, threads), None if known.objects is None else classes,
     )  # fmt: skip
 
 

@@ -195,7 +195,7 @@ class Measuring:
         measure: str,
         default: _Default,
     ) -> Answer:
-        """values: of single Gaussians, which the threshold is chosen by; rows of objects are then compared with it together."""
+        """values: of single Gaussians. They choose the threshold; what objects make of them is compared with it."""
         whole = by_object(self._field, values)
         threshold, rule = self._threshold(values, whole, default)
         return Answer(self._field, query, whole, measure, threshold, rule, scores)

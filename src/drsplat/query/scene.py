@@ -32,7 +32,7 @@ from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
 from ..terminal import facts_html
 from .answer import Answer, Match, MatchTrack, Segmentation, Word
-from .defaults import LABEL, MIN_GAUSSIANS, OBJECT
+from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT
 from .encoding import source_of
 from .measuring import Background, Measuring
 from .naming import best_names, doubt_of, object_names
@@ -43,6 +43,7 @@ from .search import feature_at, feature_of, gaussian_at, row_of, seen_at
 from .support import support_in
 from .tasks import locate, segment
 from .views import view_named
+from .wholes import for_comparing
 
 Place = int | Point | tuple[str, float, float]
 
@@ -308,9 +309,13 @@ class Scene:
         if not names or len(set(names)) < len(names):
             raise InputError(f"expected one or more different classes, got {', '.join(names) or 'none'}")
         answers = list(Measuring(self.background, cut or Cut()).of_texts(names))
-        thresholds = [answer.threshold for answer in answers]
-        labels = segment(self.field, (answer.values for answer in answers), thresholds)
+        labels = segment(self.field, map(self._compared, answers))
         return Segmentation(names, labels, answers)
+
+    def _compared(self, answer: Answer) -> Float32[np.ndarray, " r"]:
+        """By what a class is better than another where it is selected, -inf elsewhere."""
+        values = for_comparing(self.field, answer.values, answer.vector if answer.measure == COSINE else None)
+        return np.where(answer.values > answer.threshold, values, np.float32(-np.inf))
 
     def what_is(self, place: Place, names: Sequence[str] | None = None, top: int = 5) -> list[Word]:
         """The best words for what is at a Gaussian (its row), a point (world xyz) or a click (view, x, y).

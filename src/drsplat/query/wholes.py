@@ -4,23 +4,55 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt32
 
 from ..field import LanguageField
+from ..field.objects import Objects
 
 SHARE = 0.25  # of an object's Gaussians that speak for it
 TRUST = 0.5  # in what an object says against what a Gaussian of it says
 
 
 def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
-    """Return values per row of a field: in an object the mean of its own and the object's; loose rows keep their own.
+    """Return values per row of a field `with_objects`; one that has none gives the values themselves."""
+    return values if field.objects is None else with_objects(values, field.objects.thing_of())
+
+
+def with_objects(values: Float32[np.ndarray, " r"], things: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+    """Return per row the mean of its own value and its object's; loose rows, of thing -1, keep their own.
 
     An object's value is the one that `SHARE` of its rows reach: what single photos say of the rest is noise, most of it
     where masks end. A row that fits far worse than the object stays out nevertheless: objects of real photos hold
     pieces of what is beside them. No row's value depends on another object, so no scrap that fits well by chance hides
-    a thing. A field without objects gives the values themselves.
+    a thing.
+    """
+    whole = np.float32(1 - TRUST) * values + np.float32(TRUST) * highest_share(values, things)
+    return np.where(things >= 0, whole, values)
+
+
+def for_comparing(
+    field: LanguageField, values: Float32[np.ndarray, " r"], query: Float32[np.ndarray, " D"] | None = None
+) -> Float32[np.ndarray, " r"]:
+    """Return values per row by which classes are compared, of which one has to be the best: an object has its mean.
+
+    Of cosines, with their unit query, it is the mean of that and of the cosine with the object's best descriptor, which
+    the masks that hold nothing else have most part in. Loose rows keep their own.
     """
     if field.objects is None or not len(values):
         return values
-    of_objects = highest_share(values, field.objects.thing_of())
-    return np.float32(1 - TRUST) * values + np.float32(TRUST) * of_objects
+    numbers = field.objects.thing_of() + 1  # 0: loose
+    means = np.bincount(numbers, values, minlength=1) / np.maximum(np.bincount(numbers, minlength=1), 1)
+    if query is not None:
+        means[1:] = (means[1:] + _best_descriptors(field.objects, query)[: len(means) - 1]) / 2
+    return np.where(numbers > 0, means.astype(np.float32)[numbers], values)
+
+
+def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " o"]:
+    """Return per object the highest cosine of a query with one of its descriptors."""
+    cosines = objects.descriptors @ (query / np.linalg.norm(query))
+    starts = objects.descriptor_starts
+    best = np.full(objects.num_nodes, -1, np.float32)
+    (some,) = np.nonzero(np.diff(starts))
+    if len(some):
+        best[some] = np.maximum.reduceat(cosines, starts[some])
+    return np.asarray(best[objects.things])
 
 
 def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
