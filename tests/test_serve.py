@@ -235,6 +235,8 @@ WRONG: list[tuple[str, Any, str]] = [
     ("select", {"click": {"view": "frame_00001", "x": 1e5, "y": 1}}, "640x480"),
     ("select", {"image": "not base64!"}, "base64"),
     ("select", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
+    ("select", {"text": "mug", "objects": "always"}, "objects: Input should be 'auto' or 'never'"),
+    ("segment", {"classes": ["mug"], "objects": None}, "objects: Input should be 'auto' or 'never'"),
     ("locate", {"text": "mug", "top": 0}, "top"),
     ("locate", {"text": "mug", "top": 10**9}, "top"),
     ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),
