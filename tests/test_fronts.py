@@ -112,6 +112,13 @@ GOOD = [
     ),
     Asked("a point", {"point": AT}, ("--point", ",".join(map(str, AT))), {"point": list(AT)}),
     Asked("a click", {"click": CLICK}, ("--click", "frame_00001:280,250"), {"click": PIXEL}),
+    text("words without objects", "red vase", objects="never"),
+    Asked(
+        "a click without objects",
+        {"click": CLICK, "objects": "never"},
+        ("--click", "frame_00001:280,250", "--objects", "never"),
+        {"click": PIXEL, "objects": "never"},
+    ),
 ]
 BAD = [
     text("no such word", "zeppelin"),
@@ -220,6 +227,22 @@ def test_language_models(asked: Asked, room: Scene, scene_folder: SceneFolder) -
     same_matches(told["matches"], room.locate(expected)[:20], exactly=False)
 
 
+def test_language_models_without_objects(room: Scene) -> None:
+    talk, query = Conversation(room, "room"), Query("toys", objects="never")
+    expected = room.locate(query)
+    told = talk.locate("toys", top=20, objects="never").model_dump()
+    same_numbers(told["measured"], room.ask(query), 1e-5)
+    same_matches(told["matches"], expected[:20], exactly=False)
+    assert talk.count("toys", objects="never").count == talk.show("toys", objects="never").shown.num_matches
+    assert talk.count("toys", objects="never").count == len(expected)
+    place = talk.where_is("toys", objects="never").best
+    assert place is not None
+    same_matches([place.model_dump()], expected[:1], exactly=False)
+    apart = talk.how_far_apart("red vase", "candle", objects="never")
+    (vase, *_), (candle, *_) = (room.locate(Query(one, objects="never")) for one in ("red vase", "candle"))
+    np.testing.assert_allclose(apart.offset, candle.center - vase.center, atol=2e-4)
+
+
 @named(GOOD)
 def test_the_viewer(asked: Asked, room: Scene) -> None:
     """Words and pictures are asked in its panel; of other answers it shows the same matches."""
@@ -238,11 +261,11 @@ def test_the_viewer(asked: Asked, room: Scene) -> None:
         np.testing.assert_array_equal(shown.center, match.center)
 
 
-@pytest.mark.parametrize("cut", [{}, {"threshold": 0.6}, {"relevancy": True}])
+@pytest.mark.parametrize("cut", [{}, {"threshold": 0.6}, {"relevancy": True}, {"objects": "never"}])
 def test_classes(cut: dict[str, Any], room: Scene, scene_folder: SceneFolder, capsys: Capture) -> None:
     names = ["red vase", "laptop", "orange sofa"]
     expected = room.segment(names, Cut(**cut))
-    flags = ["--relevancy"] if "relevancy" in cut else [f"--threshold={cut[k]}" for k in cut]
+    flags = ["--relevancy"] if "relevancy" in cut else [f"--{name}={value}" for name, value in cut.items()]
     told = answer_of(capsys, "segment", files_of(room), "--classes", ",".join(names), *flags)
     _, sent = over_http(scene_folder, "segment", {"classes": names, "labels": True, **cut})
     for one in (told, sent):

@@ -24,6 +24,7 @@ import pytest
 from PIL import Image
 
 from command_line import Capture, error_of
+from drsplat import Query, open_scene
 from drsplat.demo import story as household
 from processes import children_of
 
@@ -175,7 +176,8 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
             ("locate", {"text": "toy", "top": 21}, "locate: top: Input should be less than"),
             ("locate", {"text": 5}, "locate: text: Input should be a valid string"),
             ("locate", {}, "locate: text: Field required"),
-            ("show", {"save": "x.png"}, "show: no argument save; there are: text, view, scene"),
+            ("show", {"save": "x.png"}, "show: no argument save; there are: text, view, scene, objects"),
+            ("count", {"text": "toy", "objects": "always"}, "count: objects: Input should be 'auto' or 'never'"),
             ("show", {"view": "photo"}, "there is no view 'photo'"),
             ("count", {"text": "toys", "on": ""}, "count: on: "),
             ("what_is_at", {"point": ["a", 0, 0]}, "what_is_at: point.0: "),
@@ -199,6 +201,10 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
         assert [one["center"] for one in free["matches"]] != [one["center"] for one in every["matches"]]
         assert all(abs(one["axes"][2][2]) > 0.99 for one in every["matches"])
         assert not all(abs(one["axes"][2][2]) > 0.99 for one in free["matches"])
+        plain = await told(client, "locate", text="something to eat", objects="never")
+        asked = open_scene(room, threads=1).ask(Query("something to eat", objects="never"))
+        assert plain["measured"]["num_selected"] == len(asked.gaussian_ids)
+        assert plain["measured"]["num_selected"] != every["measured"]["num_selected"]
         about = await told(client, "about_scene")
         assert about["up"][2] > 0.99
         assert (about["units"], about["num_photos"]) == ("scene units", 48)

@@ -13,7 +13,7 @@ import pytest
 from drsplat import MiniEncoder, WordEncoder, write_gaussians
 from drsplat.demo import story as household
 from drsplat.errors import InputError, MismatchError
-from drsplat.query import Query, Scene, find_scene, open_scene
+from drsplat.query import Cut, Query, Scene, find_scene, open_scene
 from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region
 from drsplat.query.search import feature_at
@@ -179,6 +179,8 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Query(text="a", threshold="best"), "'auto'"),
     (lambda: Query(text="a", threshold=0.5, top_share=0.1), "drop one"),
     (lambda: Query(text="a", threshold="auto", relevancy=True), "drop relevancy=True"),
+    (lambda: Query(text="a", objects="always"), "objects: expected 'auto' or 'never', got 'always'"),
+    (lambda: Cut(objects=""), "objects: expected 'auto' or 'never', got ''"),
 ]
 
 

@@ -143,7 +143,7 @@ def test_points_clicks_images_and_classes(service: Service, folder: Path) -> Non
     assert words["words"][0]["name"] == "red vase"
     found = told(service("POST", "/scenes/room/locate", json={"point": point}))
     assert found["measured"]["threshold_rule"] == "object"
-    assert found["matches"][0]["num_gaussians"] == len(vase)
+    assert found["matches"][0]["object"] == vase.object_id
     assert np.linalg.norm(np.array(found["matches"][0]["center"]) - vase.center) < 0.1
     view = scene.best_view(vase.gaussian_ids)
     seen = view.K @ (view.cam_from_world @ np.append(vase.center, 1))[:3]
@@ -235,6 +235,8 @@ WRONG: list[tuple[str, Any, str]] = [
     ("select", {"click": {"view": "frame_00001", "x": 1e5, "y": 1}}, "640x480"),
     ("select", {"image": "not base64!"}, "base64"),
     ("select", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
+    ("select", {"text": "mug", "objects": "always"}, "objects: Input should be 'auto' or 'never'"),
+    ("segment", {"classes": ["mug"], "objects": None}, "objects: Input should be 'auto' or 'never'"),
     ("locate", {"text": "mug", "top": 0}, "top"),
     ("locate", {"text": "mug", "top": 10**9}, "top"),
     ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),

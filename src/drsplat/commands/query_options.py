@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..query.defaults import AUTO
+from ..query.defaults import AUTO, NEVER
 from ..terminal import quoted
 from .options import CAPTURE_OPTIONS, add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
@@ -105,12 +105,21 @@ def add_measure_options(parser: argparse.ArgumentParser) -> None:
         "field, else object,things,stuff,texture)",
     )  # fmt: skip
     _add_during(parser)
+    add_objects(parser)
 
 
 def _add_during(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--during", type=finite, nargs=2, metavar=("START", "END"),
         help="span of time of a scene that moves: only what photos of it have shown is asked (default: all times)",
+    )  # fmt: skip
+
+
+def add_objects(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--objects", choices=(AUTO, NEVER), default=AUTO,
+        help="auto: objects answer as wholes, where the field has them; never: every Gaussian answers for itself "
+        "(default: auto)",
     )  # fmt: skip
 
 
@@ -216,6 +225,7 @@ def cut_of(arguments: argparse.Namespace) -> Cut:
         relevancy=arguments.relevancy,
         negatives=arguments.negatives and negatives(arguments.negatives),
         during=arguments.during and tuple(arguments.during),
+        objects=arguments.objects,
     )
 
 

@@ -19,7 +19,7 @@ from .options import (
     views_of,
     words,
 )
-from .query_options import open_scene
+from .query_options import add_objects, open_scene
 
 if TYPE_CHECKING:
     from ..drawing.labels import Mark
@@ -92,6 +92,7 @@ def _add_answer_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="threshold of --query (default: as of `drsplat locate`)"
     )
+    add_objects(parser)
     parser.add_argument("--boxes", action="store_true", help="draw the matches of --query with boxes and names")
     parser.add_argument(
         "--heat-map", action="store_true",
@@ -189,7 +190,7 @@ def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highligh
     if arguments.query is None:
         return None, None
     opened = open_scene(arguments)
-    query = Query(arguments.query, threshold=arguments.threshold)
+    query = Query(arguments.query, threshold=arguments.threshold, objects=arguments.objects)
     return opened, Highlight.of(opened, query, heat=arguments.heat_map, boxes=arguments.boxes)
 
 
@@ -216,13 +217,15 @@ def _note_edits(arguments: argparse.Namespace, scene: Gaussians | Moving) -> Non
 def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
     from ..drawing.pictures import write_picture
     from ..errors import InputError
+    from ..query import Query
     from ..query.sheets import attribute_row
 
     output = new_output(arguments.output_dir, arguments.overwrite)
     if answer is None or not answer.matches:
         raise InputError(f"'{arguments.query}' has no match in this scene: there is nothing to show attributes of")
     view = None if arguments.view is None else opened.view(arguments.view)
-    write_picture(output, attribute_row(opened, answer.matches[0], arguments.attributes, view), arguments.overwrite)
+    attributes = [Query(words, objects=arguments.objects) for words in arguments.attributes]
+    write_picture(output, attribute_row(opened, answer.matches[0], attributes, view), arguments.overwrite)
     return {"files": [str(output)], "num_views": 1}
 
 

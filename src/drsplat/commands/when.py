@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from .options import add_capture_options, add_query_encoders, finite, words
-from .query_options import FIELD_HELP, open_scene
+from .query_options import FIELD_HELP, add_objects, open_scene
 
 RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
 SUMMARY = "tell when one object of a scene that moves is on, in, next to, above, left or right of another"
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threshold", type=finite, metavar="T", help="threshold of both queries (default: that of `drsplat locate`)"
     )
+    add_objects(parser)
     add_query_encoders(parser)
     add_capture_options(parser)
 
@@ -41,7 +42,10 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..query import Query
 
     scene = open_scene(arguments)
-    one, other = (Query(text, threshold=arguments.threshold) for text in (arguments.one, arguments.other))
+    one, other = (
+        Query(text, threshold=arguments.threshold, objects=arguments.objects)
+        for text in (arguments.one, arguments.other)
+    )
     spans = scene.when(one, arguments.relation, other, arguments.view)
     return {
         "field": arguments.field,

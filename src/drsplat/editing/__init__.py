@@ -3,7 +3,7 @@
 `edited` applies a list, `EditFile` keeps it, `targets` says what an edit is done to. A change is a module's dataclass
 with `apply`.
 
-Imports `drawing`, `formats`, `kernels`, `query` and `scene`.
+Imports `drawing`, `field`, `formats`, `kernels`, `query` and `scene`.
 """
 
 from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn

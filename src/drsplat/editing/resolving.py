@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float64, Int64, Integer
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
+from ..field import LanguageField
 from ..query import Query, Scene
 from ..query.objects import match_of, objects_of
 from ..scene.boxes import HAZE
@@ -38,24 +39,34 @@ def label_rows(scene: Scene, name: str) -> Rows:
 def query_rows(scene: Scene, query: Query | str, said: str = "") -> Rows:
     """Of all matches of a query together. Raises: InputError: it has none."""
     said = said or (query if isinstance(query, str) else query.text or "")
-    matches = scene.locate(query)
+    answer = scene.ask(query)
+    matches = scene.locate(answer)
     if not matches:
         raise InputError(f"no match for “{said}”: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in matches])
-    return Rows.of(whole(scene, ids), "query", said)
+    return Rows.of(_completed(scene.gaussians, ids, _owners(scene, answer.field)), "query", said)
 
 
 def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
+    """Return rows of a scene with what nobody can tell apart from them; see `_completed`."""
+    return _completed(scene.gaussians, ids, _owners(scene, scene.field))
+
+
+def _owners(scene: Scene, field: LanguageField) -> Int64[np.ndarray, " n"]:
+    """Return per Gaussian the number of its object, -1 for none and where `field`, of an answer, has no objects."""
+    if field.objects is None:
+        return np.full(len(scene.gaussians), -1, np.int64)
+    return scene.object_ids().astype(np.int64)
+
+
+def _completed(gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Int64[np.ndarray, " n"]) -> Ids:
     """Rows with what nobody can tell apart from them: what they enclose, and loose Gaussians that hang on to them.
 
     Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is
     inside stays behind only where it is more than half of an object: an apple in a closed box.
     """
-    gaussians, inside = scene.gaussians, np.zeros(len(scene.gaussians), bool)
+    inside = np.zeros(len(gaussians), bool)
     inside[ids] = True
-    owners = np.full(len(gaussians), -1, np.int64)
-    if scene.field.objects is not None:
-        owners = scene.object_ids().astype(np.int64)
     taken = enclosed(gaussians, inside)
     counts = np.bincount(owners[taken & (owners >= 0)], minlength=owners.max(initial=0) + 1)
     sizes = np.bincount(owners[owners >= 0], minlength=len(counts))

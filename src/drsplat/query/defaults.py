@@ -2,7 +2,8 @@
 
 RELEVANCY_THRESHOLD = 0.5
 MIN_GAUSSIANS = 40  # smaller things are specks where masks met
-AUTO, ENCODER, GIVEN, LIST, SHARE, DEFAULT, OBJECT, LABEL = (
-    "auto", "encoder", "given", "list", "top share", "default", "object", "label",
+AUTO, NEVER = "auto", "never"
+ENCODER, GIVEN, LIST, SHARE, DEFAULT, OBJECT, LABEL = (
+    "encoder", "given", "list", "top share", "default", "object", "label",
 )  # fmt: skip
 COSINE, RELEVANCY = "cosine", "relevancy"

@@ -41,6 +41,11 @@ class Background:
     def encoder(self) -> Encoder:
         return self.source()
 
+    @cached_property
+    def plain(self) -> LanguageField:
+        """The field without its objects."""
+        return self.field.with_objects(None)
+
     @property
     def own_threshold(self) -> float | None:
         return own_threshold(self.encoder)
@@ -138,7 +143,8 @@ class Measuring:
 
     @property
     def _field(self) -> LanguageField:
-        return self.background.field
+        """The field that is measured and answers, with objects only where the cut asks them."""
+        return self.background.field if self.cut.asks_objects else self.background.plain
 
     def _without(
         self, answer: Answer, scores: Float32[np.ndarray, " r"], wanted: str, unwanted: tuple[str, ...]

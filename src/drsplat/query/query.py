@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ..errors import InputError
-from .defaults import AUTO
+from .defaults import AUTO, NEVER
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -16,9 +16,10 @@ class Cut:
     threshold: a number, "auto", or None for the default; top_share, a share of the registered Gaussians,
     takes its place. relevancy: measure how much better the query fits than `negatives`, texts or vectors
     (n, D); None takes those of the field, else LERF's. during: start and end of a span of time, of a scene that moves:
-    only what photos of that time have shown is asked; None: all of it.
+    only what photos of that time have shown is asked; None: all of it. objects: "auto" lets objects answer as wholes
+    where the field has them; with "never" every Gaussian answers for itself, as in a field without objects.
 
-    Raises: InputError: parts that exclude each other, or a span that ends before it starts.
+    Raises: InputError: parts that exclude each other, a span that ends before it starts, an unknown word.
     """
 
     threshold: float | str | None = None
@@ -26,6 +27,7 @@ class Cut:
     relevancy: bool = False
     negatives: tuple[str, ...] | Float32[np.ndarray, "n D"] | None = None
     during: tuple[float | int, float | int] | None = None
+    objects: str = AUTO
 
     def __post_init__(self) -> None:
         if isinstance(self.threshold, str) and self.threshold != AUTO:
@@ -38,11 +40,19 @@ class Cut:
             )
         if self.during is not None and not -np.inf < self.during[0] <= self.during[1] < np.inf:
             raise InputError(f"during: expected two finite times, the first no later than the second: {self.during}")
+        if self.objects not in (AUTO, NEVER):
+            raise InputError(f"objects: expected 'auto' or 'never', got {self.objects!r}")
 
     @property
     def is_default(self) -> bool:
-        """Whether nothing is said of how to measure and to cut."""
-        return self.threshold is None and self.top_share is None and not self.measures_relevancy
+        """Whether nothing is said of how to measure and to cut, so that an object or a label may be the answer."""
+        is_uncut = self.threshold is None and self.top_share is None
+        return is_uncut and not self.measures_relevancy and self.asks_objects
+
+    @property
+    def asks_objects(self) -> bool:
+        """Whether objects answer as wholes, where the field has them."""
+        return self.objects == AUTO
 
     @property
     def measures_relevancy(self) -> bool:
@@ -56,7 +66,7 @@ class Query(Cut):
     text: "mug, not red" leaves out what "red mug" fits as well; exclude: more such words. vector: (D,), of the
     encoder's space. image: RGB of a thing, best cut out on black, as masks are. point: world coordinates; what is
     there. click: a view's name and a pixel of it, the centre of the first one at (0.5, 0.5). Both find the object that
-    is there; with a cut of their own, or where the field has no objects, all that is like it.
+    is there; with a cut of their own, without objects, or where the field has none, all that is like it.
 
     Raises: InputError: not one of the five, or parts that exclude each other.
     """

@@ -88,13 +88,15 @@ class Surroundings:
     def vector(self, query: Query) -> Float32[np.ndarray, " D"]:
         """The unit vector of a query.
 
-        Raises: InputError: a point, a click or a share, which are of one scene; no encoder; words that it does not
-        know. MismatchError: a vector of another dimension, or another encoder.
+        Raises: InputError: a point, a click or a share, which are of one scene; a query that never asks objects; no
+        encoder; words that it does not know. MismatchError: a vector of another dimension, or another encoder.
         """
         if any(part is not None for part in (query.point, query.click, query.top_share, query.during)):
             raise InputError(
                 "a point, a click, a share and a span of time mean something in one scene only: give words or a picture"
             )
+        if not query.asks_objects:
+            raise InputError("a catalogue holds objects alone: leave objects='never' out")
         if query.text is not None:
             return self._text(split_negation(query.text)[0])
         if query.image is not None:

@@ -312,9 +312,10 @@ class Scene:
         labels = segment(self.field, map(self._compared, answers))
         return Segmentation(names, labels, answers)
 
-    def _compared(self, answer: Answer) -> Float32[np.ndarray, " r"]:
+    @staticmethod
+    def _compared(answer: Answer) -> Float32[np.ndarray, " r"]:
         """By what a class is better than another where it is selected, -inf elsewhere."""
-        values = for_comparing(self.field, answer.values, answer.vector if answer.measure == COSINE else None)
+        values = for_comparing(answer.field, answer.values, answer.vector if answer.measure == COSINE else None)
         return np.where(answer.values > answer.threshold, values, np.float32(-np.inf))
 
     def what_is(self, place: Place, names: Sequence[str] | None = None, top: int = 5) -> list[Word]:

@@ -22,6 +22,7 @@ from ..errors import InputError
 from ..scene.views import View
 from .answer import Answer, Match
 from .objects import objects_of, photos_of
+from .query import Query
 from .scene import Scene
 
 AT_ONCE = 16  # objects whose photos are compared together
@@ -76,7 +77,9 @@ def object_sheet(scene: Scene, matches: Sequence[Match], titles: Sequence[str]) 
     return contact_sheet(tiles, min(COLUMNS, len(tiles)), tile_width=tiles[0].shape[1])
 
 
-def attribute_row(scene: Scene, match: Match, attributes: Sequence[str], view: View | None = None) -> OtherPixels:
+def attribute_row(
+    scene: Scene, match: Match, attributes: Sequence[Query | str], view: View | None = None
+) -> OtherPixels:
     """One thing as it is, and beside it how well each word fits, as heat: yellow-green at the word's threshold.
 
     Each heat map says how much of the thing, in opacity, is above that. view: None for the one that shows most of it;
@@ -88,15 +91,16 @@ def attribute_row(scene: Scene, match: Match, attributes: Sequence[str], view: V
         raise InputError(f"attributes: expected 1 to {MOST_ATTRIBUTES} words, got {len(attributes)}")
     view = (view or scene.best_view(match.gaussian_ids)).limited(ATTRIBUTE_SIDE)
     seen = visible_share(scene.gaussians, view, match.gaussian_ids, splats=scene.splats, threads=scene.threads)
-    answers = [scene.ask(word) for word in attributes]
+    queries = [Query(one) if isinstance(one, str) else one for one in attributes]
+    answers = [scene.ask(query) for query in queries]
     heat = [scene.field.dense(heat_of(one.values, one.threshold), fill=0.0) for one in answers]
     near = zoomed(view, seen)
     drawn = render(scene.gaussians, near, values=np.stack(heat, 1), splats=scene.splats, threads=scene.threads)
     picture, solid = as_pixels(drawn.rgb), np.maximum(drawn.alpha, 1e-3)
     tiles = [titled(picture, match.label or "as it is")]
-    for number, (word, answer) in enumerate(zip(attributes, answers, strict=True)):
+    for number, (query, answer) in enumerate(zip(queries, answers, strict=True)):
         note = f"{_share_above(scene, match, answer):.0%} of it"
-        tiles.append(titled(heated(picture, drawn.channels[..., number] / solid), word, note))
+        tiles.append(titled(heated(picture, drawn.channels[..., number] / solid), query.text or "", note))
     return contact_sheet(tiles, len(tiles))
 
 

@@ -11,6 +11,7 @@ from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
 from .answer import Match
 from .contact import rests_on
+from .query import Query
 from .scene import Scene
 from .tasks import sure_matches
 
@@ -24,13 +25,14 @@ def gap(gaussians: Gaussians, one: Match, other: Match) -> float:
     return float(cKDTree(large).query(small)[0].min())
 
 
-def standing_on(scene: Scene, matches: Sequence[Match], text: str) -> list[Match]:
-    """Return the matches that stand on a sure match of a text.
+def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> list[Match]:
+    """Return the matches that stand on a sure match of a query.
 
     Raises: InputError: nothing is called so, or the photos do not tell which way is up.
     """
-    supports = scene.locate(text)
+    supports = scene.locate(query)
     if not supports:
+        text = query if isinstance(query, str) else query.text or ""
         raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")
     gaussians, up = scene.gaussians, scene.up
     if up is None:

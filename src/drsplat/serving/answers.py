@@ -143,7 +143,7 @@ def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
 
 
 def when(scene: Scene, asked: When, _: Limits) -> models.When:
-    one, other = (Query(text, threshold=asked.threshold) for text in (asked.one, asked.other))
+    one, other = (Query(text, threshold=asked.threshold, objects=asked.objects) for text in (asked.one, asked.other))
     return when_told(scene, one, asked.relation, other, asked.view)
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from .. import query as engine
 from ..errors import InputError
+from ..query.defaults import AUTO
 from ..query.objects import object_of, objects_of
 from ..query.regions import region
 from ..query.relations import Relation, related
@@ -163,11 +164,11 @@ class Conversation:
 
     def locate(
         self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright", during: Range | None = None,
-        tracks: bool = False,
+        tracks: bool = False, objects: str = AUTO,
     ) -> Located:  # fmt: skip
-        answer = self.scene.ask(_asked(text, during))
+        answer = self.scene.ask(_asked(text, during, objects))
         every = self.scene.locate(answer, box=box)
-        found = every if on is None else standing_on(self.scene, every, on)
+        found = every if on is None else standing_on(self.scene, every, _asked(on, objects=objects))
         return Located(
             query=_query(text, on),
             num_matches=len(found),
@@ -179,9 +180,9 @@ class Conversation:
             field=self._field,
         )
 
-    def count(self, text: str, on: str | None = None, during: Range | None = None) -> Count:
-        every = self.scene.locate(_asked(text, during))
-        counted = every if on is None else standing_on(self.scene, every, on)
+    def count(self, text: str, on: str | None = None, during: Range | None = None, objects: str = AUTO) -> Count:
+        every = self.scene.locate(_asked(text, during, objects))
+        counted = every if on is None else standing_on(self.scene, every, _asked(on, objects=objects))
         digits = decimals_of(self.scene)
         return Count(
             query=_query(text, on),
@@ -192,8 +193,8 @@ class Conversation:
             advice=_advice(text, every, counted, on),
         )
 
-    def where_is(self, text: str, during: Range | None = None) -> Place:
-        found = self.scene.locate(_asked(text, during))
+    def where_is(self, text: str, during: Range | None = None, objects: str = AUTO) -> Place:
+        found = self.scene.locate(_asked(text, during, objects))
         if not found:
             return Place(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
         return Place(
@@ -204,8 +205,8 @@ class Conversation:
             field=self._field,
         )
 
-    def how_far_apart(self, first: str, second: str) -> Distance:
-        one, other = self._best(first), self._best(second)
+    def how_far_apart(self, first: str, second: str, objects: str = AUTO) -> Distance:
+        one, other = (self._best(_asked(text, objects=objects)) for text in (first, second))
         if np.intersect1d(one.gaussian_ids, other.gaussian_ids).size:
             raise InputError(
                 f"'{first}' and '{second}' mean the same place here: describe each more exactly, e.g. by colour"
@@ -242,8 +243,9 @@ class Conversation:
         numbers = [one.object_id for one in (end, other) if one is not None]
         return Related(**listed.model_dump(), relation=relation, to=numbers)
 
-    def when(self, one: str, relation: str, other: str, view: str | None = None) -> When:
-        return when_told(self.scene, _asked(one, None), relation, _asked(other, None), view)
+    def when(self, one: str, relation: str, other: str, view: str | None = None, objects: str = AUTO) -> When:
+        first, second = (_asked(text, objects=objects) for text in (one, other))
+        return when_told(self.scene, first, relation, second, view)
 
     def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
@@ -260,10 +262,10 @@ class Conversation:
         advice = "" if listed else "none of these words fits what is there: give other names, or a larger radius"
         return Region(center=rounded(center, digits), radius=radius, parts=listed, field=self._field, advice=advice)
 
-    def show(self, text: str | None = None, view: str | None = None) -> Pictured:
+    def show(self, text: str | None = None, view: str | None = None, objects: str = AUTO) -> Pictured:
         ids, advice, count = None, "", 0
         if text:
-            found = self.scene.locate(_text(text))
+            found = self.scene.locate(_asked(text, objects=objects))
             count = len(found)
             ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
             advice = "" if found else _absent(text)
@@ -310,10 +312,10 @@ class Conversation:
         number = object_of(self.scene.field, match)
         return match if number is None else every[number]
 
-    def _best(self, text: str) -> engine.Match:
-        found = self.scene.locate(_text(text), top=1)
+    def _best(self, query: engine.Query) -> engine.Match:
+        found = self.scene.locate(query, top=1)
         if not found:
-            raise InputError(_absent(text))
+            raise InputError(_absent(query.text or ""))
         return found[0]
 
 
@@ -365,9 +367,10 @@ def _text(text: str) -> str:
     return text
 
 
-def _asked(text: str, during: Range | None) -> engine.Query:
-    """A text, of all times or a span of them."""
-    return engine.Query(_text(text), during=None if during is None else (during[0], during[1]))
+def _asked(text: str, during: Range | None = None, objects: str = AUTO) -> engine.Query:
+    """Return the query of a text, of all times or a span of them."""
+    span = None if during is None else (during[0], during[1])
+    return engine.Query(_text(text), during=span, objects=objects)
 
 
 def _names(names: list[str] | None) -> list[str] | None:

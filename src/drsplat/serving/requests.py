@@ -17,6 +17,10 @@ MOST = Limits()
 Text = Annotated[str, StringConstraints(min_length=1, max_length=MOST.text)]
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 Threshold = Annotated[float, Field(allow_inf_nan=False, ge=-1, le=1)]
+WithObjects = Annotated[
+    Literal["auto", "never"],
+    Field(description="auto: objects answer as wholes, where the field has them; never: each Gaussian for itself"),
+]
 Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 
 
@@ -44,6 +48,7 @@ class Cut(Request):
     during: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = Field(
         None, description="start and end of a span of time, of a scene that moves: only what photos of it have shown"
     )
+    objects: WithObjects = "auto"
 
 
 class Query(Cut):
@@ -86,6 +91,7 @@ class When(Request):
         None, description="a photo's name, for left_of and right_of only"
     )
     threshold: Threshold | Literal["auto"] | None = Field(None, description="of both queries")
+    objects: WithObjects = "auto"
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"one": "red car", "relation": "next_to", "other": "white vase"}]}
@@ -182,6 +188,7 @@ def cut_of(given: Cut) -> engine.Cut:
         relevancy=given.relevancy,
         negatives=None if given.negatives is None else tuple(given.negatives),
         during=None if given.during is None else (given.during[0], given.during[1]),
+        objects=given.objects,
     )
 
 

@@ -33,6 +33,7 @@ from .limits import Limits
 from .malformed import Answering
 from .models import Body, Located, ObjectList, SceneList, When
 from .refusals import faults_of
+from .requests import WithObjects
 from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
 
@@ -181,25 +182,32 @@ def _add_matches(server: MCPServer, asking: _Asking) -> None:
         tracks: Annotated[
             bool, Field(description="tell where each is over time, and when photos see it, of a scene that moves")
         ] = False,
+        objects: WithObjects = "auto",
     ) -> Located:
         """All matches of a text, best first: centre, oriented box, score and supporting photos."""
         asked = {"text": text, "on": on, "top": top, "box": box, "during": during, "tracks": tracks}
-        return await asking.told(Located, "locate", scene, **asked)
+        return await asking.told(Located, "locate", scene, **asked, objects=objects)
 
     @server.tool(title="Count matches", annotations=READS)
-    async def count(text: Text, on: On = None, scene: SceneName = "", during: During = None) -> Count:
+    async def count(
+        text: Text, on: On = None, scene: SceneName = "", during: During = None, objects: WithObjects = "auto"
+    ) -> Count:
         """How many matches a text has, in the scene or standing on something."""
-        return await asking.told(Count, "count", scene, text=text, on=on, during=during)
+        return await asking.told(Count, "count", scene, text=text, on=on, during=during, objects=objects)
 
     @server.tool(title="Where is it", annotations=READS)
-    async def where_is(text: Text, scene: SceneName = "", during: During = None) -> Place:
+    async def where_is(
+        text: Text, scene: SceneName = "", during: During = None, objects: WithObjects = "auto"
+    ) -> Place:
         """The best match of a text: where it is, how large it is, and the photo that shows it best."""
-        return await asking.told(Place, "where_is", scene, text=text, during=during)
+        return await asking.told(Place, "where_is", scene, text=text, during=during, objects=objects)
 
     @server.tool(title="How far apart", annotations=READS)
-    async def how_far_apart(first: Text, second: Text, scene: SceneName = "") -> Distance:
+    async def how_far_apart(
+        first: Text, second: Text, scene: SceneName = "", objects: WithObjects = "auto"
+    ) -> Distance:
         """Distance between the best matches of two texts: centre to centre, and between their nearest parts."""
-        return await asking.told(Distance, "how_far_apart", scene, first=first, second=second)
+        return await asking.told(Distance, "how_far_apart", scene, first=first, second=second, objects=objects)
 
 
 def _add_places(server: MCPServer, asking: _Asking) -> None:
@@ -264,9 +272,11 @@ def _add_times(server: MCPServer, asking: _Asking) -> None:
         other: Text,
         view: Annotated[str | None, Field(description="a photo's name, for left_of and right_of only")] = None,
         scene: SceneName = "",
+        objects: WithObjects = "auto",
     ) -> When:
         """In which spans of time one match stands in a relation to another, in a scene that moves."""
-        return await asking.told(When, "when", scene, one=one, relation=relation, other=other, view=view)
+        asked = {"one": one, "relation": relation, "other": other, "view": view, "objects": objects}
+        return await asking.told(When, "when", scene, **asked)
 
 
 def _add_pictures(server: MCPServer, asking: _Asking) -> None:
@@ -275,9 +285,10 @@ def _add_pictures(server: MCPServer, asking: _Asking) -> None:
         text: Annotated[str | None, Field(description="kept in colour, the rest grey; left out: all as it is")] = None,
         view: Annotated[str | None, Field(description="a photo's name; left out: the best one")] = None,
         scene: SceneName = "",
+        objects: WithObjects = "auto",
     ) -> Annotated[CallToolResult, Shown]:
         """A rendered picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
-        found = await asking.told(Pictured, "show", scene, text=text, view=view)
+        found = await asking.told(Pictured, "show", scene, text=text, view=view, objects=objects)
         picture = ImageContent(type="image", data=found.png, mime_type="image/png")
         content: Any = [TextContent(type="text", text=found.shown.model_dump_json()), picture]
         return CallToolResult(content=content, structured_content=found.shown.model_dump())
