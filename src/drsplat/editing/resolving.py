@@ -14,6 +14,7 @@ from .targets import Rows
 
 Ids = Int64[np.ndarray, " m"]
 DIRECTIONS = 64  # in which a thing may be around a place
+NEARLY_ALL = 0.95  # of an object's Gaussians: the others are its noisy ones
 AROUND = 0.85  # of them, from which on a place is inside
 MOST_POINTS, AT_ONCE = 1500, 1 << 20  # of a thing that directions are looked at; pairs at once
 NEIGHBOURS, MAJORITY = 8, 5  # of a loose Gaussian's neighbours, how many belong to what it hangs on to
@@ -60,18 +61,21 @@ def _owners(scene: Scene, field: LanguageField) -> Int64[np.ndarray, " n"]:
 
 
 def _completed(gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Int64[np.ndarray, " n"]) -> Ids:
-    """Rows with what nobody can tell apart from them: what they enclose, and loose Gaussians that hang on to them.
+    """Rows with what nobody can tell apart from them: the rest of objects that they nearly are, what they enclose, and
+    loose Gaussians that hang on to them.
 
     Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is
     inside stays behind only where it is more than half of an object: an apple in a closed box.
     """
     inside = np.zeros(len(gaussians), bool)
     inside[ids] = True
+    owned = owners >= 0
+    sizes = np.bincount(owners[owned], minlength=owners.max(initial=0) + 1)
+    nearly_all = np.bincount(owners[inside & owned], minlength=len(sizes)) >= NEARLY_ALL * sizes
+    inside |= owned & nearly_all[owners]
     taken = enclosed(gaussians, inside)
-    counts = np.bincount(owners[taken & (owners >= 0)], minlength=owners.max(initial=0) + 1)
-    sizes = np.bincount(owners[owners >= 0], minlength=len(counts))
-    own_things = counts > sizes / 2
-    inside |= taken & ~(own_things[owners] & (owners >= 0))
+    own_things = np.bincount(owners[taken & owned], minlength=len(sizes)) > sizes / 2
+    inside |= taken & ~(own_things[owners] & owned)
     for _ in range(PASSES):
         inside |= hanging(gaussians, inside, (owners < 0) & ~inside)
     return np.flatnonzero(inside)

@@ -96,7 +96,7 @@ class Surroundings:
                 "a point, a click, a share and a span of time mean something in one scene only: give words or a picture"
             )
         if not query.asks_objects:
-            raise InputError("a catalogue holds objects alone: leave objects='never' out")
+            raise InputError("a catalogue holds nothing but objects: a query that never asks them has no answer there")
         if query.text is not None:
             return self._text(split_negation(query.text)[0])
         if query.image is not None:
