@@ -130,5 +130,5 @@ def test_what_cannot_be_asked() -> None:
     for vector in (np.zeros(512), np.full(512, np.nan)):
         with pytest.raises(InputError, match="finite and not zero"):
             surroundings.vector(Query(vector=vector.astype(np.float32)))
-    with pytest.raises(InputError, match="holds objects alone: leave objects='never' out"):
+    with pytest.raises(InputError, match="a query that never asks them has no answer"):
         surroundings.vector(Query("mug", objects="never"))
