@@ -29,13 +29,11 @@ from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from drawn_embeddings import unit
-
 from benchmarks.suite.aggregators import MEASURED
 from benchmarks.suite.masks import MASKS
 from benchmarks.suite.scenes import BenchScene, read_scene
-from drsplat import EncoderIdentity, Gaussians, ViewFeatures, load_image, register
-from drsplat.codes import read_faiss_codebook
+from benchmarks.suite.trials import KINDS, Clip, unit
+from drsplat import Gaussians, ViewFeatures, load_image, register
 from drsplat.evidence.evidence import Evidence
 from drsplat.masks.masks import LEVELS
 from drsplat.masks.selection import mask_maps
@@ -44,30 +42,7 @@ from drsplat.query.thresholds import PEAK, automatic_threshold, clear_threshold
 
 ROWS, OF = 12_000, 50_000  # Gaussians looked at, and of a scene
 PEAK_HERE = round(PEAK * ROWS / OF)
-NEGATIVES = ("object", "things", "stuff", "texture")
 WRONG = (0.0, 0.2, 0.4)
-KINDS = {"clean": (1, 0.5, 0.004), "rough": (3, 1.0, -0.004)}  # centroids, noise, least margin
-
-
-class Clip:
-    """words: plain nouns; texts, negatives: their vectors; centroids: of pictures."""
-
-    def __init__(self, folder: Path) -> None:
-        book = read_faiss_codebook(folder / "pq_index.faiss", EncoderIdentity("published", 512))
-        assert book.coarse is not None
-        self.centroids = unit(book.coarse[np.linalg.norm(book.coarse, axis=1) > 0.5])
-        self.codes = book.centroids - book.centroids.mean(1, keepdims=True)
-        known = json.loads((folder / "text_vectors.json").read_text())
-        self.words = [word for word in known if word not in NEGATIVES]
-        self.texts = unit(np.array([known[word] for word in self.words]))
-        self.negatives = unit(np.array([known[word] for word in NEGATIVES]))
-        scores = self.centroids @ self.texts.T
-        best = [np.delete(scores, word, 1).max(1) for word in range(len(self.words))]
-        self.margins = scores - np.stack(best, 1)
-
-    def noise(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        parts = self.codes.shape[0]
-        return self.codes[np.arange(parts), rng.integers(0, 256, (count, parts))].reshape(count, -1)
 
 
 @dataclass(frozen=True, eq=False)

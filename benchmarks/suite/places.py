@@ -6,7 +6,7 @@ A place knows what its Gaussians belong to and which masks the photos have, and 
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +42,7 @@ UNKNOWN = -1
 class Place:
     """evidence: of masks of no meaning, a row per Gaussian of the scene. owners: the thing that most of each mask
     shows. labels: the thing of each Gaussian, mass: its weight in photos whose truth is known, 0 where it is not.
-    things: by name. nameless: cells of the rest of a capture. called: things by what people would ask for, such as "red
-    mug", where that is known.
+    things: by name. nameless: cells of the rest of a capture.
     """
 
     name: str
@@ -54,7 +53,6 @@ class Place:
     mass: Float64[np.ndarray, " n"]
     things: Mapping[str, list[int]]
     nameless: list[int]
-    called: Mapping[str, list[int]] = field(default_factory=dict)
 
 
 Ids = Callable[[View], Int32[np.ndarray, "h w"]]
@@ -65,16 +63,13 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
     scene = read_scene(folder)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     things: dict[str, list[int]] = defaultdict(list)
-    called: dict[str, list[int]] = defaultdict(list)
     for thing in (*truth["objects"], *truth["structures"]):
         things[thing["name"]].append(thing["id"])
-    for thing in truth["objects"]:
-        called[thing["category"]].append(thing["id"])
     path = kept / f"{folder.name}.{kind}.place.safetensors"
     if not path.is_file():
         _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *_true(scene))
     evidence, owners, labels, mass = _read(path)
-    return Place(f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [], called)
+    return Place(f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [])
 
 
 def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: Path) -> Place:

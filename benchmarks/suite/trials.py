@@ -1,4 +1,4 @@
-"""Words for the things of a place: genuine CLIP vectors drawn for them, or the built-in encoder's own.
+"""Words for the things of a place: genuine CLIP vectors drawn for them.
 
 The published codebook of an encoder has genuine centroids of pictures, and there are text vectors of the same space. A
 trial gives words to 4 to 12 things of a place, the largest among them in every second trial, and to its other things
@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
-from drsplat import EncoderIdentity, Gaussians, LanguageField, MiniEncoder, Scene
+from benchmarks.drawn_embeddings import unit
+from drsplat import EncoderIdentity, Gaussians, LanguageField, Scene
 from drsplat.codes import read_faiss_codebook
 from drsplat.codes.code import Code
 from drsplat.encoders import Encoder
@@ -29,12 +30,7 @@ from .places import Place
 
 NEGATIVES = ("object", "things", "stuff", "texture")
 KINDS = {"clean": (1, 0.5, 0.004), "rough": (3, 1.0, -0.004)}  # centroids, noise, least margin
-MINI = MiniEncoder()
 LEAST = 120  # Gaussians of what is asked for
-
-
-def unit(rows: np.ndarray) -> np.ndarray:
-    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
 class Clip:
@@ -140,15 +136,6 @@ def trial(place: Place, clip: Clip, kind: str, wrong: float, seed: int, words: r
     absent = [clip.words[word] for word in words if word not in given]
     name = f"{place.name}, {kind}, {wrong:.0%} wrong, {seed}"
     return Trial(name, field, place.gaussians, clip.encoder, present, absent, mass)
-
-
-def built_in(place: Place, embeddings: Float32[np.ndarray, "m D"], absent: list[str]) -> Trial:
-    """The built-in encoder's words for the things of a place. embeddings: its own, of the place's masks."""
-    field = field_of(replace(place.evidence, embeddings=embeddings), place.gaussians, MINI.identity)
-    labels, mass = place.labels[field.gaussian_ids], place.mass[field.gaussian_ids]
-    meant = {text: np.isin(labels, things) for text, things in place.called.items()}
-    present = {text: rows for text, rows in meant.items() if (rows & (mass > 0)).sum() >= LEAST}
-    return Trial(f"{place.name}, built-in", field, place.gaussians, MINI, present, absent, mass)
 
 
 def field_of(evidence: Evidence, gaussians: Gaussians, encoder: EncoderIdentity) -> LanguageField:
