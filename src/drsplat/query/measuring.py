@@ -202,16 +202,16 @@ class Measuring:
         default: _Default,
     ) -> Answer:
         """values: of single Gaussians. They choose the threshold; what objects make of them is compared with it."""
-        whole = by_object(self._field, values)
-        threshold, rule = self._threshold(values, whole, default)
-        return Answer(self._field, query, whole, measure, threshold, rule, scores)
+        answered = by_object(self._field, values)
+        threshold, rule = self._threshold(values, answered, default)
+        return Answer(self._field, query, answered, measure, threshold, rule, scores)
 
     def _threshold(
-        self, values: Float32[np.ndarray, " r"], whole: Float32[np.ndarray, " r"], default: _Default
+        self, values: Float32[np.ndarray, " r"], answered: Float32[np.ndarray, " r"], default: _Default
     ) -> tuple[float, str]:
         given = self.cut
         if given.top_share is not None:
-            return share_threshold(whole, given.top_share), SHARE
+            return share_threshold(answered, given.top_share), SHARE
         if given.threshold is not None and given.threshold != AUTO:
             return float(given.threshold), GIVEN
         cut, rule = default
