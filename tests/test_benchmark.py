@@ -1,12 +1,16 @@
 """The benchmark that ships (benchmarks/suite): its page, its rival, and a run on shipped scenes."""
 
+import ast
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from benchmarks.suite import masks, numbers, page, reading, rendered, running, scenes
+from benchmarks.suite import answers, chart, headline, masks, numbers, page, reading, rendered, running, scenes, stamps
+from benchmarks.suite import results as documents
 from benchmarks.suite.rivals import FITTED
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,6 +23,7 @@ from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, PAGE = ROOT / "docs" / "evaluation.json", ROOT / "docs" / "evaluation.md"
+ANSWERS, PICTURE = ROOT / "docs" / "answers.json", ROOT / "docs" / "evaluation.svg"
 SHIPPED = sorted(path.parent for path in (ROOT / "world/scenes").glob("*/truth.json"))
 shipped = pytest.mark.skipif(not SHIPPED, reason="world/scenes has no packed scene")
 
@@ -26,7 +31,9 @@ shipped = pytest.mark.skipif(not SHIPPED, reason="world/scenes has no packed sce
 def test_the_page_is_what_the_results_make() -> None:
     if not RESULTS.is_file():
         pytest.skip("docs/evaluation.json is not there: nothing was run yet")
-    assert PAGE.read_text(encoding="utf-8") == page.page(json.loads(RESULTS.read_text("utf-8")))
+    said = json.loads(ANSWERS.read_text("utf-8"))
+    assert PAGE.read_text(encoding="utf-8") == page.page(json.loads(RESULTS.read_text("utf-8")), said)
+    assert PICTURE.read_text(encoding="utf-8") == headline.picture(said)
 
 
 def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[str, Any]:
@@ -85,10 +92,147 @@ def test_a_page_by_hand() -> None:
     assert f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] | 45.0 [{low + 5:.1f}, {high + 5:.1f}] |" in text
     assert "| `robust` | +10.0 [+10.0, +10.0] |" in text
     assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
-    assert "`robust` minus `mean`.** *more:* selection, fixed +10.0 [+10.0, +10.0];" in text
-    assert "Tuning on the test (at 0.40) adds +20.0 [+20.0, +20.0]" in text
+    assert "| `mean` | 0.40 | 0.40 |" in text
     assert "| Spearman with voxels | | 1.000 | -1.000 |" in text
     assert "| e | `ab12` | `cd` | `ef` |" in text
+
+
+def asked_for(place: str, kind: str, masks: str, level: float) -> dict[str, Any]:
+    """Two words, 0.2 apart; objects are 0.1 better than plain, the best threshold is 0.3 better."""
+    ious = {
+        name: [level - 0.1 + more, level + 0.1 + more]
+        for name, more in zip(answers.COLUMNS, (0, 0.1, 0.3), strict=True)
+    }
+    shares = {"missed": {"plain": 0.0, "objects": 0.25}, "found": {"plain": 0.5, "objects": 0.05}}
+    return {"place": place, "kind": kind, "masks": masks, "words": 40, **ious, **shares, "absent": 20, "seconds": 900}
+
+
+def words() -> dict[str, Any]:
+    records = [
+        asked_for("plush", "capture", "graph", 0.4), asked_for("desk", "capture", "graph", 0.5),
+        asked_for("table_1", "room", "graph", 0.6), asked_for("plush", "capture", "sam", 0.6),
+        asked_for("table_1", "room", "true", 0.6),
+    ]  # fmt: skip
+    return {"segmenter": {"version": 7}, "wrong": [0, 20], "seeds": 1, "records": records}
+
+
+def test_the_page_begins_with_answers_to_words() -> None:
+    text = page.page(results(), words())
+    first = " ".join(text.split("##")[0].split())
+    assert "(evaluation.svg)" in first
+    assert "overlaps the thing that is meant by 55 % in 2 real captures and 70 % in 1 made-up rooms" in first
+    assert "are better (+10.0 [+10.0, +10.0]) in 2 real captures" in first
+    assert "is worth +20 in 2 real captures" in first
+    assert "something all the same: 5 % in 2 real captures" in first
+    assert "find nothing: 25 % in 2 real captures" in first
+    assert "are worth +15 in 1 real captures and +0 in 1 made-up rooms" in first
+    low, high = 45 - 9.8, 45 + 9.8  # of two places of two words, each 10 from its mean: 1.96 * sqrt(2 * 100 / 2) / 2
+    assert f"| 2 real captures, CLIP's vectors, 40 words | `graph`, version 7 | 45.0 [{low:.1f}, {high:.1f}] |" in text
+    assert "| words in real captures | 3 | 0.8 |" in text
+    assert "| methods in rooms | 10 | 0.0, 10 not timed |" in text
+    assert text.count("<details") == text.count("</details>") == text.count("<summary>") >= 4
+
+
+def test_a_gain_that_other_words_may_turn_is_not_called_one() -> None:
+    made = words()
+    for one in made["records"]:
+        one["objects"] = [one["plain"][0] + 0.2, one["plain"][1] - 0.19]
+    text = " ".join(page.page(results(), made).split())
+    assert "are neither clearly better nor worse (+0.5 [-18.6, +19.6]) in 2 real captures" in text
+
+
+def test_the_picture_is_to_scale() -> None:
+    root = ElementTree.fromstring(headline.picture(words()))
+    svg = "{http://www.w3.org/2000/svg}"
+    bars = [part for part in root.iter(f"{svg}rect") if part.find(f"{svg}title") is not None]
+    assert len(bars) == 3 * (1 + 2 + 1 + 1)  # mean, plush, desk; mean, table_1
+    heights = [float(bar.get("height")) for bar in bars]  # type: ignore[arg-type]
+    assert heights[2] / heights[0] == pytest.approx(75 / 45, abs=0.01)
+    assert "prefers-color-scheme:dark" in chart.STYLE
+    names = [text.text for text in root.iter(f"{svg}text")]
+    assert {"mean", "plush", "desk", "table 1", "2 real captures"} <= set(names)
+
+
+def test_what_was_run_before_is_kept_where_nothing_changed(tmp_path: Path) -> None:
+    now = results() | {"version": 2}
+    earlier = json.loads(json.dumps(now))
+    for masks_kind, method in (("true", "opengaussian"), ("graph", "mean")):
+        earlier["records"].append({**earlier["records"][0], "masks": masks_kind, "method": method})
+    path = tmp_path / "results.json"
+    documents.write_results(path, earlier)
+    now["records"] = now["records"][:1]
+    found = documents.with_earlier(now, path)["records"]
+    assert [(r["scene"], r["method"]) for r in found][:3] == [("a", "mean"), ("a", "robust"), ("a", "opengaussian")]
+    assert len(found) == 12
+    newer = documents.with_earlier(now | {"segmenter": {"name": "graph", "version": 2}}, path)["records"]
+    assert {r["masks"] for r in newer} == {"true"}
+    changed = {**now["scenes"], "a": {**now["scenes"]["a"], "photos_and_truth": "another"}}
+    assert {
+        r["scene"] for r in documents.with_earlier(now | {"scenes": changed, "records": []}, path)["records"]
+    } == set("bcde")
+    assert documents.with_earlier(now | {"sweep": []}, path)["records"] == now["records"]
+
+
+def test_the_page_names_what_older_code_made() -> None:
+    made = results()
+    made["code"] = {"mean": "new", "robust": "new"}
+    for one in made["records"]:
+        one["code"] = "new" if one["method"] == "mean" else "old"
+    assert "not run again: `robust`, true." in " ".join(page.page(made).split())
+    assert "before stamps of the code were kept" in " ".join(page.page(results()).split())
+
+
+def test_a_stamp_is_of_what_code_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stamps, "ROOT", tmp_path)
+    file = tmp_path / "rule.py"
+
+    def stamp_of(text: str) -> str:
+        file.write_text(text, encoding="utf-8")
+        return stamps.stamp.__wrapped__((tmp_path,))
+
+    first = stamp_of('CUT = 0.5\n\n\ndef cut():\n    "Where."\n    return CUT\n')
+    assert stamp_of('"""Rules."""\nCUT = 0.5  # of the peak\ndef cut():\n    return CUT\n') == first
+    assert stamp_of("CUT = 0.6\n\n\ndef cut():\n    return CUT\n") != first
+
+
+def test_stamps_are_of_files_that_are_there() -> None:
+    for listed in (stamps.METHODS, stamps.OBJECTS, stamps.RENDERED, stamps.FITTED, stamps.ANSWERS):
+        assert all(path.exists() for path in listed)
+
+
+@pytest.mark.parametrize(
+    ("module", "listed"), [("answers.py", stamps.ANSWERS), ("scoring.py", stamps.METHODS)], ids=["answers", "scoring"]
+)
+def test_what_a_part_imports_of_the_benchmark_is_in_its_stamp(module: str, listed: tuple[Path, ...]) -> None:
+    """A module that is added to the trials, and not to the stamp, would leave old parts in place."""
+    left, seen = [stamps.SUITE / module], set()
+    while left:
+        file = left.pop()
+        seen.add(file)
+        left += {path for path in imported_files(file) if path.is_file()} - seen
+    assert {path for path in seen if not any(path == one or one in path.parents for one in listed)} <= {
+        stamps.SUITE / "stamps.py", stamps.SUITE / "__init__.py",
+    }  # fmt: skip
+
+
+def imported_files(file: Path) -> Iterator[Path]:
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            beside = file.parents[node.level - 1] if node.level else ROOT
+            if node.level or (node.module or "").startswith("benchmarks"):
+                folder = beside.joinpath(*(node.module or "").split("."))
+                yield folder.with_suffix(".py")
+                yield from (folder / f"{name.name}.py" for name in node.names)
+
+
+def test_finished_parts_of_other_code_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = running.Task(tmp_path, "true", ("mean",), tmp_path, 1, 0)
+    key = running._for("mean", {}, task)
+    path = tmp_path / "mean.json"
+    path.write_text(json.dumps({"key": key, "record": {"scene": "a"}}), encoding="utf-8")
+    assert running._finished(path, running._for("mean", {}, task)) == {"scene": "a"}
+    monkeypatch.setattr(stamps, "stamp", lambda paths: "another")
+    assert running._finished(path, running._for("mean", {}, task)) is None
 
 
 def test_a_page_of_a_run_that_did_not_measure_what_is_seen_says_so() -> None:
@@ -219,7 +363,7 @@ def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypa
     monkeypatch.setattr(running, "Workshop", None)  # nothing is made again
     assert running.run([task], 1) == first
     path = tmp_path / "results.json"
-    running.write_results(path, running.results_of([SHIPPED[0]], 5, first))
+    documents.write_results(path, documents.results_of([SHIPPED[0]], 5, first))
     assert "| `mean` |" in page.page(json.loads(path.read_text(encoding="utf-8")))
 
 
@@ -229,7 +373,7 @@ def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
     task = running.Task(SHIPPED[0], "true", FITTED, tmp_path, 14, 0, dict.fromkeys(FITTED, 0.0003))
     found = running.run([task], 1)
     assert [record["effort"] for record in found] == [0.0003] * len(FITTED)
-    written = page.page(running.results_of([SHIPPED[0]], 14, found))
+    written = page.page(documents.results_of([SHIPPED[0]], 14, found))
     assert f"`{FITTED[0]}` 0.03 %" in written
     assert "## What the papers report" in written
 

@@ -1,16 +1,25 @@
-"""python -m benchmarks.suite [SCENE ...] --output results.json [--masks true graph] [--methods mean ...] [--jobs 2]
+"""python -m benchmarks.suite [SCENE ...] --output docs/evaluation.json [--masks true graph] [--methods mean ...]
+    [--captures CAPTURE=SCENE.ply ... --clip FOLDER --kept FOLDER] [--jobs 2]
 
-Without scenes, all of world/scenes. A run that was stopped goes on when it is started again.
-Then: python -m benchmarks.suite.page results.json --output docs/evaluation.md
+Makes everything that the page of the evaluation needs, and the page. Without scenes, all of world/scenes. A run that
+was stopped goes on when it is started again; parts of other inputs or older code are made again.
+
+Writes results of all methods in the made rooms to FILE.json, together with what an earlier run left there. With --clip,
+also answers.json beside it: answers to words in the same rooms and in --captures, each with the scene that was trained
+on it (suite/answers.py). --kept: folder of registered places. Then FILE.md and FILE.svg.
 """
 
 import argparse
 import time
 from pathlib import Path
 
+from .answers import Draws
+from .answers import run as ask
 from .masks import MASKS
+from .page import ANSWERS_FILE, write_page
+from .results import answers_of, results_of, with_earlier, write_results
 from .rivals import FITTED
-from .running import ALL, METHODS, Task, results_of, run, threads_for, write_results
+from .running import ALL, METHODS, Task, run, threads_for
 
 SCENES = Path(__file__).resolve().parents[2] / "world" / "scenes"
 
@@ -33,7 +42,13 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="scenes at a time (default: 1)")
     parser.add_argument("--every", type=int, default=1, help="take one in so many views")
     parser.add_argument("--work", type=Path, help="folder of what is finished (default: FILE.json.parts)")
+    parser.add_argument("--captures", nargs="+", default=[], metavar="CAPTURE=SCENE", help="real captures, for words")
+    parser.add_argument("--clip", type=Path, help="folder of CLIP's vectors: asks for words, too")
+    parser.add_argument("--kept", type=Path, help="folder of places that are registered (default: in --work)")
+    parser.add_argument("--seeds", type=int, default=1, help="trials of words of each kind (default: 1)")
     arguments = parser.parse_args()
+    if arguments.captures and not arguments.clip:
+        parser.error("--captures needs --clip, the folder of CLIP's vectors")
     start, scenes = time.perf_counter(), arguments.scenes or packed_scenes(SCENES)
     work = arguments.work or Path(f"{arguments.output}.parts")
     methods = (*arguments.methods, *(FITTED if arguments.rivals else ()))
@@ -44,8 +59,17 @@ def main() -> None:
         for masks in arguments.masks
     ]
     records = run(tasks, arguments.jobs)
-    write_results(arguments.output, results_of(scenes, arguments.every, records))
+    results = with_earlier(results_of(scenes, arguments.every, records), arguments.output)
+    write_results(arguments.output, results)
     print(f"{arguments.output}: {len(records)} records in {time.perf_counter() - start:.0f} s")
+    if arguments.clip:
+        given = [*arguments.captures, *map(str, scenes)]
+        draws, asked = Draws(seeds=arguments.seeds), []
+        for record in ask(given, arguments.clip, arguments.kept or work / "kept", draws, work):
+            asked.append(record)
+            print(f"{record['place']}, {record['masks']}, words: {record['seconds']:.1f} s", flush=True)
+        write_results(arguments.output.with_name(ANSWERS_FILE), answers_of(draws, asked))
+    write_page(arguments.output, arguments.output.with_suffix(".md"))
 
 
 def effort(text: str) -> tuple[str, float]:

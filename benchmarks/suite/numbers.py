@@ -64,6 +64,11 @@ def values(results: Results, masks: str, method: str, key: str) -> list[float]:
     return [100 * MEASURES[key].pick(record) for record in records_of(results, masks, method)]
 
 
+def by_scene(results: Results, masks: str, method: str, key: str) -> dict[str, float]:
+    scenes = [record["scene"] for record in records_of(results, masks, method)]
+    return dict(zip(scenes, values(results, masks, method, key), strict=True))
+
+
 def measured(results: Results, key: str) -> bool:
     """Whether the run made the number: a run of an older version did not make all."""
     try:
@@ -84,6 +89,27 @@ def difference(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
+def over_places(places: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """Return the mean over places of the mean over words, and its 95 % interval over the words.
+
+    Places are few, so they are taken as given: the interval says how other words would do in the same places.
+    """
+    mean = metrics.mean([metrics.mean(numbers) for numbers in places])
+    variance = sum(float(np.var(numbers)) / len(numbers) for numbers in places) / len(places) ** 2
+    half = 1.96 * variance**0.5
+    return mean, mean - half, mean + half
+
+
+def within(mean: float, low: float, high: float, signed: bool = False) -> str:
+    """Say a mean with its interval.
+
+    >>> within(1.25, 1.0, 1.5, signed=True)
+    '+1.2 [+1.0, +1.5]'
+    """
+    style = "+.1f" if signed else ".1f"
+    return f"{mean:{style}} [{low:{style}}, {high:{style}}]"
+
+
 def said(numbers: Sequence[float], signed: bool = False) -> str:
     """Mean and, of two scenes or more, its interval.
 
@@ -94,8 +120,7 @@ def said(numbers: Sequence[float], signed: bool = False) -> str:
     mean = f"{metrics.mean(numbers):{style}}"
     if len(numbers) < 2:
         return mean
-    low, high = metrics.mean_interval(numbers)
-    return f"{mean} [{low:{style}}, {high:{style}}]"
+    return within(metrics.mean(numbers), *metrics.mean_interval(numbers), signed)
 
 
 def methods_of(results: Results, masks: str) -> list[str]:

@@ -1,40 +1,67 @@
-"""python -m benchmarks.suite.page docs/evaluation.json --output docs/evaluation.md"""
+"""python -m benchmarks.suite.page docs/evaluation.json --output docs/evaluation.md
+
+Takes docs/answers.json beside the results as well, and draws docs/evaluation.svg beside the page.
+"""
 
 import argparse
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 from drsplat.formats.replacing import replacing
 from drsplat.query.thresholds import CUT
 
+from .headline import PLACES, Answers, headline_table, picture, places_table, systems_table
 from .numbers import Results, masks_of, measured, methods_of
 from .papers import SOURCES, papers_table
+from .places import SIDE
 from .reading import reading
 from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
+from .rivals import FITTED
 from .tables import (
     SEGMENTATION,
     SELECTION,
     against_table,
     files_table,
+    markdown,
     measures_table,
     scenes_table,
     study_table,
     thresholds_table,
 )
 
+ANSWERS_FILE = "answers.json"
 _HEAD = """\
-This page is made from [evaluation.json](evaluation.json) by `python -m benchmarks.suite.page`, and a test holds it to
-that: no number here is typed. Numbers are percent. In brackets is the 95 % interval of the mean over scenes, by
-bootstrap; scenes are what is drawn again, so it says how other scenes of this world would do, and nothing about real
-photos."""
+How well a word finds the thing that is meant, in photos of real places and in made-up rooms whose truth is known to
+the pixel. No number here is typed: `python -m benchmarks.suite` makes [evaluation.json](evaluation.json) and
+[answers.json](answers.json), and this page from them."""
+_HEADLINE = """\
+Percent of IoU: what was selected *and* meant, of what was selected *or* meant. *Plain* asks every Gaussian for itself,
+*whole objects* is what `drsplat` does, and the *best threshold* is that of the plain field, chosen for each word with
+the truth: no rule can know it, and it says how much a better rule could gain (not asked of the built-in encoder). In
+brackets are 95 % intervals: for
+CLIP's vectors over the words that were asked, for the built-in encoder over rooms. The last two columns are percent of
+the words that are there and found nothing, and of those that are not there and found something: plain, then whole
+objects."""
+_SYSTEMS = """\
+All on the same Gaussians, masks and embeddings (the built-in encoder's), in the made-up rooms: selection of what a word
+means, at a threshold that is chosen without the truth; whether the best place is on it (localization); and classes of
+the Gaussians, weighted by volume. *Fitted* systems took of their papers' steps: {taken}; no code of theirs is in it
+([rivals](rivals.md))."""
+_WORDS = """\
+**Words in real captures and rooms.** Things of the captures were outlined by hand in some photos, or came with labels;
+photos are looked at {side} pixels wide. These things, and those of rooms, are called by words whose vectors are genuine
+CLIP's, and the masks are given genuine vectors of pictures that fit these words; of the masks {wrong} % have a wrong
+one. IoU is over Gaussians, by the weight that photos give them. Masks are found by the segmenter that ships (`graph`),
+*true*, or *simulated*: masks of whole things, as SAM makes them, their borders up to three pixels off."""
 _METHODS = """\
-Masks are *true* (each thing and structure of a photo is one mask) or found by the built-in segmenter *graph*; the
-built-in encoder `drsplat-mini` embeds both. It never saw these rooms, their shapes or textures. Photos with labels
-are left out of registration. All methods of a scene share one codebook, that of the mean. Aggregators are those of
-[aggregators.md](aggregators.md)."""
+**Methods in rooms, with the built-in encoder.** Masks are *true* (each thing and structure of a photo is one mask) or
+found by the built-in segmenter *graph*; the built-in encoder `drsplat-mini` embeds both. It never saw these rooms,
+their shapes or textures. Photos with labels are left out of registration. All methods of a scene share one codebook,
+that of the mean. Aggregators are those of [aggregators.md](aggregators.md)."""
 _RENDERED = """\
 `{name}` is no aggregator but the rival: features that are fitted so that their *rendering* matches the embedding of
 the mask at each pixel, as LangSplat and LEGaussians optimise theirs, and then looked up in 3D like all others. It is
@@ -42,9 +69,6 @@ our own least-squares form of that idea ({directions} directions, {steps} steps 
 pixels wide, {contributors} Gaussians a pixel), not their code. `{one_step}` is its control: one step from zero is the
 mean on the same coarse pixels and directions. So `mean` minus `{one_step}` is what the coarseness costs, and
 `{one_step}` minus `{name}` what the fitting does."""
-_FITTED = """\
-Rivals that are fitted from their papers ([rivals](rivals.md), where their costs are) took of their papers' steps:
-{taken}. `centre-pixel` is Occam's LGS, `vala` and `vala-scannet` are VALA."""
 _PROTOCOLS = """\
 - **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means
   over pairs of photo and category, then over scenes. *Seen* is the same of where the selection is more than half of
@@ -63,20 +87,22 @@ _MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
 pip install -e .
-python -m benchmarks.suite --output docs/evaluation.json --jobs 2      # goes on where it was when started again
-python -m benchmarks.suite.page docs/evaluation.json --output docs/evaluation.md
+python -m benchmarks.suite --output docs/evaluation.json \\
+    --captures CAPTURE=SCENE.ply ... --clip FOLDER --kept FOLDER     # goes on where it was when started again
 drsplat evaluate lerf-ovs world/scenes --name {scene} --scene world/scenes/{scene}/scene.compressed.ply \\
     --features per_gaussian.npy --encoder drsplat-mini --report peer     # features of any other system
 ```"""
+_UNSTAMPED = "They are of a run before stamps of the code were kept, so they may be older than the rules of today."
+_STALE = "Made by older code than the rest, and not run again: {names}."
 
 
-def page(results: Results) -> str:
+def page(results: Results, answers: Answers | None = None) -> str:
     """The whole page, in lines of at most 120 characters where they are prose."""
-    return "\n\n".join(map(_wrapped, _sections(results))) + "\n"
+    return "\n\n".join(map(_wrapped, _sections(results, answers))) + "\n"
 
 
 def _wrapped(section: str) -> str:
-    if section.startswith(("|", "```", "#")):
+    if section.startswith(("|", "```", "#", "<", "![")):
         return section
     items = re.split(r"\n(?=- )", section)
     return "\n".join(_filled(item, "  " if item.startswith("- ") else "") for item in items)
@@ -87,47 +113,61 @@ def _filled(text: str, indent: str) -> str:
     return fill(text, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
-def _sections(results: Results) -> Iterator[str]:
-    masks, scenes = masks_of(results), results["scenes"]
+def _sections(results: Results, answers: Answers | None) -> Iterator[str]:
     yield "# Evaluation"
     yield _HEAD
-    yield "## What the numbers say"
-    yield "\n".join(f"- {sentence}" for sentence in reading(results))
-    yield from _what_is_measured(results)
-    for kind in masks:
-        yield from _of_masks(results, kind)
+    if answers:
+        yield "![Bars of how well answers overlap what is meant, by place](evaluation.svg)"
+    yield "\n".join(f"- {sentence}" for sentence in reading(results, answers))
+    yield "## Plain, objects, and what is left to gain"
+    yield headline_table(results, answers)
+    yield _HEADLINE
+    yield "## Beside other systems"
+    yield systems_table(results)
+    yield _SYSTEMS.format(taken=_taken(results))
+    yield from _what_is_measured(results, answers)
+    yield "## All numbers"
+    if answers:
+        yield from _folded("Words in every place", [places_table(answers)])
+    for masks in sorted(masks_of(results), key=lambda kind: kind != "graph"):
+        yield from _folded(f"Every method in rooms, {masks} masks", _of_masks(results, masks))
+    yield from _folded("Thresholds that were tuned on the test", [thresholds_table(results, masks_of(results))])
+    yield from _folded("Does significance stand in for volume?", _study(results))
     if _efforts(results):
-        yield "## What the papers report"
-        yield SOURCES
-        yield papers_table()
-    yield "## Thresholds that were tuned on the test"
-    yield thresholds_table(results, masks)
-    yield "## Does significance stand in for volume?"
-    yield ("Fig. S3 of the paper: mIoU by Gaussians, with and without significance, beside mIoU by voxels, for `mean`.")
-    for kind in masks:
-        if "mean" in methods_of(results, kind):
-            yield f"{kind} masks:"
-            yield study_table(results, kind, "mean")
+        yield from _folded("What the papers report", [SOURCES, papers_table()])
     yield "## Again"
-    yield _AGAIN.format(scene=next(iter(scenes)))
+    yield _AGAIN.format(scene=next(iter(results["scenes"])))
+    yield hours_table(results, answers)
     yield _versions(results)
-    yield files_table(results)
+    yield from _folded("Checksums of the scenes", [files_table(results)])
 
 
-def _what_is_measured(results: Results) -> Iterator[str]:
+def _folded(summary: str, sections: Sequence[str] | Iterator[str]) -> Iterator[str]:
+    """Sections that GitHub and the site show when somebody asks for them."""
+    yield f'<details markdown="1">\n<summary>{summary}</summary>'
+    yield from sections
+    yield "</details>"
+
+
+def _what_is_measured(results: Results, answers: Answers | None) -> Iterator[str]:
     yield "## What is measured"
-    number = len(results["scenes"])
-    yield f"{number} scenes of the [household world](../world/README.md), held out from all that was learned."
-    yield scenes_table(results)
+    if answers:
+        yield _WORDS.format(side=SIDE, wrong=", ".join(f"{share}" for share in answers["wrong"]))
     yield _METHODS
+    yield (
+        f"{len(results['scenes'])} scenes of the [household world](../world/README.md), held out from all that was "
+        "learned."
+    )
+    yield scenes_table(results)
+    yield from _folded("Protocols, thresholds and controls", _protocols(results))
+
+
+def _protocols(results: Results) -> Iterator[str]:
     if RENDERED in methods_of(results, masks_of(results)[0]):
         yield _RENDERED.format(
             name=RENDERED, directions=DIRECTIONS, steps=STEPS[RENDERED], width=WIDTH,
             contributors=CONTRIBUTORS, one_step=ONE_STEP,
         )  # fmt: skip
-    if efforts := _efforts(results):
-        taken = ", ".join(f"`{name}` {100 * share:g} %" for name, share in efforts.items())
-        yield _FITTED.format(taken=taken)
     yield _PROTOCOLS.format(
         side=results["voxel_side"],
         missing="" if measured(results, "seen") else _MISSING,
@@ -137,13 +177,16 @@ def _what_is_measured(results: Results) -> Iterator[str]:
     )
 
 
+def _taken(results: Results) -> str:
+    return ", ".join(f"`{name}` {100 * share:g} %" for name, share in _efforts(results).items()) or "none was run"
+
+
 def _efforts(results: Results) -> dict[str, float]:
     """By rival that is fitted, the share of its paper's steps."""
     return {record["method"]: record["effort"] for record in results["records"] if "effort" in record}
 
 
 def _of_masks(results: Results, kind: str) -> Iterator[str]:
-    yield f"## {kind.capitalize()} masks"
     yield "Selection (`lerf-ovs@1`):"
     yield measures_table(results, kind, SELECTION)
     yield (
@@ -156,23 +199,68 @@ def _of_masks(results: Results, kind: str) -> Iterator[str]:
         yield against_table(results, kind, "mean")
 
 
+def _study(results: Results) -> Iterator[str]:
+    yield "Fig. S3 of the paper: mIoU by Gaussians, with and without significance, beside mIoU by voxels, for `mean`."
+    for kind in masks_of(results):
+        if "mean" in methods_of(results, kind):
+            yield f"{kind} masks:"
+            yield study_table(results, kind, "mean")
+
+
+def hours_table(results: Results, answers: Answers | None) -> str:
+    """Return how long each part took; parts of a run that kept no times say so."""
+    fitted = [record for record in results["records"] if record["method"] in FITTED]
+    parts = {
+        "methods in rooms": [record for record in results["records"] if record["method"] not in FITTED],
+        "rivals that are fitted": fitted,
+    }
+    for record in answers["records"] if answers else ():
+        parts.setdefault(f"words in {PLACES[record['kind']]}", []).append(record)
+    rows = [(name, f"{len(records)}", _hours(records)) for name, records in parts.items() if records]
+    return markdown(("part", "records", "hours"), rows)
+
+
+def _hours(records: Sequence[dict[str, Any]]) -> str:
+    seconds = [record["seconds"] for record in records if "seconds" in record]
+    missing = f", {len(records) - len(seconds)} not timed" if len(seconds) < len(records) else ""
+    return f"{sum(seconds) / 3600:.1f}{missing}"
+
+
 def _versions(results: Results) -> str:
     encoder, segmenter = results["encoder"], results["segmenter"]
     return (
-        f"Made with drsplat {results['drsplat']}, encoder {encoder['name']} (weights `{encoder['weights']}`), "
-        f"segmenter {segmenter['name']}, version {segmenter['version']} (weights `{segmenter['weights']}`), label set "
-        f"{results['label_set']}. Scenes:"
+        f"Methods were run with drsplat {results['drsplat']}, encoder {encoder['name']} (weights "
+        f"`{encoder['weights']}`), segmenter {segmenter['name']}, version {segmenter['version']} (weights "
+        f"`{segmenter['weights']}`), label set {results['label_set']}. {_ages(results)}"
     )
 
 
+def _ages(results: Results) -> str:
+    """Say which records are not of the code that the last run had."""
+    if "code" not in results:
+        return _UNSTAMPED
+    last, records = results["code"], results["records"]
+    older = {f"`{r['method']}`, {r['masks']}" for r in records if r.get("code") != last[r["method"]]}
+    return _STALE.format(names="; ".join(sorted(older))) if older else ""
+
+
+def write_page(results_file: Path, output: Path) -> None:
+    """Write the page, and the picture beside it where answers were made."""
+    results, beside = json.loads(results_file.read_text(encoding="utf-8")), results_file.with_name(ANSWERS_FILE)
+    answers = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
+    with replacing(output, overwrite=True) as file:
+        file.write(page(results, answers).encode())
+    if answers:
+        with replacing(output.with_suffix(".svg"), overwrite=True) as file:
+            file.write(picture(answers).encode())
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("results", type=Path)
     parser.add_argument("--output", type=Path, required=True, metavar="FILE.md")
     arguments = parser.parse_args()
-    text = page(json.loads(arguments.results.read_text(encoding="utf-8")))
-    with replacing(arguments.output, overwrite=True) as file:
-        file.write(text.encode())
+    write_page(arguments.results, arguments.output)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 A place knows what its Gaussians belong to and which masks the photos have, and nothing of words: `trials` gives these.
 """
 
+import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
@@ -19,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_gaussians, read_views, register
 from drsplat.evidence.evidence import Evidence, evidence_from_tensors
+from drsplat.formats.checksums import hash_file
 from drsplat.formats.tensors import read_tensors, write_tensors
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.masks.masks import LEVELS
@@ -38,11 +40,16 @@ NEAREST = 8
 UNKNOWN = -1
 
 
+Ids = Callable[[View], Int32[np.ndarray, "h w"]]
+
+
 @dataclass(frozen=True, eq=False)
 class Place:
     """evidence: of masks of no meaning, a row per Gaussian of the scene. owners: the thing that most of each mask
     shows. labels: the thing of each Gaussian, mass: its weight in photos whose truth is known, 0 where it is not.
-    things: by name. nameless: cells of the rest of a capture.
+    things: by name. nameless: cells of the rest of a capture. views: whose truth is known, as their photos are stored.
+    shown: what each pixel of one of these shows, -1 for nothing and numbers beyond those of `things` for the rest.
+    inputs: name of the kept file, which says what the place was registered from.
     """
 
     name: str
@@ -53,9 +60,9 @@ class Place:
     mass: Float64[np.ndarray, " n"]
     things: Mapping[str, list[int]]
     nameless: list[int]
-
-
-Ids = Callable[[View], Int32[np.ndarray, "h w"]]
+    views: list[View]
+    shown: Ids
+    inputs: str
 
 
 def room(folder: Path, kind: str, kept: Path) -> Place:
@@ -65,11 +72,14 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
     things: dict[str, list[int]] = defaultdict(list)
     for thing in (*truth["objects"], *truth["structures"]):
         things[thing["name"]].append(thing["id"])
-    path = kept / f"{folder.name}.{kind}.place.safetensors"
+    path = _kept(kept, folder, kind, scene.gaussians)
     if not path.is_file():
         _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *_true(scene))
     evidence, owners, labels, mass = _read(path)
-    return Place(f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [])
+    return Place(
+        f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [], scene.views, scene.ids,
+        path.name,
+    )  # fmt: skip
 
 
 def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: Path) -> Place:
@@ -78,9 +88,10 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
     kind: "graph", or "sam" for masks of whole things as a good segmenter makes them, their borders off by some pixels.
     """
     gaussians = read_gaussians(scene)
-    views = [replace(view, distortion=None).limited(SIDE) for view in read_views(folder)]
+    photos = read_views(folder)
+    views = [replace(view, distortion=None).limited(SIDE) for view in photos]
     names, known = _outlined(folder, outlines) if outlines else _labelled(folder)
-    path = kept / f"{folder.name}.{kind}.place.safetensors"
+    path = _kept(kept, folder, kind, gaussians, outlines)
     if not path.is_file():
         labels, mass = _lifted(gaussians, [view for view in views if view.name in known], known, len(names))
         everywhere = _with_cells(gaussians, labels, len(names))
@@ -90,7 +101,25 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
     evidence, owners, labels, mass = _read(path)
     things = {name: [number] for number, name in enumerate(names)}
     cells = list(range(len(names), len(names) + CELLS))
-    return Place(f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells)
+    stored = [view for view in photos if view.name in known]
+    return Place(
+        f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells, stored,
+        lambda view: known[view.name], path.name,
+    )  # fmt: skip
+
+
+def _kept(kept: Path, folder: Path, kind: str, gaussians: Gaussians, outlines: Path | None = None) -> Path:
+    """Return the file of a registered place, named after its inputs: other photos, truth or masks are another file.
+
+    The code that registers is not part of the name. Whoever changes it starts with an empty folder.
+    """
+    numbers = (SIDE, CELLS, MAJORITY, OFF, SEEN, NEAREST)
+    segmenter = sorted(GraphSegmenter().identity.items()) if kind == "graph" else None
+    digest = hashlib.blake2b(f"{gaussians.fingerprint} {segmenter} {numbers}".encode(), digest_size=6)
+    files = [path for path in folder.rglob("*") if path.is_file()] + ([outlines] if outlines else [])
+    for file in sorted(files):
+        digest.update(f"{file.name} {hash_file(file)}".encode())
+    return kept / f"{folder.name}.{kind}.{digest.hexdigest()}.place.safetensors"
 
 
 def _masks_of(scene: BenchScene, kind: str) -> Ids:

@@ -1,103 +1,97 @@
-"""What the numbers say, in sentences that follow from them."""
+"""What the numbers say, in a few sentences that follow from them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from drsplat.evaluation import metrics
 
-from .numbers import Results, correlations, difference, masks_of, methods_of, records_of, said, tuned, values
-from .rendered import ONE_STEP, RENDERED
-from .rivals import LANGSPLAT, LEGAUSSIANS, OPENGAUSSIAN
-from .tables import COMPARED_WORDS, compared, gain
+from .headline import PLACES, SYSTEMS, Answers, Asked, asked
+from .numbers import Results, masks_of, methods_of, over_places, said, values, within
+from .rivals import FITTED
+from .tables import gain
 
-PAIRS = (
-    ("mean", RENDERED), (ONE_STEP, RENDERED), ("robust", "mean"), ("trusted", "mean"), ("voting", "mean"),
-    ("official", "mean"), ("mean", LANGSPLAT), ("mean", LEGAUSSIANS), ("mean", OPENGAUSSIAN), ("mean", "centre-pixel"),
-    ("mean", "vala"), ("objects", "mean"),
-)  # fmt: skip
-FEW = 5  # of fewer scenes, no interval is believed
+FEW = 5  # of fewer scenes, no interval over scenes is believed
+WORDS = {
+    "more": "better", "less": "worse", "undecided": "neither clearly better nor worse", "": "too few to be judged",
+}  # fmt: skip
 
 
-def reading(results: Results) -> list[str]:
-    """Sentences."""
-    found = []
-    for masks in masks_of(results):
-        known = methods_of(results, masks)
-        for better, worse in PAIRS:
-            if {better, worse} <= set(known):
-                found.append(_compared(results, masks, better, worse))
-        found.append(_best(results, masks))
-        found.append(_thresholds(results, masks, "mean"))
-        found.append(_study(results, masks, "mean"))
-    if {"true", "graph"} <= set(masks_of(results)):
-        found.append(_masks(results, "mean"))
-    return [sentence for sentence in found if sentence]
+def reading(results: Results, answers: Answers | None) -> list[str]:
+    """Five or six sentences for somebody who reads nothing else."""
+    groups = asked(answers) if answers else []
+    found = {one.kind: one for one in groups if one.masks == "graph"}
+    better = {one.kind: one for one in groups if one.masks != "graph"}
+    sentences = []
+    if found:
+        sentences += [_how_good(found), _objects(found), _threshold(found), _absent(found)]
+    if found and better:
+        sentences.append(_masks(found, better))
+    return [*sentences, *_rivals(results)]
 
 
 def verdict(numbers: Sequence[float]) -> str:
     """By the interval of the mean over scenes.
 
     >>> verdict([1.0, 2.0, 1.0, 2.0, 1.0]), verdict([-1.0, 1.0, -2.0, 2.0, 0.0]), verdict([1.0, 2.0])
-    ('more', 'undecided', 'too few scenes to say')
+    ('more', 'undecided', '')
     """
-    if len(numbers) < FEW:
-        return "too few scenes to say"
-    low, high = metrics.mean_interval(numbers)
+    return _side(*metrics.mean_interval(numbers)) if len(numbers) >= FEW else ""
+
+
+def _side(low: float, high: float) -> str:
     if low > 0:
         return "more"
     return "less" if high < 0 else "undecided"
 
 
-def _compared(results: Results, masks: str, method: str, base: str) -> str:
-    groups: dict[str, list[str]] = {}
-    for key in compared(results):
-        numbers = gain(results, masks, method, base, key)
-        part = f"{COMPARED_WORDS[key]} {said(numbers, signed=True)}"
-        groups.setdefault(verdict(numbers), []).append(part)
-    parts = (f"*{word}:* {'; '.join(group)}" for word, group in groups.items())
-    return f"**{masks} masks, `{method}` minus `{base}`.** {'. '.join(parts)}."
+def _listed(groups: Mapping[str, Asked], say: Callable[[Asked], str]) -> str:
+    return " and ".join(f"{say(one)} in {len(one.records)} {PLACES[kind]}" for kind, one in groups.items())
 
 
-def _best(results: Results, masks: str) -> str:
-    parts = []
-    for key in compared(results):
-        means = {m: metrics.mean(values(results, masks, m, key)) for m in methods_of(results, masks)}
-        best = max(means, key=lambda method: means[method])
-        parts.append(f"{COMPARED_WORDS[key]} `{best}` {means[best]:.1f}")
+def _how_good(found: Mapping[str, Asked]) -> str:
+    parts = _listed(found, lambda one: f"{over_places(one.each('objects'))[0]:.0f} %")
+    return f"Asked for a word, drsplat selects what overlaps the thing that is meant by {parts} (IoU, all by default)."
+
+
+def _objects(found: Mapping[str, Asked]) -> str:
+    def say(one: Asked) -> str:
+        mean, low, high = over_places(one.gains("objects", "plain"))
+        return f"{WORDS[_side(low, high)]} ({within(mean, low, high, signed=True)})"
+
+    return f"Answers in whole objects, the default, beside those of Gaussians alone, are {_listed(found, say)}."
+
+
+def _threshold(found: Mapping[str, Asked]) -> str:
+    parts = _listed(found, lambda one: f"{over_places(one.gains('best', 'objects'))[0]:+.0f}")
+    return f"The best threshold for each word, which nobody knows without the truth, is worth {parts}."
+
+
+def _absent(found: Mapping[str, Asked]) -> str:
+    absent = _listed(found, lambda one: f"{one.share('found', 'objects'):.0f} %")
+    missed = _listed(found, lambda one: f"{one.share('missed', 'objects'):.0f} %")
     return (
-        f"**{masks} masks, highest mean of each column.** {', '.join(parts)}. The highest of many is "
-        "partly luck: see the intervals."
+        f"Words for what is not there find something all the same: {absent}. Words for what is find nothing: {missed}."
     )
 
 
-def _thresholds(results: Results, masks: str, method: str) -> str:
-    if method not in methods_of(results, masks):
-        return ""
-    threshold, best = tuned(results, masks, method, "lerf-ovs")
-    fixed, automatic = (values(results, masks, method, key) for key in ("selection", "automatic"))
-    over = difference(best, fixed)
-    return (
-        f"**{masks} masks, thresholds (`{method}`, selection).** Tuning on the test (at {threshold:.2f}) adds "
-        f"{said(over, signed=True)} to the fixed threshold; the automatic one adds "
-        f"{said(difference(automatic, fixed), signed=True)} ({verdict(difference(automatic, fixed))})."
+def _masks(found: Mapping[str, Asked], better: Mapping[str, Asked]) -> str:
+    def say(one: Asked) -> str:
+        mean, base = (over_places(some[one.kind].each("objects"))[0] for some in (better, found))
+        return f"{mean - base:+.0f}"
+
+    both = {kind: one for kind, one in better.items() if kind in found}
+    return f"Masks of whole things, in place of what the built-in segmenter finds, are worth {_listed(both, say)}."
+
+
+def _rivals(results: Results) -> Iterator[str]:
+    """The best of the fitted rivals beside objects, for the masks that most of them were fitted on."""
+    fitted = {masks: [name for name in FITTED if name in methods_of(results, masks)] for masks in masks_of(results)}
+    masks = max(fitted, key=lambda kind: len(fitted[kind]), default="")
+    if not masks or not fitted[masks] or "objects" not in methods_of(results, masks):
+        return
+    best = max(fitted[masks], key=lambda name: metrics.mean(values(results, masks, name, "automatic")))
+    gains = gain(results, masks, "objects", best, "automatic")
+    yield (
+        f"The best of {len(fitted[masks])} systems that were fitted from their papers on the same {masks} masks is "
+        f"{SYSTEMS[best]}; selections of drsplat, beside its own, are {WORDS[verdict(gains)]} "
+        f"({said(gains, signed=True)} in {len(gains)} rooms)."
     )
-
-
-def _study(results: Results, masks: str, method: str) -> str:
-    found = correlations(records_of(results, masks, method))
-    if not found:
-        return ""
-    a, b = found["weighted"], found["unweighted"]
-    follows = "more" if a["pearson"] > b["pearson"] else "not more"
-    return (
-        f"**{masks} masks, significance (`{method}`).** mIoU weighted by it follows the voxels {follows} closely "
-        f"than unweighted (Pearson {a['pearson']:.3f} and {b['pearson']:.3f}, Spearman {a['spearman']:.3f} and "
-        f"{b['spearman']:.3f}, {len(records_of(results, masks, method))} scenes)."
-    )
-
-
-def _masks(results: Results, method: str) -> str:
-    parts = []
-    for key in compared(results):
-        lost = difference(*(values(results, masks, method, key) for masks in ("graph", "true")))
-        parts.append(f"{COMPARED_WORDS[key]} {said(lost, signed=True)}")
-    return f"**Found masks minus true ones (`{method}`).** {'; '.join(parts)}."

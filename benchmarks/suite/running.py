@@ -6,25 +6,24 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from drsplat import MiniEncoder
 from drsplat.encoders import identity_json
-from drsplat.evaluation.voxel import SIDE
 from drsplat.formats.replacing import replacing
 from drsplat.models.graph import GraphSegmenter
 
+from . import stamps
 from .aggregators import MEASURED
 from .methods import OBJECTS, Workshop
 from .rendered import STEPS
 from .rivals import FITTED
-from .scenes import LABEL_SET, BenchScene, about, read_scene
+from .scenes import BenchScene, about, read_scene
 from .scoring import SWEEP, scored
 
-FORMAT, VERSION = "drsplat benchmark", 2
+VERSION = 2
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 METHODS = (*MEASURED, OBJECTS, *STEPS)
 ALL = (*METHODS, *FITTED)
@@ -84,6 +83,7 @@ def _made(
         record |= {"num_masks": workshop.num_masks, **numbers}
         if method in FITTED:
             record["effort"] = task.efforts.get(method, 1.0)
+        record |= {"code": code_of(method), "seconds": round(seconds["all"], 1)}
         document = {"key": _for(method, key, task), "seconds": seconds, "record": record}
         with replacing(_path(task, method), overwrite=True) as file:
             file.write(json.dumps(document, indent=1).encode() + b"\n")
@@ -106,11 +106,11 @@ def _finished(path: Path, key: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
-    """What decides a record beside the code of the methods."""
+    """What decides a record beside its code, which `_for` adds."""
     known: dict[str, Any] = {
         "version": VERSION,
         "scene": about(scene),
-        "encoder": identity_json(encoder.identity),
+        "encoder": {**identity_json(encoder.identity), "threshold": encoder.threshold},
         "segmenter": dict(GraphSegmenter().identity) if task.masks == "graph" else None,
         "sweep": list(SWEEP),
         "every": task.every,
@@ -120,33 +120,17 @@ def _key(scene: BenchScene, task: Task, encoder: MiniEncoder) -> dict[str, Any]:
 
 
 def _for(method: str, key: dict[str, Any], task: Task) -> dict[str, Any]:
-    return key | {"effort": task.efforts.get(method, 1.0)} if method in FITTED else key
+    fitted = {"effort": task.efforts.get(method, 1.0)} if method in FITTED else {}
+    return key | {"code": code_of(method)} | fitted
 
 
-def results_of(folders: Sequence[Path], every: int, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """All that the page is made from; the same scenes and code give the same document."""
-    scenes = {folder.resolve().name: about(read_scene(folder, every)) for folder in folders}
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "drsplat": version("drsplat"),
-        "encoder": {**identity_json(MiniEncoder().identity), "threshold": MiniEncoder().threshold},
-        "segmenter": dict(GraphSegmenter().identity),
-        "label_set": LABEL_SET,
-        "sweep": list(SWEEP),
-        "voxel_side": SIDE,
-        "scenes": scenes,
-        "records": list(records),
-    }
-
-
-def write_results(path: Path, results: dict[str, Any]) -> None:
-    """JSON, a line per record."""
-    head = {key: value for key, value in results.items() if key != "records"}
-    lines = ",\n".join(json.dumps(record, separators=(",", ":")) for record in results["records"])
-    text = json.dumps(head, indent=1)[: -len("\n}")]
-    with replacing(path, overwrite=True) as file:
-        file.write(f'{text},\n "records": [\n{lines}\n ]\n}}\n'.encode())
+def code_of(method: str) -> str:
+    """Return the stamp of the code that decides the numbers of a method."""
+    if method in FITTED:
+        return stamps.stamp(stamps.FITTED)
+    if method in STEPS:
+        return stamps.stamp(stamps.RENDERED)
+    return stamps.stamp(stamps.OBJECTS if method == OBJECTS else stamps.METHODS)
 
 
 def threads_for(jobs: int) -> int:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from .numbers import MEASURES, Results, correlations, difference, measured, methods_of, records_of, said, tuned, values
+from .numbers import MEASURES, Results, by_scene, correlations, measured, methods_of, records_of, said, tuned, values
 
 SELECTION = ("selection", "seen", "acc25", "acc50", "automatic", "seen_automatic", "selection_tuned", "localization")
 SEGMENTATION = ("volume", "points", "voxel", "volume_fixed", "volume_automatic", "volume_tuned")
@@ -64,15 +64,17 @@ def compared(results: Results) -> list[str]:
 
 
 def gain(results: Results, masks: str, method: str, base: str, key: str) -> list[float]:
-    return difference(values(results, masks, method, key), values(results, masks, base, key))
+    """Scene by scene, in those scenes that both were run in."""
+    one, other = (by_scene(results, masks, name, key) for name in (method, base))
+    return [one[scene] - other[scene] for scene in one if scene in other]
 
 
 def thresholds_table(results: Results, masks: Sequence[str]) -> str:
     """Which threshold was tuned on the test."""
     rows = []
-    for method in methods_of(results, masks[0]):
+    for method in dict.fromkeys(method for kind in masks for method in methods_of(results, kind)):
         found = [
-            f"{tuned(results, kind, method, protocol)[0]:.2f}"
+            f"{tuned(results, kind, method, protocol)[0]:.2f}" if method in methods_of(results, kind) else ""
             for kind in masks
             for protocol in ("lerf-ovs", "scannet-volume")
         ]

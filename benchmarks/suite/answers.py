@@ -1,0 +1,149 @@
+"""Answers to words in real captures and made rooms: the plain field, objects, and the best threshold, side by side.
+
+Words and embeddings are drawn as `trials` says, of things that are known by `places`. IoU is over Gaussians, by the
+weight that photos give them in which the truth is known. A place and its masks are a part that is kept once finished.
+"""
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drsplat.formats.checksums import hash_file
+from drsplat.formats.replacing import replacing
+from drsplat.query import Scene
+from drsplat.query.defaults import MIN_GAUSSIANS
+
+from . import places
+from .outlines import outlines_path
+from .scoring import rounded
+from .stamps import ANSWERS as CODE
+from .stamps import stamp
+from .trials import KINDS, Clip, Trial, trial
+
+VERSION = 1
+ROOM, CAPTURE = "room", "capture"
+MASKS = {ROOM: ("graph", "true"), CAPTURE: ("graph", "sam")}
+COLUMNS = ("plain", "objects", "best")
+ASKED = ("plain", "objects")
+
+
+class Answered(NamedTuple):
+    """IoU of a word that something is called by: of the plain field, with objects, and at the best threshold of the
+    plain field, chosen with the truth. missed: whether the first two find nothing."""
+
+    text: str
+    plain: float
+    objects: float
+    best: float
+    missed_plain: bool
+    missed_objects: bool
+
+
+@dataclass(frozen=True)
+class Draws:
+    """The trials of a place. wrong: percent of the masks with a wrong embedding, each in turn. seeds: of each."""
+
+    wrong: tuple[int, ...] = (0, 20, 40)
+    seeds: int = 2
+
+    def of(self, place: places.Place, clip: Clip) -> Iterator[Trial]:
+        for kind in KINDS:
+            for share in self.wrong:
+                for seed in range(self.seeds):
+                    yield trial(place, clip, kind, share / 100, seed, range(seed % 2, len(clip.words), 2))
+
+
+def answered(case: Trial) -> Iterator[Answered]:
+    """Ask for each word of a trial that something is called by."""
+    scenes = case.scene(objects=False), case.scene(objects=True)
+    for text, meant in case.present.items():
+        plain, whole = (scene.ask(text) for scene in scenes)
+        selected = [answer.values > answer.threshold for answer in (plain, whole)]
+        ious = [case.iou(rows, meant) for rows in selected]
+        missed = [bool(rows.sum() < MIN_GAUSSIANS) for rows in selected]
+        best = best_iou(plain.values, meant, case.mass)
+        yield Answered(text, ious[0], ious[1], best, missed[0], missed[1])
+
+
+def found_absent(case: Trial) -> list[tuple[bool, bool]]:
+    """For each word that nothing is called by, whether the plain field and objects find something."""
+    scenes = case.scene(objects=False), case.scene(objects=True)
+    return [tuple(_finds(scene, text) for scene in scenes) for text in case.absent]  # type: ignore[misc]
+
+
+def _finds(scene: Scene, text: str) -> bool:
+    answer = scene.ask(text)
+    return bool((answer.values > answer.threshold).sum() >= MIN_GAUSSIANS)
+
+
+def best_iou(values: np.ndarray, meant: np.ndarray, mass: np.ndarray) -> float:
+    """Return the highest IoU of all thresholds on the values."""
+    order = np.argsort(-values, kind="stable")
+    hits, taken = np.cumsum((mass * meant)[order]), np.cumsum(mass[order])
+    return float((hits / np.maximum(taken + (mass * meant).sum() - hits, 1e-9)).max())
+
+
+def record_of(cases: Iterable[Trial]) -> dict[str, Any]:
+    """Pool trials: lists of IoUs over words, and shares of what was missed or found though absent."""
+    asked: list[Answered] = []
+    absent: list[tuple[bool, bool]] = []
+    for case in cases:
+        asked.extend(answered(case))
+        absent.extend(found_absent(case))
+    missed = [(one.missed_plain, one.missed_objects) for one in asked]
+    record: dict[str, Any] = {column: [getattr(one, column) for one in asked] for column in COLUMNS}
+    record |= {"missed": _shares(missed), "found": _shares(absent), "absent": len(absent)}
+    return {key: rounded(value) for key, value in record.items()}
+
+
+def _shares(pairs: Sequence[tuple[bool, bool]]) -> dict[str, float]:
+    return {name: float(np.mean([pair[at] for pair in pairs])) for at, name in enumerate(ASKED)}
+
+
+def place_of(given: str, kind: str, kept: Path) -> places.Place:
+    """Return a packed room, or CAPTURE=SCENE, with one kind of masks."""
+    folder, _, scene = given.partition("=")
+    if not scene:
+        return places.room(Path(folder), kind, kept)
+    outlines = outlines_path(Path(folder).resolve().name)
+    return places.capture(Path(folder), Path(scene), outlines if outlines.is_file() else None, kind, kept)
+
+
+def kind_of(given: str) -> str:
+    return CAPTURE if "=" in given else ROOM
+
+
+def run(given: Sequence[str], clip_folder: Path, kept: Path, draws: Draws, work: Path) -> Iterator[dict[str, Any]]:
+    """Yield the record of each place and kind of masks; those that are finished already are read from `work`."""
+    clip = Clip(clip_folder)
+    words = {path.name: hash_file(path) for path in sorted(clip_folder.iterdir()) if path.is_file()}
+    for one in given:
+        for masks in MASKS[kind_of(one)]:
+            start = time.perf_counter()
+            name = Path(one.partition("=")[0]).resolve().name
+            place = place_of(one, masks, kept)
+            key = {
+                "version": VERSION, "code": stamp(CODE), "words": words, "wrong": list(draws.wrong),
+                "seeds": draws.seeds, "place": place.inputs,
+            }  # fmt: skip
+            path = work / f"{name}.{masks}.json"
+            record = _finished(path, key)
+            if record is None:
+                record = {"place": name, "kind": kind_of(one), "masks": masks, "words": len(clip.words)}
+                record |= record_of(draws.of(place, clip))
+                record |= {"code": key["code"], "seconds": round(time.perf_counter() - start, 1)}
+                work.mkdir(parents=True, exist_ok=True)
+                with replacing(path, overwrite=True) as file:
+                    file.write(json.dumps({"key": key, "record": record}).encode())
+            yield record
+
+
+def _finished(path: Path, key: dict[str, Any]) -> dict[str, Any] | None:
+    document = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    record: dict[str, Any] | None = document.get("record") if document.get("key") == key else None
+    return record
