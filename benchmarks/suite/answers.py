@@ -83,9 +83,17 @@ def _finds(scene: Scene, text: str) -> bool:
 
 def best_iou(values: np.ndarray, meant: np.ndarray, mass: np.ndarray) -> float:
     """Return the highest IoU of all thresholds on the values."""
+    return best_cut(values, meant, mass)[1]
+
+
+def best_cut(values: np.ndarray, meant: np.ndarray, mass: np.ndarray) -> tuple[float, float]:
+    """Return the lowest value that the best threshold selects, and the IoU. Equal values are selected together."""
     order = np.argsort(-values, kind="stable")
     hits, taken = np.cumsum((mass * meant)[order]), np.cumsum(mass[order])
-    return float((hits / np.maximum(taken + (mass * meant).sum() - hits, 1e-9)).max())
+    ious = hits / np.maximum(taken + (mass * meant).sum() - hits, 1e-9)
+    last = np.flatnonzero(np.append(np.diff(values[order]) != 0, True))
+    best = int(last[ious[last].argmax()])
+    return float(values[order[best]]), float(ious[best])
 
 
 def record_of(cases: Iterable[Trial]) -> dict[str, Any]:

@@ -28,9 +28,12 @@ RENDERED = (*REGISTERED, *FEATURES, SUITE / "rendered.py")
 FITTED = (*FEATURES, SUITE / "rivals")
 """The same of rivals, which take hours: no rule of ours but how masks are made and answers are scored."""
 ANSWERS = (
-    *REGISTERED, *ASKED, PACKAGE / "objects", ROOT / "benchmarks" / "drawn_embeddings.py",
-    *(SUITE / name for name in ("answers.py", "masks.py", "outlines.py", "places.py", "scenes.py", "scoring.py", "trials.py")),
-)  # fmt: skip
+    *REGISTERED,
+    *ASKED,
+    PACKAGE / "objects",
+    ROOT / "benchmarks" / "drawn_embeddings.py",
+    *(SUITE / f"{name}.py" for name in ("answers", "masks", "outlines", "places", "scenes", "scoring", "trials")),
+)
 """What decides the answers to words in rooms and captures."""
 
 

@@ -1,0 +1,127 @@
+"""The worst answers to words, each with its picture and its cause: scene, masks, encoder, threshold or objects.
+
+    python benchmarks/study_worst.py PLACE... --clip FOLDER --kept FOLDER --output FOLDER [--count 10] [--wrong 20]
+
+PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it; both with the
+masks of `graph` and with the other kind (suite/answers.py). The worst are those with the lowest IoU of the default
+answer, in whole objects, and of equal ones those with the most to gain from the best threshold: at most two of a place,
+and no word twice there. The causes are measured (suite/causes.py). FOLDER gets a picture of each: its outline in the
+photo (yellow), what is selected by default, and what the best threshold selects. Where no photo has an outline of the
+thing, as where only things hidden by others are left, there is no picture.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.suite.answers import MASKS, Answered, Draws, answered, best_cut, kind_of, place_of
+from benchmarks.suite.causes import Culprits, Seen, Steps
+from benchmarks.suite.trials import Clip, Trial
+from drsplat import load_image
+from drsplat.drawing.pictures import contact_sheet, highlighted, titled, write_picture
+
+AT_MOST = 2  # of a place
+YELLOW = (255, 214, 0)
+
+
+class Bad(NamedTuple):
+    """place: as given. trial: its number among the draws of the place and these masks."""
+
+    place: str
+    masks: str
+    trial: int
+    name: str
+    answer: Answered
+
+
+def candidates(given: Sequence[str], clip: Clip, kept: Path, draws: Draws) -> Iterator[Bad]:
+    """All answers, the worst ones of each trial."""
+    for one in given:
+        for masks in MASKS[kind_of(one)]:
+            for number, case in enumerate(draws.of(place_of(one, masks, kept), clip)):
+                for answer in answered(case):
+                    yield Bad(one, masks, number, case.name, answer)
+
+
+def worst(found: Sequence[Bad], count: int) -> list[Bad]:
+    chosen: list[Bad] = []
+    for bad in sorted(found, key=lambda bad: (round(bad.answer.objects, 3), -bad.answer.best)):
+        of_place = [other for other in chosen if other.place == bad.place]
+        if len(of_place) < AT_MOST and bad.answer.text not in [other.answer.text for other in of_place]:
+            chosen.append(bad)
+    return chosen[:count]
+
+
+def picture(culprits: Culprits, case: Trial, answer: Answered, steps: Steps, called: str) -> np.ndarray | None:
+    """Three pictures side by side of the photo with the largest outline; None without one. called: what is meant."""
+    seen = culprits.seen(culprits.things(case, answer.text))
+    if not seen:
+        return None
+    plain, whole = (case.scene(objects=objects).ask(answer.text) for objects in (False, True))
+    cut, _ = best_cut(plain.values, case.present[answer.text], case.mass)
+    ids = case.field.gaussian_ids
+    panels = [
+        (None, f"“{answer.text}”", called),
+        (ids[whole.values > whole.threshold], "default", f"IoU {answer.objects:.2f}"),
+        (ids[plain.values >= cut], "best threshold", f"IoU {answer.best:.2f}"),
+    ]
+    parts = [titled(panel(culprits, seen[0], chosen), name, note) for chosen, name, note in panels]
+    losses = ", ".join(f"{name} {loss:+.2f}" for name, loss in steps.losses.items())
+    sheet = contact_sheet(parts, 3, 420, 8)
+    return titled(sheet, f"{culprits.place.name}: {steps.cause}", f"lost by {losses}")
+
+
+def panel(culprits: Culprits, seen: Seen, ids: np.ndarray | None) -> np.ndarray:
+    view = seen.view
+    image = Image.fromarray(load_image(seen.stored)).resize((view.width, view.height), Image.Resampling.LANCZOS)
+    photo = np.asarray(image)
+    if ids is not None:
+        photo = highlighted(photo, culprits.drawn(view, ids).astype(np.float32), 1)
+    edge = ndimage.binary_dilation(seen.outline, iterations=2) & ~seen.outline
+    photo = photo.copy()
+    photo[edge] = YELLOW
+    return photo
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("places", nargs="+")
+    parser.add_argument("--clip", type=Path, required=True)
+    parser.add_argument("--kept", type=Path, required=True, help="folder of places that are registered already")
+    parser.add_argument("--output", type=Path, required=True, help="folder of pictures")
+    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--wrong", nargs="+", type=int, default=[20])
+    parser.add_argument("--seeds", type=int, default=1)
+    arguments = parser.parse_args()
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    clip, draws = Clip(arguments.clip), Draws(tuple(arguments.wrong), arguments.seeds)
+    chosen = worst(list(candidates(arguments.places, clip, arguments.kept, draws)), arguments.count)
+    print("| answer | cause | true Gaussians | masks | best threshold | plain | objects |\n|---|---|" + "--:|" * 5)
+    for number, bad in enumerate(chosen):
+        place = place_of(bad.place, bad.masks, arguments.kept)
+        case, culprits = list(draws.of(place, clip))[bad.trial], Culprits.of(place)
+        steps = culprits.steps(case, bad.answer)
+        meant = set(culprits.things(case, bad.answer.text).tolist())
+        things = [name for name, ids in place.things.items() if meant & set(ids)]
+        called = ", ".join(things)
+        print(
+            f"| {bad.name}: {called}, called “{bad.answer.text}” | {steps.cause} | "
+            + " | ".join(f"{value:.2f}" for value in steps)
+            + " |",
+            flush=True,
+        )
+        sheet = picture(culprits, case, bad.answer, steps, called)
+        if sheet is not None:
+            write_picture(arguments.output / f"{number:02d}_{place.name.replace(', ', '_')}.jpg", sheet, overwrite=True)
+
+
+if __name__ == "__main__":
+    main()
