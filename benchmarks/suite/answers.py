@@ -129,23 +129,19 @@ def kind_of(given: str) -> str:
 def run(given: Sequence[str], clip_folder: Path, kept: Path, draws: Draws, work: Path) -> Iterator[dict[str, Any]]:
     """Yield the record of each place and kind of masks; those that are finished already are read from `work`."""
     clip = Clip(clip_folder)
-    words = {path.name: hash_file(path) for path in sorted(clip_folder.iterdir()) if path.is_file()}
+    vectors = {path.name: hash_file(path) for path in sorted(clip_folder.iterdir()) if path.is_file()}
+    known = {"version": VERSION, "code": stamp(CODE), "vectors": vectors, "wrong": list(draws.wrong)}
+    work.mkdir(parents=True, exist_ok=True)
     for one in given:
         for masks in MASKS[kind_of(one)]:
-            start = time.perf_counter()
-            name = Path(one.partition("=")[0]).resolve().name
-            place = place_of(one, masks, kept)
-            key = {
-                "version": VERSION, "code": stamp(CODE), "words": words, "wrong": list(draws.wrong),
-                "seeds": draws.seeds, "place": place.inputs,
-            }  # fmt: skip
-            path = work / f"{name}.{masks}.json"
+            start, place = time.perf_counter(), place_of(one, masks, kept)
+            key = known | {"seeds": draws.seeds, "place": place.inputs}
+            path = work / f"{place.inputs.partition('.')[0]}.{masks}.{len(clip.words)}.json"
             record = _finished(path, key)
             if record is None:
-                record = {"place": name, "kind": kind_of(one), "masks": masks, "words": len(clip.words)}
-                record |= record_of(draws.of(place, clip))
-                record |= {"code": key["code"], "seconds": round(time.perf_counter() - start, 1)}
-                work.mkdir(parents=True, exist_ok=True)
+                record = {"place": path.name.partition(".")[0], "kind": kind_of(one), "masks": masks}
+                record |= {"words": len(clip.words), **record_of(draws.of(place, clip))}
+                record |= {"code": stamp(CODE), "seconds": round(time.perf_counter() - start, 1)}
                 with replacing(path, overwrite=True) as file:
                     file.write(json.dumps({"key": key, "record": record}).encode())
             yield record

@@ -7,7 +7,7 @@ from drsplat.evaluation import metrics
 
 from .answers import ASKED, CAPTURE, COLUMNS, ROOM
 from .chart import Bar, Group, grouped_bars
-from .numbers import MEASURES, Results, difference, masks_of, methods_of, over_places, records_of, said, values, within
+from .numbers import Results, difference, masks_of, methods_of, over_places, records_of, said, values, within
 from .rendered import RENDERED
 from .rivals import LANGSPLAT, LEGAUSSIANS, OPENGAUSSIAN
 from .tables import markdown
@@ -24,7 +24,7 @@ SYSTEMS = {
     LANGSPLAT: "LangSplat-m", LEGAUSSIANS: "LEGaussians-m", OPENGAUSSIAN: "OpenGaussian",
     RENDERED: "features fitted to renderings",
 }  # fmt: skip
-COMPARED = ("automatic", "localization", "volume")
+COMPARED = {"automatic": "selection", "localization": "localization", "volume": "classes"}
 
 
 class Asked(NamedTuple):
@@ -122,7 +122,7 @@ def places_table(answers: Answers) -> str:
 def systems_table(results: Results) -> str:
     """Every system by itself, on the masks that it was run on."""
     kinds = sorted(masks_of(results), key=lambda masks: masks != "graph")
-    heads = [f"{_masks_said(masks, results)}: {MEASURES[key].words}" for masks in kinds for key in COMPARED]
+    heads = [f"{_masks_said(masks, results)}: {words}" for masks in kinds for words in COMPARED.values()]
     rows = []
     for method, name in SYSTEMS.items():
         if any(method in methods_of(results, masks) for masks in kinds):

@@ -47,16 +47,16 @@ CLIP's vectors over the words that were asked, for the built-in encoder over roo
 the words that are there and found nothing, and of those that are not there and found something: plain, then whole
 objects."""
 _SYSTEMS = """\
-All on the same Gaussians, masks and embeddings (the built-in encoder's), in the made-up rooms: selection of what a word
-means, at a threshold that is chosen without the truth; whether the best place is on it (localization); and classes of
-the Gaussians, weighted by volume. *Fitted* systems took of their papers' steps: {taken}; no code of theirs is in it
-([rivals](rivals.md))."""
+All on the same Gaussians, masks and embeddings (the built-in encoder's), in the made-up rooms. *Selection*: IoU in
+photos of what a word selects, with a threshold that is chosen without the truth. *Localization*: how often the best
+place is on the thing. *Classes*: IoU of classes of Gaussians, by volume. *Fitted* systems took of their papers' steps:
+{taken}; no code of theirs is in it ([rivals](rivals.md))."""
 _WORDS = """\
 **Words in real captures and rooms.** Things of the captures were outlined by hand in some photos, or came with labels;
 photos are looked at {side} pixels wide. These things, and those of rooms, are called by words whose vectors are genuine
-CLIP's, and the masks are given genuine vectors of pictures that fit these words; of the masks {wrong} % have a wrong
-one. IoU is over Gaussians, by the weight that photos give them. Masks are found by the segmenter that ships (`graph`),
-*true*, or *simulated*: masks of whole things, as SAM makes them, their borders up to three pixels off."""
+CLIP's, and the masks are given genuine vectors of pictures that fit these words; in turns {wrong} % of the masks have a
+wrong one. IoU is over Gaussians, by the weight that photos give them. Masks are found by the segmenter that ships
+(`graph`), *true*, or *simulated*: masks of whole things, as SAM makes them, their borders up to three pixels off."""
 _METHODS = """\
 **Methods in rooms, with the built-in encoder.** Masks are *true* (each thing and structure of a photo is one mask) or
 found by the built-in segmenter *graph*; the built-in encoder `drsplat-mini` embeds both. It never saw these rooms,
