@@ -5,14 +5,17 @@
 PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it; both with the
 masks of `graph` and with the other kind (suite/answers.py). The worst are those with the lowest IoU of the default
 answer, in whole objects, and of equal ones those with the most to gain from the best threshold: at most two of a place,
-and no word twice there. The causes are measured (suite/causes.py). FOLDER gets a picture of each: its outline in the
-photo (yellow), what is selected by default, and what the best threshold selects. Where no photo has an outline of the
-thing, as where only things hidden by others are left, there is no picture.
+and no word twice there. The causes are measured (suite/causes.py), and counted for all answers below IoU 0.5. FOLDER
+gets a picture of each: its outline in the photo (yellow), what is selected by default, and what the best threshold
+selects. Where no photo has an outline of the thing, as where only things hidden by others are left, there is no
+picture.
 """
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,12 +26,14 @@ from scipy import ndimage
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.suite.answers import MASKS, Answered, Draws, answered, best_cut, kind_of, place_of
-from benchmarks.suite.causes import Culprits, Seen, Steps
+from benchmarks.suite.causes import CAUSES, Culprits, Seen, Steps
+from benchmarks.suite.tables import markdown
 from benchmarks.suite.trials import Clip, Trial
 from drsplat import load_image
 from drsplat.drawing.pictures import contact_sheet, highlighted, titled, write_picture
 
 AT_MOST = 2  # of a place
+BAD = 0.5  # IoU of the default answer
 YELLOW = (255, 214, 0)
 
 
@@ -40,15 +45,27 @@ class Bad(NamedTuple):
     trial: int
     name: str
     answer: Answered
+    steps: Steps
 
 
-def candidates(given: Sequence[str], clip: Clip, kept: Path, draws: Draws) -> Iterator[Bad]:
-    """All answers, the worst ones of each trial."""
+def bad_answers(given: Sequence[str], clip: Clip, kept: Path, draws: Draws) -> Iterator[Bad]:
     for one in given:
         for masks in MASKS[kind_of(one)]:
-            for number, case in enumerate(draws.of(place_of(one, masks, kept), clip)):
+            culprits = Culprits(place_of(one, masks, kept))
+            for number, case in enumerate(draws.of(culprits.place, clip)):
                 for answer in answered(case):
-                    yield Bad(one, masks, number, case.name, answer)
+                    if answer.objects < BAD:
+                        yield Bad(one, masks, number, case.name, answer, culprits.steps(case, answer))
+
+
+def census(found: Sequence[Bad]) -> str:
+    """Count the causes of bad answers, by kind of place and masks."""
+    kinds = dict.fromkeys((kind_of(bad.place), bad.masks) for bad in found)
+    rows = []
+    for kind in kinds:
+        counts = Counter(bad.steps.cause for bad in found if (kind_of(bad.place), bad.masks) == kind)
+        rows.append((f"{kind[0]}s, {kind[1]}", *(f"{counts[cause]}" for cause in CAUSES)))
+    return markdown(("bad answers in", *CAUSES), rows)
 
 
 def worst(found: Sequence[Bad], count: int) -> list[Bad]:
@@ -103,24 +120,20 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     clip, draws = Clip(arguments.clip), Draws(tuple(arguments.wrong), arguments.seeds)
-    chosen = worst(list(candidates(arguments.places, clip, arguments.kept, draws)), arguments.count)
+    found = list(bad_answers(arguments.places, clip, arguments.kept, draws))
     print("| answer | cause | true Gaussians | masks | best threshold | plain | objects |\n|---|---|" + "--:|" * 5)
-    for number, bad in enumerate(chosen):
-        place = place_of(bad.place, bad.masks, arguments.kept)
-        case, culprits = list(draws.of(place, clip))[bad.trial], Culprits.of(place)
-        steps = culprits.steps(case, bad.answer)
+    for number, bad in enumerate(worst(found, arguments.count)):
+        culprits = Culprits(place_of(bad.place, bad.masks, arguments.kept))
+        case = next(islice(draws.of(culprits.place, clip), bad.trial, None))
         meant = set(culprits.things(case, bad.answer.text).tolist())
-        things = [name for name, ids in place.things.items() if meant & set(ids)]
-        called = ", ".join(things)
-        print(
-            f"| {bad.name}: {called}, called “{bad.answer.text}” | {steps.cause} | "
-            + " | ".join(f"{value:.2f}" for value in steps)
-            + " |",
-            flush=True,
-        )
-        sheet = picture(culprits, case, bad.answer, steps, called)
+        called = ", ".join(name for name, ids in culprits.place.things.items() if meant & set(ids))
+        numbers = " | ".join(f"{value:.2f}" for value in bad.steps)
+        print(f"| {bad.name}: {called}, called “{bad.answer.text}” | {bad.steps.cause} | {numbers} |", flush=True)
+        sheet = picture(culprits, case, bad.answer, bad.steps, called)
         if sheet is not None:
-            write_picture(arguments.output / f"{number:02d}_{place.name.replace(', ', '_')}.jpg", sheet, overwrite=True)
+            path = arguments.output / f"{number:02d}_{culprits.place.name.replace(', ', '_')}.jpg"
+            write_picture(path, sheet, overwrite=True)
+    print(f"\n{census(found)}")
 
 
 if __name__ == "__main__":

@@ -104,7 +104,17 @@ def asked_for(place: str, kind: str, masks: str, level: float) -> dict[str, Any]
         for name, more in zip(answers.COLUMNS, (0, 0.1, 0.3), strict=True)
     }
     shares = {"missed": {"plain": 0.0, "objects": 0.25}, "found": {"plain": 0.5, "objects": 0.05}}
-    return {"place": place, "kind": kind, "masks": masks, "words": 40, **ious, **shares, "absent": 20, "seconds": 900}
+    return {
+        "place": place,
+        "kind": kind,
+        "masks": masks,
+        "words": 40,
+        "texts": ["a", "b"],
+        **ious,
+        **shares,
+        "absent": 20,
+        "seconds": 900,
+    }
 
 
 def words() -> dict[str, Any]:
@@ -129,7 +139,7 @@ def test_the_page_begins_with_answers_to_words() -> None:
     low, high = 45 - 9.8, 45 + 9.8  # of two places of two words, each 10 from its mean: 1.96 * sqrt(2 * 100 / 2) / 2
     assert f"| 2 real captures, CLIP's vectors, 40 words | `graph`, version 7 | 45.0 [{low:.1f}, {high:.1f}] |" in text
     assert "| words in real captures | 3 | 0.8 |" in text
-    assert "| methods in rooms | 10 | 0.0, 10 not timed |" in text
+    assert "| methods in rooms | 10 | not timed |" in text
     assert text.count("<details") == text.count("</details>") == text.count("<summary>") >= 4
 
 
@@ -139,6 +149,13 @@ def test_a_gain_that_other_words_may_turn_is_not_called_one() -> None:
         one["objects"] = [one["plain"][0] + 0.2, one["plain"][1] - 0.19]
     text = " ".join(page.page(results(), made).split())
     assert "are neither clearly better nor worse (+0.5 [-18.6, +19.6]) in 2 real captures" in text
+
+
+def test_answers_to_one_word_are_one_draw() -> None:
+    once = numbers.over_places([[10.0, 30.0]], [["a", "b"]])
+    assert once == pytest.approx((20, 20 - 1.96 * 200**0.5 / 2, 20 + 1.96 * 200**0.5 / 2))
+    assert numbers.over_places([[10.0, 30.0] * 6], [["a", "b"] * 6]) == pytest.approx(once)
+    assert numbers.over_places([[10.0, 30.0]] * 4, [["a", "b"]] * 4)[1] > once[1]
 
 
 def test_the_picture_is_to_scale() -> None:

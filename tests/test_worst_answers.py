@@ -16,6 +16,7 @@ from drsplat import Gaussians, View
 from drsplat.evidence.evidence import Evidence, MaskIds
 
 EACH = 40  # Gaussians of a thing
+STEPS = causes.Steps(0.9, 0.8, 0.7, 0.3, 0.3)  # threshold
 
 
 @pytest.mark.parametrize("module", [causes, numbers, reading, stamps, tables])
@@ -44,7 +45,7 @@ def place(owners: list[int], shared: float) -> Any:
     made: Any = SimpleNamespace(
         gaussians=gaussians, evidence=evidence, owners=np.array(owners, np.int32), labels=labels, views=[view]
     )
-    culprits = causes.Culprits.of(made)
+    culprits = causes.Culprits(made)
     left, right = (culprits.drawn(view, np.flatnonzero(labels == thing)) for thing in (0, 1))
     made.shown = lambda _: np.where(left, 0, np.where(right, 1, -1)).astype(np.int32)
     return culprits
@@ -102,7 +103,7 @@ def test_no_threshold_parts_equal_values() -> None:
 
 def test_the_worst_are_of_many_places() -> None:
     def bad(where: str, text: str, iou: float, best: float) -> study_worst.Bad:
-        return study_worst.Bad(where, "graph", 0, where, answers.Answered(text, iou, iou, best, False, False))
+        return study_worst.Bad(where, "graph", 0, where, answers.Answered(text, iou, iou, best, False, False), STEPS)
 
     found = [bad("a", "mug", 0.0, 0.5), bad("a", "mug", 0.0, 0.9), bad("a", "cup", 0.1, 0.5), bad("a", "bed", 0.2, 0.5)]
     found += [bad("b", "mug", 0.3, 0.5), bad("b", "bed", 0.4, 0.5)]
@@ -110,3 +111,4 @@ def test_the_worst_are_of_many_places() -> None:
     assert [(one.place, one.answer.text, one.answer.best) for one in chosen] == [
         ("a", "mug", 0.9), ("a", "cup", 0.5), ("b", "mug", 0.5),
     ]  # fmt: skip
+    assert study_worst.census(found).splitlines()[2] == "| rooms, graph | 0 | 0 | 0 | 6 | 0 |"

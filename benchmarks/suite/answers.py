@@ -30,6 +30,7 @@ ROOM, CAPTURE = "room", "capture"
 MASKS = {ROOM: ("graph", "true"), CAPTURE: ("graph", "sam")}
 COLUMNS = ("plain", "objects", "best")
 ASKED = ("plain", "objects")
+STAMP = stamp(CODE)  # of what is loaded, whatever becomes of the files during a run
 
 
 class Answered(NamedTuple):
@@ -97,14 +98,15 @@ def best_cut(values: np.ndarray, meant: np.ndarray, mass: np.ndarray) -> tuple[f
 
 
 def record_of(cases: Iterable[Trial]) -> dict[str, Any]:
-    """Pool trials: lists of IoUs over words, and shares of what was missed or found though absent."""
+    """Pool trials: lists of words and their IoUs, and shares of what was missed or found though absent."""
     asked: list[Answered] = []
     absent: list[tuple[bool, bool]] = []
     for case in cases:
         asked.extend(answered(case))
         absent.extend(found_absent(case))
     missed = [(one.missed_plain, one.missed_objects) for one in asked]
-    record: dict[str, Any] = {column: [getattr(one, column) for one in asked] for column in COLUMNS}
+    record: dict[str, Any] = {"texts": [one.text for one in asked]}
+    record |= {column: [getattr(one, column) for one in asked] for column in COLUMNS}
     record |= {"missed": _shares(missed), "found": _shares(absent), "absent": len(absent)}
     return {key: rounded(value) for key, value in record.items()}
 
@@ -130,7 +132,7 @@ def run(given: Sequence[str], clip_folder: Path, kept: Path, draws: Draws, work:
     """Yield the record of each place and kind of masks; those that are finished already are read from `work`."""
     clip = Clip(clip_folder)
     vectors = {path.name: hash_file(path) for path in sorted(clip_folder.iterdir()) if path.is_file()}
-    known = {"version": VERSION, "code": stamp(CODE), "vectors": vectors, "wrong": list(draws.wrong)}
+    known = {"version": VERSION, "code": STAMP, "vectors": vectors, "wrong": list(draws.wrong)}
     work.mkdir(parents=True, exist_ok=True)
     for one in given:
         for masks in MASKS[kind_of(one)]:
@@ -141,7 +143,7 @@ def run(given: Sequence[str], clip_folder: Path, kept: Path, draws: Draws, work:
             if record is None:
                 record = {"place": path.name.partition(".")[0], "kind": kind_of(one), "masks": masks}
                 record |= {"words": len(clip.words), **record_of(draws.of(place, clip))}
-                record |= {"code": stamp(CODE), "seconds": round(time.perf_counter() - start, 1)}
+                record |= {"code": STAMP, "seconds": round(time.perf_counter() - start, 1)}
                 with replacing(path, overwrite=True) as file:
                     file.write(json.dumps({"key": key, "record": record}).encode())
             yield record

@@ -13,6 +13,7 @@ The cause is the step that loses most.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,9 @@ SHOWN = 0.5  # of a pixel: what a selection is most of
 PHOTOS = 4  # those with the largest outlines of a thing
 
 
+CAUSES = ("scene", "masks", "encoder", "threshold", "objects")
+
+
 class Steps(NamedTuple):
     """IoU after each step, from 0 to 1."""
 
@@ -47,13 +51,14 @@ class Steps(NamedTuple):
         >>> Steps(0.9, 0.8, 0.7, 0.3, 0.35).losses["threshold"]
         0.39999999999999997
         """
-        return {
-            "scene": 1 - self.scene,
-            "masks": 1 - self.masks,
-            "encoder": self.masks - self.best,
-            "threshold": self.best - self.plain,
-            "objects": self.plain - self.objects,
-        }
+        lost = (
+            1 - self.scene,
+            1 - self.masks,
+            self.masks - self.best,
+            self.best - self.plain,
+            self.plain - self.objects,
+        )
+        return dict(zip(CAUSES, lost, strict=True))
 
     @property
     def cause(self) -> str:
@@ -77,36 +82,37 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Culprits:
-    """Steps of the answers in one place, whose Gaussians are made ready for drawing once."""
+    """The steps of answers in one place; what is drawn for one is kept for the others."""
 
     place: Place
-    splats: SplatArrays
 
-    @classmethod
-    def of(cls, place: Place) -> "Culprits":
-        return cls(place, splat_arrays(place.gaussians))
+    @cached_property
+    def splats(self) -> SplatArrays:
+        return splat_arrays(self.place.gaussians)
+
+    @cached_property
+    def covered(self) -> dict[tuple[int, ...], float]:
+        """Mean IoU of the true Gaussians of some things with their outlines, as far as anybody asked."""
+        return {}
 
     def steps(self, case: Trial, answer: Answered) -> Steps:
         things = self.things(case, answer.text)
-        drawn = [
-            iou(self.drawn(seen.view, np.flatnonzero(self.of_things(things))), seen.outline)
-            for seen in self.seen(things)
-        ]
-        return Steps(
-            float(np.mean(drawn)),
-            self.best_of_masks(case, answer.text, things),
-            answer.best,
-            answer.plain,
-            answer.objects,
-        )
+        masks = self.best_of_masks(case, answer.text, things)
+        return Steps(self.cover(things), masks, answer.best, answer.plain, answer.objects)
+
+    def cover(self, things: Int32[np.ndarray, " t"]) -> float:
+        """Return how well the scene shows some things; 1, so that it is no cause, where no photo has their outline."""
+        key = tuple(things.tolist())
+        if key not in self.covered:
+            ids = np.flatnonzero(np.isin(self.place.labels, things))
+            ious = [iou(self.drawn(seen.view, ids), seen.outline) for seen in self.seen(things)]
+            self.covered[key] = float(np.mean(ious)) if ious else 1.0
+        return self.covered[key]
 
     def things(self, case: Trial, text: str) -> Int32[np.ndarray, " t"]:
         """Return the numbers of what is called so."""
         labels = self.place.labels[case.field.gaussian_ids]
         return np.unique(labels[case.present[text]])
-
-    def of_things(self, things: Int32[np.ndarray, " t"]) -> Bool[np.ndarray, " n"]:
-        return np.isin(self.place.labels, things)
 
     def best_of_masks(self, case: Trial, text: str, things: Int32[np.ndarray, " t"]) -> float:
         """Return what an encoder without a fault would reach: each mask shows the thing that it shows most of."""

@@ -39,8 +39,22 @@ class Asked(NamedTuple):
         """By place, percent for each word that was asked for."""
         return [[100 * value for value in record[column]] for record in self.records]
 
-    def gains(self, column: str, base: str) -> list[list[float]]:
-        return [difference(a, b) for a, b in zip(self.each(column), self.each(base), strict=True)]
+    @property
+    def texts(self) -> list[list[str]]:
+        return [record["texts"] for record in self.records]
+
+    def over(self, column: str) -> tuple[float, float, float]:
+        """Return the mean over places and its interval, as `over_places`."""
+        return over_places(self.each(column), self.texts)
+
+    def gain(self, column: str, base: str) -> tuple[float, float, float]:
+        """Return the same of what a column has more than another, word by word."""
+        pairs = zip(self.each(column), self.each(base), strict=True)
+        return over_places([difference(a, b) for a, b in pairs], self.texts)
+
+    @property
+    def by_place(self) -> "list[Asked]":
+        return [self._replace(records=[record]) for record in self.records]
 
     def share(self, what: str, column: str) -> float:
         """Percent of the words that were missed, or found though absent: the mean over places."""
@@ -61,14 +75,14 @@ def picture(answers: Answers) -> str:
     sections = []
     for one in asked(answers):
         if one.masks == "graph":
-            columns = [one.each(column) for column in COLUMNS]
-            mean = Group("mean", [Bar(*over_places(column)) for column in columns], strong=True)
-            each = [
-                Group(record["place"], [Bar(*over_places([column[at]])) for column in columns])
-                for at, record in enumerate(one.records)
-            ]
+            mean = Group("mean", _bars(one), strong=True)
+            each = [Group(place.records[0]["place"], _bars(place)) for place in one.by_place]
             sections.append((f"{len(each)} {PLACES[one.kind]}", [mean, *each]))
     return grouped_bars("How well answers overlap what is meant (IoU, percent)", list(HEADS.values()), sections)
+
+
+def _bars(one: Asked) -> list[Bar]:
+    return [Bar(*one.over(column)) for column in COLUMNS]
 
 
 def headline_table(results: Results, answers: Answers | None) -> str:
@@ -84,10 +98,14 @@ def headline_table(results: Results, answers: Answers | None) -> str:
 
 
 def _row_of_words(one: Asked, answers: Answers) -> tuple[str, ...]:
-    cells = [within(*over_places(one.each(column))) for column in COLUMNS]
-    shares = [", ".join(f"{one.share(what, column):.0f}" for column in ASKED) for what in ("missed", "found")]
     where = f"{len(one.records)} {PLACES[one.kind]}, CLIP's vectors, {one.words} words"
-    return where, _masks_said(one.masks, answers), *cells, *shares
+    return where, _masks_said(one.masks, answers), *_cells(one)
+
+
+def _cells(one: Asked) -> list[str]:
+    """IoU by column, then what was missed and what was found though absent."""
+    shares = [", ".join(f"{one.share(what, column):.0f}" for column in ASKED) for what in ("missed", "found")]
+    return [*(within(*one.over(column)) for column in COLUMNS), *shares]
 
 
 def _masks_said(masks: str, made: Mapping[str, Any]) -> str:
@@ -101,12 +119,11 @@ def _masks_said(masks: str, made: Mapping[str, Any]) -> str:
 def places_table(answers: Answers) -> str:
     """Every place by itself."""
     rows = []
-    for one in asked(answers):
-        for at, record in enumerate(one.records):
-            cells = [within(*over_places([one.each(column)[at]])) for column in COLUMNS]
-            gain = within(*over_places([one.gains("objects", "plain")[at]]), signed=True)
-            shares = (", ".join(f"{100 * record[what][c]:.0f}" for c in ASKED) for what in ("missed", "found"))
-            rows.append((record["place"], one.masks, f"{len(record['best'])}", *cells, gain, *shares))
+    for one in (place for group in asked(answers) for place in group.by_place):
+        record = one.records[0]
+        asked_for = f"{len(set(record['texts']))}, {len(record['texts'])} times"
+        gain = within(*one.gain("objects", "plain"), signed=True)
+        rows.append((record["place"], one.masks, asked_for, *_cells(one)[:3], gain, *_cells(one)[3:]))
     heads = (
         "place",
         "masks",

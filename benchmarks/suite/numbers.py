@@ -89,15 +89,24 @@ def difference(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
-def over_places(places: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """Return the mean over places of the mean over words, and its 95 % interval over the words.
+def over_places(places: Sequence[Sequence[float]], words: Sequence[Sequence[str]]) -> tuple[float, float, float]:
+    """Return the mean over places of the mean over answers, and its 95 % interval over the words.
 
-    Places are few, so they are taken as given: the interval says how other words would do in the same places.
+    Answers to the same word in the same place are one draw: with other masks wrong they are about as good. Places are
+    few, so they are taken as given, and the interval says how other words would do in the same places.
+    Source: variance of a mean of clusters, Liang and Zeger 1986.
     """
     mean = metrics.mean([metrics.mean(numbers) for numbers in places])
-    variance = sum(float(np.var(numbers)) / len(numbers) for numbers in places) / len(places) ** 2
+    variance = sum(map(_variance, places, words)) / len(places) ** 2
     half = 1.96 * variance**0.5
     return mean, mean - half, mean + half
+
+
+def _variance(numbers: Sequence[float], words: Sequence[str]) -> float:
+    """Of the mean of some numbers, of which those of one word belong together."""
+    _, word_of = np.unique(words, return_inverse=True)
+    of_word = np.bincount(word_of, np.asarray(numbers) - np.mean(numbers))
+    return float((of_word**2).sum()) / len(numbers) ** 2
 
 
 def within(mean: float, low: float, high: float, signed: bool = False) -> str:

@@ -222,6 +222,8 @@ def hours_table(results: Results, answers: Answers | None) -> str:
 
 def _hours(records: Sequence[dict[str, Any]]) -> str:
     seconds = [record["seconds"] for record in records if "seconds" in record]
+    if not seconds:
+        return "not timed"
     missing = f", {len(records) - len(seconds)} not timed" if len(seconds) < len(records) else ""
     return f"{sum(seconds) / 3600:.1f}{missing}"
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from drsplat.evaluation import metrics
 
 from .headline import PLACES, SYSTEMS, Answers, Asked, asked
-from .numbers import Results, masks_of, methods_of, over_places, said, values, within
+from .numbers import Results, masks_of, methods_of, said, values, within
 from .rivals import FITTED
 from .tables import gain
 
@@ -48,20 +48,20 @@ def _listed(groups: Mapping[str, Asked], say: Callable[[Asked], str]) -> str:
 
 
 def _how_good(found: Mapping[str, Asked]) -> str:
-    parts = _listed(found, lambda one: f"{over_places(one.each('objects'))[0]:.0f} %")
+    parts = _listed(found, lambda one: f"{one.over('objects')[0]:.0f} %")
     return f"Asked for a word, drsplat selects what overlaps the thing that is meant by {parts} (IoU, all by default)."
 
 
 def _objects(found: Mapping[str, Asked]) -> str:
     def say(one: Asked) -> str:
-        mean, low, high = over_places(one.gains("objects", "plain"))
+        mean, low, high = one.gain("objects", "plain")
         return f"{WORDS[_side(low, high)]} ({within(mean, low, high, signed=True)})"
 
     return f"Answers in whole objects, the default, beside those of Gaussians alone, are {_listed(found, say)}."
 
 
 def _threshold(found: Mapping[str, Asked]) -> str:
-    parts = _listed(found, lambda one: f"{over_places(one.gains('best', 'objects'))[0]:+.0f}")
+    parts = _listed(found, lambda one: f"{one.gain('best', 'objects')[0]:+.0f}")
     return f"The best threshold for each word, which nobody knows without the truth, is worth {parts}."
 
 
@@ -75,7 +75,7 @@ def _absent(found: Mapping[str, Asked]) -> str:
 
 def _masks(found: Mapping[str, Asked], better: Mapping[str, Asked]) -> str:
     def say(one: Asked) -> str:
-        mean, base = (over_places(some[one.kind].each("objects"))[0] for some in (better, found))
+        mean, base = (some[one.kind].over("objects")[0] for some in (better, found))
         return f"{mean - base:+.0f}"
 
     both = {kind: one for kind, one in better.items() if kind in found}
