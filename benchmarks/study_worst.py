@@ -91,9 +91,9 @@ def picture(culprits: Culprits, case: Trial, answer: Answered, steps: Steps, cal
         (ids[plain.values >= cut], "best threshold", f"IoU {answer.best:.2f}"),
     ]
     parts = [titled(panel(culprits, seen[0], chosen), name, note) for chosen, name, note in panels]
-    losses = ", ".join(f"{name} {loss:+.2f}" for name, loss in steps.losses.items())
+    losses = ", ".join(f"{name} {loss:.2f}" for name, loss in steps.losses.items())
     sheet = contact_sheet(parts, 3, 420, 8)
-    return titled(sheet, f"{culprits.place.name}: {steps.cause}", f"lost by {losses}")
+    return titled(sheet, f"{steps.cause}: {culprits.place.name}", f"lost: {losses}")
 
 
 def panel(culprits: Culprits, seen: Seen, ids: np.ndarray | None) -> np.ndarray:

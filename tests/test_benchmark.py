@@ -392,7 +392,7 @@ def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
     assert [record["effort"] for record in found] == [0.0003] * len(FITTED)
     written = page.page(documents.results_of([SHIPPED[0]], 14, found))
     assert f"`{FITTED[0]}` 0.03 %" in written
-    assert "## What the papers report" in written
+    assert "<summary>What the papers report</summary>" in written
 
 
 def test_prose_of_the_page_is_at_most_120_wide() -> None:
