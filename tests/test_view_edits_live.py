@@ -97,7 +97,7 @@ def test_the_viewer_edits_and_undoes(session: Session, size: tuple[int, int], ch
             page.get_by_text("Objects", exact=True).click()
             page.get_by_role("button", name="List them").click()
             eventually(lambda: panel.objects.listed == 2)
-            page.get_by_role("button", name="· 1").last.click()
+            page.get_by_role("button", name="object 1", exact=True).last.click()
             eventually(lambda: session.chosen is not None)
             camera = next(iter(window.server.get_clients().values())).camera
             target = session.shown.frame.shown(session.results[0].matches[0].center)

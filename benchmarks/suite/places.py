@@ -93,6 +93,19 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
     return Place(f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells)
 
 
+def with_wrong_masks(evidence: Evidence, percent: int) -> Evidence:
+    """The weights of some masks, drawn at random, are given to other masks of their photos."""
+    views, rng = evidence.masks.views, np.random.default_rng(0)
+    target = np.arange(len(views))
+    for mask in np.flatnonzero(rng.random(len(views)) < percent / 100):
+        others = np.flatnonzero(views == views[mask])
+        target[mask] = rng.choice(others[others != mask]) if len(others) > 1 else mask
+    moved = csr_array((np.ones(len(views), np.float32), (np.arange(len(views)), target)), shape=(len(views),) * 2)
+    weights = csr_array(evidence.weights @ moved)
+    weights.sort_indices()
+    return replace(evidence, weights=weights)
+
+
 def _masks_of(scene: BenchScene, kind: str) -> Ids:
     def maps(view: View) -> np.ndarray:
         return mask_maps(MASKS[kind](scene, view, load_image(view))).mask_ids[LEVELS.index("large")]
