@@ -72,7 +72,9 @@ def num_agreed(
     scenes: Sequence[str], sure: Sequence[float | None], num_views: Sequence[int | None], labels: Sequence[str | None]
 ) -> Counter[str]:
     """Return how many objects of each scene photos agree on, or people named, by columns of the table."""
-    known = agreed(np.array([one or 0 for one in sure], np.float32), np.array([one or 0 for one in num_views]))
+    known = agreed(
+        np.array([one or 0 for one in sure], np.float32), np.array([one or 0 for one in num_views], np.int64)
+    )
     shown = known | np.array([bool(label) for label in labels], np.bool_)
     return Counter(scene for scene, one in zip(scenes, shown.tolist(), strict=True) if one)
 

@@ -147,7 +147,7 @@ class Scene:
         return agreed(objects.sure[objects.things], objects.num_views[objects.things]) | labelled
 
     def object_names(self, nodes: Sequence[int] | None = None, words: Sequence[str] = ()) -> list[str | None]:
-        """The best word for each object, or each of some nodes, None where none is known.
+        """The word that the encoder is sure of for each object, or each of some nodes, else None.
 
         words: to choose from; where there are none, those of an encoder that knows a list.
         """

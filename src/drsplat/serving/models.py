@@ -153,7 +153,7 @@ class SceneObject(Body):
 
     id: int = Field(description="its number: 0 has the largest mass")
     label: str | None = Field(description="the name that people gave it")
-    name: str | None = Field(description="the best word for it, where the encoder knows a list and one fits")
+    name: str | None = Field(description="the word that the encoder is sure of among its list")
     center: Vector
     extent: Vector = Field(description="full lengths of the box along its axes")
     axes: list[Vector] = Field(description="unit directions of the box, one per row: the third is up where it is known")
