@@ -12,7 +12,7 @@ from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
 from ..models.mini import MiniEncoder
 from ..models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
-from .contrast import NEAR, contrast_of, usual_pictures
+from .contrast import LEAST_SPREAD, NEAR, TILT, usual_pictures
 from .word_list import list_vectors
 
 SAMPLED_ROWS = 1000
@@ -125,16 +125,18 @@ def _sure_words(
     """Return for each row the number of its best word, -1 where another fits nearly as well.
 
     vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
-    in standard deviations of cosines of words and pictures once the means of both are taken off (`Contrast.spread`).
+    in standard deviations of cosines of words and pictures once the means of both are taken off, as of `Contrast.spread`.
     """
-    known = contrast_of(seen.pictures, every)
-    scores = seen.rows @ every.T - every @ known.usual
+    cosines = seen.pictures @ every.T
+    scores = seen.rows @ every.T - np.float32(TILT) * cosines.mean(0)
     best = scores[:, : len(vectors)].argmax(1)
     centered = every - every.mean(0, dtype=np.float64)
     centered /= np.maximum(np.linalg.norm(centered, axis=1, keepdims=True), 1e-12)
     alike = (centered[best] @ centered.T > NEAR) | (vectors[best] @ every.T > 1 - 1e-5)
     others = np.where(alike, -np.inf, scores).max(1)
-    margins = (scores[np.arange(len(best)), best] - others) / known.spread
+    cosines -= cosines.mean(0)
+    cosines -= cosines.mean(1, keepdims=True)
+    margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), LEAST_SPREAD)
     words: list[int] = np.where(margins >= least, best, -1).tolist()
     return words
 
