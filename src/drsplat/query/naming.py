@@ -125,7 +125,7 @@ def _sure_words(
     """Return for each row the number of its best word, -1 where another fits nearly as well.
 
     vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
-    in standard deviations of cosines of words and pictures once the means of both are taken off, as of `Contrast.spread`.
+    in standard deviations of cosines of words and pictures once the means of both are off, as of `Contrast.spread`.
     """
     cosines = seen.pictures @ every.T
     scores = seen.rows @ every.T - np.float32(TILT) * cosines.mean(0)
