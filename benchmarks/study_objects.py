@@ -25,13 +25,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.bench_boxes import owners
 from benchmarks.suite.instances import LEAST, Compared, Region, compare, numbers
 from benchmarks.suite.masks import MASKS, features_of
+from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.rivals.things import Agreement, Alike, light_splat, mask_clustering, sureness
 from benchmarks.suite.scenes import read_scene
 from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, read_gaussians, read_views, register
@@ -95,17 +95,8 @@ def room_of(folder: Path, masks: str, kept: Path) -> Room:
 
 
 def with_wrong(room: Room, percent: int) -> Room:
-    """The weights of some masks, drawn at random, are given to other masks of their photos."""
-    views, rng = room.evidence.masks.views, np.random.default_rng(0)
-    wrong = np.flatnonzero(rng.random(len(views)) < percent / 100)
-    target = np.arange(len(views))
-    for mask in wrong:
-        others = np.flatnonzero(views == views[mask])
-        target[mask] = rng.choice(others[others != mask]) if len(others) > 1 else mask
-    moved = csr_array((np.ones(len(views), np.float32), (np.arange(len(views)), target)), shape=(len(views),) * 2)
-    weights = csr_array(room.evidence.weights @ moved)
-    weights.sort_indices()
-    return replace(room, evidence=replace(room.evidence, weights=weights))
+    """As `with_wrong_masks`."""
+    return replace(room, evidence=with_wrong_masks(room.evidence, percent))
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,3 +153,20 @@ def test_routes(folder: Path) -> None:
     assert (picture.status_code, picture.headers["content-type"]) == (200, "image/jpeg")
     assert ply.content.startswith(b"ply\n")
     assert (none.status_code, bad.status_code) == (422, 422)
+
+
+def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder: Path) -> None:
+    field = open_scene(folder).field
+    assert field.objects is not None
+    sure = field.objects.sure.copy()
+    sure[field.objects.thing(0)] = 0.1
+    field.with_objects(replace(field.objects, sure=sure)).save(folder / "a.field", overwrite=True)
+    told, every = (json.loads(reply(folder, "objects", {"all": all}).body) for all in (False, True))
+    assert (told["num_objects"], told["num_agreed"]) == (every["num_objects"], every["num_agreed"]) == (3, 2)
+    assert [one["id"] for one in told["objects"]] == [1, 2]
+    assert [(one["id"], one["agreed"]) for one in every["objects"]] == [(0, False), (1, True), (2, True)]
+    assert "1 more that photos agree less on: all=true" in told["advice"]
+    talk = talk_of(folder)
+    assert [one.id for one in talk.list_objects(20).objects] == [1, 2]
+    assert talk.list_objects(1).advice.startswith("the 1 largest of 2. 1 more that photos agree less on")
+    assert [one.id for one in talk.list_objects(20, unsure=True).objects] == [0, 1, 2]

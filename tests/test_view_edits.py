@@ -181,7 +181,7 @@ def test_a_page_has_objects_annotations_and_the_scene_as_edited(room: Path) -> N
     page = export_page(room / "page.html", scene, ["red mug"])
     header = header_of(room / "page.html")
     assert len(page.shown) == 3 * PER_THING
-    assert [one["name"].split(" · ")[1] for one in header["objects"]] == ["0", "1"]
+    assert [(one["name"], one["unsure"]) for one in header["objects"]] == [("object 0", False), ("object 1", False)]
     assert all(one["picture"].startswith("data:image/jpeg;base64,") for one in header["objects"])
     assert [one["text"] for one in header["annotations"]] == ["<here>"]
     numbers = page.object_numbers

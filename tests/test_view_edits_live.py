@@ -1,6 +1,7 @@
 """Edits, annotations and objects in a real browser, on a desktop and on a phone, looked at in pixels."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from browsing import a_browser, a_page, eventually, near, needs_chromium, pixels_of
-from drsplat import export_page, open_scene
+from drsplat import Scene, export_page, open_scene
 from drsplat.editing import Duplicate
 from drsplat.scene.annotations import Annotation
 from drsplat.viewing.session import Session
@@ -68,6 +69,26 @@ def test_a_page_lists_objects_and_draws_annotations(
         assert box["x"] + box["width"] <= size[0]
 
 
+def test_a_page_has_what_photos_agree_less_on_behind_more(session: Session, chromium: Any, tmp_path: Path) -> None:
+    field = session.scene.field
+    assert field.objects is not None
+    sure = field.objects.sure.copy()
+    sure[field.objects.thing(0)] = 0.01
+    doubted = Scene(field.with_objects(replace(field.objects, sure=sure)), session.scene.gaussians, session.scene.views)
+    export_page(tmp_path / "page.html", doubted, ["blue plate"], up=UP)
+    with a_page(chromium, *SIZES["desktop"]) as page:
+        page.goto((tmp_path / "page.html").as_uri())
+        page.wait_for_function("window.drsplat && window.drsplat.frames > 0 && document.querySelector('#objects img')")
+        assert page.locator("#objects button").all_inner_texts() == ["object 1"]
+        hidden = page.get_by_role("button", name="object 0")
+        assert not hidden.is_visible()
+        page.get_by_text("More, that photos agree less on").click()
+        hidden.click()
+        eventually(lambda: hidden.get_attribute("aria-pressed") == "true")
+        target = page.evaluate("drsplat.header.objects[1].center")
+        eventually(lambda: np.allclose(page.evaluate("drsplat.state.target"), target, atol=1e-3))
+
+
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_the_viewer_edits_and_undoes(session: Session, size: tuple[int, int], chromium: Any) -> None:
     pytest.importorskip("viser")
@@ -97,7 +118,7 @@ def test_the_viewer_edits_and_undoes(session: Session, size: tuple[int, int], ch
             page.get_by_text("Objects", exact=True).click()
             page.get_by_role("button", name="List them").click()
             eventually(lambda: panel.objects.listed == 2)
-            page.get_by_role("button", name="· 1").last.click()
+            page.get_by_role("button", name="object 1", exact=True).last.click()
             eventually(lambda: session.chosen is not None)
             camera = next(iter(window.server.get_clients().values())).camera
             target = session.shown.frame.shown(session.results[0].matches[0].center)

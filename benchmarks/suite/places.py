@@ -122,6 +122,19 @@ def _kept(kept: Path, folder: Path, kind: str, gaussians: Gaussians, outlines: P
     return kept / f"{folder.name}.{kind}.{digest.hexdigest()}.place.safetensors"
 
 
+def with_wrong_masks(evidence: Evidence, percent: int) -> Evidence:
+    """The weights of some masks, drawn at random, are given to other masks of their photos."""
+    views, rng = evidence.masks.views, np.random.default_rng(0)
+    target = np.arange(len(views))
+    for mask in np.flatnonzero(rng.random(len(views)) < percent / 100):
+        others = np.flatnonzero(views == views[mask])
+        target[mask] = rng.choice(others[others != mask]) if len(others) > 1 else mask
+    moved = csr_array((np.ones(len(views), np.float32), (np.arange(len(views)), target)), shape=(len(views),) * 2)
+    weights = csr_array(evidence.weights @ moved)
+    weights.sort_indices()
+    return replace(evidence, weights=weights)
+
+
 def _masks_of(scene: BenchScene, kind: str) -> Ids:
     def maps(view: View) -> np.ndarray:
         return mask_maps(MASKS[kind](scene, view, load_image(view))).mask_ids[LEVELS.index("large")]

@@ -2,7 +2,7 @@
 
 `table` is all that knows LanceDB and Arrow, both of the extra `catalogue`; they are imported when a catalogue is used.
 
-Imports `encoders`, `scene`, `formats`, `codes`, `field`, `models`, `drawing` and `query`.
+Imports `encoders`, `scene`, `formats`, `codes`, `field`, `objects`, `models`, `drawing` and `query`.
 """
 
 from .catalogue import Catalogue

@@ -126,7 +126,7 @@ class Catalogue:
             warnings.warn(
                 f"{called}: no thumbnails: they need the scene's Gaussians and its photos", DrSplatWarning, stacklevel=2
             )
-        return Listed(called, len(rows), added, opened.field.fingerprint, folder, "current")
+        return Listed(called, len(rows), int(opened.agreed.sum()), added, opened.field.fingerprint, folder, "current")
 
     def remove(self, name: str) -> int | None:
         """Drop a scene; return how many objects it had, None if it was removed before.

@@ -113,12 +113,14 @@ class CatalogueAnswer:
 
 @dataclass(frozen=True)
 class Listed:
-    """A scene of a catalogue. folder: where it was added from, "" where that is not known. state: "current",
-    "changed" (its field is another one now: add it again), "missing" (nothing is there), "unknown".
+    """A scene of a catalogue. num_agreed: of its objects, those that photos agree on or that have a label. folder:
+    where it was added from, "" where that is not known. state: "current", "changed" (its field is another one now: add
+    it again), "missing" (nothing is there), "unknown".
     """
 
     scene: str
     num_objects: int
+    num_agreed: int
     added: datetime
     field: str
     folder: str

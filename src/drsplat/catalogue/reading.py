@@ -1,5 +1,7 @@
 """From rows of the table to what people get, checked on the way: the files may be anybody's."""
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +9,7 @@ import numpy as np
 
 from ..errors import DrSplatError, FormatError, InputError
 from ..formats.field_folder import read_manifest
+from ..objects.agreed import agreed
 from ..query import Query
 from ..query.opening import scene_files
 from ..query.ranking import Ranked
@@ -55,20 +58,31 @@ def thumbnail_of(known: Snapshot, scene: str, object_id: int, tile: int) -> byte
 
 def listed_of(known: Snapshot) -> list[Listed]:
     """All scenes, by name. Raises: FormatError: damaged."""
-    counts: dict[str, int] = {}
-    for name in known.rows("object_id >= 0", ["scene"])["scene"].to_pylist():
-        counts[name] = counts.get(name, 0) + 1
+    objects = known.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
+    counts = Counter(objects["scene"].to_pylist())
+    agreed = num_agreed(*(objects[name].to_pylist() for name in ("scene", "sure", "num_views", "label")))
     rows = known.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
     if any(row[key] is None for row in rows for key in ("scene", "added", "field")):
         raise FormatError(f"{known.path}: {CURE}")
-    listed = [_listed(row, counts.get(row["scene"], 0)) for row in rows]
+    listed = [_listed(row, counts[row["scene"]], agreed[row["scene"]]) for row in rows]
     return sorted(listed, key=lambda one: one.scene)
 
 
-def _listed(row: dict[str, Any], num_objects: int) -> Listed:
+def num_agreed(
+    scenes: Sequence[str], sure: Sequence[float | None], num_views: Sequence[int | None], labels: Sequence[str | None]
+) -> Counter[str]:
+    """Return how many objects of each scene photos agree on, or people named, by columns of the table."""
+    known = agreed(
+        np.array([one or 0 for one in sure], np.float32), np.array([one or 0 for one in num_views], np.int64)
+    )
+    shown = known | np.array([bool(label) for label in labels], np.bool_)
+    return Counter(scene for scene, one in zip(scenes, shown.tolist(), strict=True) if one)
+
+
+def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> Listed:
     folder = row["folder"] or ""
     state = state_of(folder, row["field"], num_objects) if folder else "unknown"
-    return Listed(row["scene"], num_objects, row["added"], row["field"], folder, state)
+    return Listed(row["scene"], num_objects, num_agreed, row["added"], row["field"], folder, state)
 
 
 def state_of(folder: str, field: str, num_objects: int) -> str:

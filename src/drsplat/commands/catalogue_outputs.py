@@ -16,7 +16,8 @@ STATES = {
 
 def _show_add(answer: dict[str, Any]) -> None:
     for one in answer["scenes"]:
-        print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}")
+        agreed = f", {said(one['num_agreed'])} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
+        print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}{agreed}")
     print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
     if answer["wants_index"]:
         print(f"Every query compares all of them: drsplat catalogue index {answer['catalogue']}")
@@ -35,10 +36,17 @@ def _show_list(answer: dict[str, Any]) -> None:
     number = counted(len(answer["scenes"]), "scene")
     title = f"{number}, {counted(answer['num_objects'], 'object')}; words by {answer['encoder']}"
     rows = [
-        (one["scene"], said(one["num_objects"]), one["added"], STATES[one["state"]], one["folder"])
+        (
+            one["scene"],
+            said(one["num_objects"]),
+            said(one["num_agreed"]),
+            one["added"],
+            STATES[one["state"]],
+            one["folder"],
+        )
         for one in answer["scenes"]
     ]
-    show_table(title, ("scene", "objects", "added", "state", "folder"), rows)
+    show_table(title, ("scene", "objects", "agreed on", "added", "state", "folder"), rows)
 
 
 def _show_ask(answer: dict[str, Any]) -> None:

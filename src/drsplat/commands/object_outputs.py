@@ -55,9 +55,12 @@ def listing(scene: Scene) -> list[dict[str, Any]]:
             "mass": float(objects.masses[node]),
             "num_views": int(objects.num_views[node]),
             "sure": match.score,
+            "agreed": agreed,
             "views": photos_of(scene.field, node),
         }
-        for node, match, name in zip(nodes, scene.objects, scene.object_names(), strict=True)
+        for node, match, name, agreed in zip(
+            nodes, scene.objects, scene.object_names(), scene.agreed.tolist(), strict=True
+        )
     ]
 
 
@@ -86,16 +89,19 @@ def _save_json(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite
 
 
 def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
-    """Write a column for each number of a box, axes by rows, and the views in one, with semicolons between them."""
+    """Write a column for each number of a box, axes by rows; the views in one, with semicolons between them; last,
+    0 or 1 for `agreed`.
+    """
     from ..formats.replacing import replacing
 
     text = io.StringIO(newline="")
     plain = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
     rows = csv.writer(text)
-    rows.writerow([*plain, *(f"{key}_{i}" for key, count in BOXES.items() for i in range(count)), "views"])
+    rows.writerow([*plain, *(f"{key}_{i}" for key, count in BOXES.items() for i in range(count)), "views", "agreed"])
     for one in listed:
         numbers = [*one["center"], *one["extent"], *chain(*one["axes"])]
-        rows.writerow([*(_cell(one[key]) for key in plain), *numbers, _cell(";".join(one["views"]))])
+        views = _cell(";".join(one["views"]))
+        rows.writerow([*(_cell(one[key]) for key in plain), *numbers, views, int(one["agreed"])])
     with replacing(path, overwrite) as file:
         file.write(text.getvalue().encode())
 

@@ -15,18 +15,22 @@ if TYPE_CHECKING:
 SUMMARY = "list the objects of a scene, without any word for them: where they are, how large, in which photos"
 EXAMPLES = """\
   drsplat objects room.field --scene scene.ply
+  drsplat objects room.field --scene scene.ply --all
   drsplat objects room.field --scene scene.ply --picture objects.jpg --views capture
   drsplat objects room.field --scene scene.ply --save ids.npy
   drsplat objects room.field --scene scene.ply --save cut_out
   drsplat objects room.field --label "my mug" --id 7
 
+Listed are the objects that photos agree on, and those with a label; --all lists the others
+too, of which most are scraps.
+
 The first time they are found, which takes the scene, and kept in the field. ids.npy has one int32 per Gaussian of the
 scene, its object or -1. objects.ply is the scene with that as a column object_id; a folder gets a PLY of each object;
 .json and .csv get the table, with boxes. Names that are given with --label are kept in NAME.labels.json beside
 NAME.field: they outlive the field, and queries for such a name select exactly this object."""
-DAILY = ("scene", "label", "id", "save", "picture", "views", "overwrite")
+DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
 
-MOST_SHOWN = 40  # rows on a terminal; real captures have hundreds of objects
+MOST_SHOWN = 40  # rows on a terminal without --all; real captures have hundreds of objects
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", help="scene that was registered; needed to find objects, for PLYs and for --picture")
     parser.add_argument(
         "--again", action="store_true", help="find objects anew, though the field has some; labels stay"
+    )
+    parser.add_argument(
+        "--all", action="store_true", help="list and draw also the objects that photos agree less on; files have all"
     )
     parser.add_argument("--label", type=words, metavar="NAME", help="name to give to the object --id")
     parser.add_argument("--id", type=whole, metavar="NUMBER", help="number of the object that --label names")
@@ -45,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     output.add_argument(
         "--picture", metavar="OUT.jpg",
-        help="write a sheet: each object cut out of the photo that shows it best, the 60 largest",
+        help="write a sheet: each object cut out of the photo that shows it best, the 60 largest of the list",
     )  # fmt: skip
     output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture")
     add_overwrite(output)
@@ -61,18 +68,20 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene = _with_objects(arguments)
     if arguments.label is not None:
         scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
-    listed = listing(scene)
+    every = listing(scene)
     with together():
         if arguments.save:
-            save(arguments.save, scene, listed, arguments.overwrite)
+            save(arguments.save, scene, every, arguments.overwrite)
         if arguments.picture:
-            _draw(arguments, scene, listed)
+            _draw(arguments, scene, _listed(every, arguments.all))
     return {
         "field": arguments.field,
-        "num_objects": len(listed),
+        "num_objects": len(every),
+        "num_agreed": sum(one["agreed"] for one in every),
         "num_registered": len(scene.field),
-        "num_in_objects": sum(one["num_gaussians"] for one in listed),
-        "objects": listed,
+        "num_in_objects": sum(one["num_gaussians"] for one in every),
+        "objects": every,
+        "all": arguments.all,
         "doubt": scene.doubt,
         "drifting": _drifting(scene),
         "labels_of_none": [label.name for label in scene.labels.orphans],
@@ -85,13 +94,18 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import said, show_table
 
-    inside, every = said(answer["num_in_objects"]), counted(answer["num_registered"], "Gaussian")
-    title = f"{counted(answer['num_objects'], 'object')}, {inside} of {every} in them; lengths in scene units"
+    listed = _listed(answer["objects"], answer["all"])
+    inside, every = said(sum(one["num_gaussians"] for one in listed)), counted(answer["num_registered"], "Gaussian")
+    unsure = answer["num_objects"] - len(listed)
+    photos_agree = " that photos agree on" if unsure else ""
+    title = f"{counted(len(listed), 'object')}{photos_agree}, {inside} of {every} in them; lengths in scene units"
     columns = ("object", "name", "Gaussians", "centre", "extent", "photos", "sure")
-    largest = answer["objects"][:MOST_SHOWN]
+    largest = listed if answer["all"] else listed[:MOST_SHOWN]
     show_table(title, columns, [_row(one) for one in largest])
-    if len(answer["objects"]) > len(largest):
-        print(f"and {answer['num_objects'] - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
+    if len(listed) > len(largest):
+        print(f"and {len(listed) - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
+    if unsure:
+        print(f"and {unsure:,} more that photos agree less on: --all lists them")
     if not answer["objects"]:
         print("No two masks of different photos agree: more photos, or larger masks, may help.")
     if answer["doubt"]:
@@ -103,6 +117,11 @@ def show(answer: dict[str, Any]) -> None:
     for output in (answer["saved"], answer["picture"]):
         if output:
             print(f"written to {output}")
+
+
+def _listed(objects: list[dict[str, Any]], every: bool) -> list[dict[str, Any]]:
+    """Return the objects that photos agree on, or all."""
+    return [one for one in objects if every or one["agreed"]]
 
 
 def _drifting(scene: Scene) -> dict[str, Any] | None:
@@ -154,7 +173,12 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
 
 def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, Any]]) -> None:
     from ..drawing.pictures import write_picture
+    from ..errors import InputError
     from ..query.sheets import object_sheet
 
+    if scene.objects and not listed:
+        raise InputError(f"photos agree on none of the {len(scene.objects)} objects well: --all draws them")
+    matches = scene.objects
     titles = [" ".join([str(one["id"]), one["label"] or one["name"] or ""]) for one in listed]
-    write_picture(arguments.picture, object_sheet(scene, scene.objects, titles), arguments.overwrite)
+    sheet = object_sheet(scene, [matches[one["id"]] for one in listed], titles)
+    write_picture(arguments.picture, sheet, arguments.overwrite)

@@ -1,6 +1,7 @@
-"""The best words for a feature, and whether the nouns among them are to be believed."""
+"""The best words for a feature, those that an encoder is sure of, and whether its nouns are to be believed."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32
@@ -11,8 +12,12 @@ from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
 from ..models.mini import MiniEncoder
 from ..models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
+from .contrast import LEAST_SPREAD, NEAR, TILT, usual_pictures
+from .word_list import list_vectors
 
 SAMPLED_ROWS = 1000
+NAMED_AGAINST = 1024  # pictures of the scene that say what is usual
+SURE, SURE_COLOR = 0.5, 1.0  # margins of a word that things are called by, in standard deviations
 ONLY_COLORS = (
     "the built-in encoder learnt nouns from made-up rooms and this scene looks unlike them, so only its colours can be "
     "trusted ('something red'): for names embed the photos with SAM and CLIP (`drsplat embed CAPTURE`), then register"
@@ -55,22 +60,85 @@ def own_vocabulary(encoder: Encoder, field: LanguageField) -> tuple[str, ...] | 
 def object_names(
     encoder: Encoder, field: LanguageField, nodes: Sequence[int], words: Sequence[str] = ()
 ) -> list[str | None]:
-    """The best of some words for each of some nodes; None where none fits.
+    """Return a word for each of some nodes where the encoder is sure of it, else None.
 
-    words: where there are none, the encoder's own; None for all nodes where it takes any. A word has to exceed the
-    threshold of an encoder that has one. Raises: MismatchError: another encoder. InputError: words that it does not
-    know.
+    What a node is called by is its first descriptor: that of most of its weight. The best word has to fit clearly
+    better than every other of the list that means something else, each word's usual fit taken off (`_sure_words`).
+
+    Args:
+        encoder: who embeds words.
+        field: the field that the nodes are of.
+        nodes: those of its objects.
+        words: to choose from; where there are none, the encoder's own; None for all nodes where it takes any.
+
+    Raises:
+        MismatchError: another encoder. InputError: words that it does not know.
     """
-    texts, objects = tuple(words) or own_vocabulary(encoder, field), field.objects
-    if not texts or objects is None:
+    objects = field.objects
+    if objects is None or not len(nodes):
         return [None] * len(nodes)
     field.check_encoder(encoder.identity)
-    vectors, least = np.asarray(encoder.encode_texts(texts), np.float32), getattr(encoder, "threshold", -1.0)
-    names: list[str | None] = []
-    for node in nodes:
-        scores = (objects.descriptors_of(node) @ vectors.T).max(axis=0, initial=-1)
-        names.append(texts[scores.argmax()] if scores.max() > least else None)
-    return names
+    firsts = [objects.descriptors_of(node)[:1] for node in nodes]
+    seen = _Seen(usual_pictures(field, NAMED_AGAINST), np.concatenate(firsts), [len(first) > 0 for first in firsts])
+    if isinstance(encoder, MiniEncoder) and not words:
+        return _household_names(encoder, seen, knows_nouns(encoder, field))
+    texts = tuple(words) or own_vocabulary(encoder, field)
+    if not texts:
+        return [None] * len(nodes)
+    return _sure_texts(encoder, seen, texts, SURE, list_vectors(encoder) if words else None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What is to be named. pictures: what is usual in the scene. rows: a descriptor for each node that `has` one."""
+
+    pictures: Float32[np.ndarray, "s D"]
+    rows: Float32[np.ndarray, "r D"]
+    has: list[bool]
+
+
+def _household_names(encoder: MiniEncoder, seen: _Seen, nouns: bool) -> list[str | None]:
+    """Return "red mug", "mug" or "something red" of the built-in encoder. nouns: whether they are to be believed."""
+    paints = _sure_texts(encoder, seen, [f"something {color}" for color in COLORS], SURE_COLOR)
+    if not nouns:
+        return paints
+    names = _sure_texts(encoder, seen, encoder.nouns, SURE)
+    return [
+        f"{paint.removeprefix('something ')} {name}" if paint and name in NAMES else name or paint
+        for name, paint in zip(names, paints, strict=True)
+    ]
+
+
+def _sure_texts(
+    encoder: Encoder, seen: _Seen, texts: Sequence[str], least: float, rivals: Float32[np.ndarray, "n D"] | None = None
+) -> list[str | None]:
+    """Return the text that each node is called by, None for none. rivals: further words that it has to exceed."""
+    vectors = np.asarray(encoder.encode_texts(texts), np.float32)
+    sure = iter(_sure_words(seen, vectors, vectors if rivals is None else np.concatenate([vectors, rivals]), least))
+    chosen = [next(sure) if has else -1 for has in seen.has]
+    return [texts[word] if word >= 0 else None for word in chosen]
+
+
+def _sure_words(
+    seen: _Seen, vectors: Float32[np.ndarray, "n D"], every: Float32[np.ndarray, "m D"], least: float
+) -> list[int]:
+    """Return for each row the number of its best word, -1 where another fits nearly as well.
+
+    vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
+    in standard deviations of cosines of words and pictures once the means of both are off, as of `Contrast.spread`.
+    """
+    cosines = seen.pictures @ every.T
+    scores = seen.rows @ every.T - np.float32(TILT) * cosines.mean(0)
+    best = scores[:, : len(vectors)].argmax(1)
+    centered = every - every.mean(0, dtype=np.float64)
+    centered /= np.maximum(np.linalg.norm(centered, axis=1, keepdims=True), 1e-12)
+    alike = (centered[best] @ centered.T > NEAR) | (vectors[best] @ every.T > 1 - 1e-5)
+    others = np.where(alike, -np.inf, scores).max(1)
+    cosines -= cosines.mean(0)
+    cosines -= cosines.mean(1, keepdims=True)
+    margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), LEAST_SPREAD)
+    words: list[int] = np.where(margins >= least, best, -1).tolist()
+    return words
 
 
 def best_names(

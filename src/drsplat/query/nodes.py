@@ -48,7 +48,7 @@ def chosen_at(scene: Scene, gaussian_ids: Integer[np.ndarray, " h"], weights: Fl
 
 
 def name_of(scene: Scene, node: int, words: Sequence[str] = ()) -> str:
-    """What people call a node: its label, else its best word, else as "object 7".
+    """What people call a node: its label, else the word that the encoder is sure of, else "object 7".
 
     words: to choose from; where there are none, those of an encoder that knows a list. Raises: InputError: no such
     node, or no objects.

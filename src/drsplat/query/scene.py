@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Integer
+from jaxtyping import Bool, Float32, Float64, Int32, Integer
 from PIL import Image
 
 from ..drawing.pictures import (
@@ -26,6 +26,7 @@ from ..field.labels import Label, LabelFile, Matched, matched
 from ..field.objects import Objects
 from ..field.spans import Span
 from ..kernels import SplatArrays, splat_arrays
+from ..objects.agreed import agreed
 from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
@@ -135,8 +136,18 @@ class Scene:
             for node in objects_of(self.field).things.tolist()
         ]
 
+    @property
+    def agreed(self) -> Bool[np.ndarray, " o"]:
+        """Whether photos agree on each object, by number, or people named it: those that are shown first.
+
+        Raises: InputError: the field has no objects.
+        """
+        objects, named = objects_of(self.field), self.labels.by_node
+        labelled = np.array([node in named for node in objects.things.tolist()], np.bool_)
+        return agreed(objects.sure[objects.things], objects.num_views[objects.things]) | labelled
+
     def object_names(self, nodes: Sequence[int] | None = None, words: Sequence[str] = ()) -> list[str | None]:
-        """The best word for each object, or each of some nodes, None where none is known.
+        """The word that the encoder is sure of for each object, or each of some nodes, else None.
 
         words: to choose from; where there are none, those of an encoder that knows a list.
         """

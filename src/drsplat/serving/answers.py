@@ -26,6 +26,7 @@ from .models import (
     Word,
     Words,
     decimals_of,
+    listed_objects,
     matches_of,
     measured,
     object_list,
@@ -94,11 +95,12 @@ def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
     return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
 
 
-def objects(scene: Scene, _: Objects, __: Limits) -> ObjectList:
-    found = scene.objects
-    return object_list(
-        scene, found, scene.doubt if found else "photos agree on nothing: more of them, or larger masks, may help"
-    )
+def objects(scene: Scene, asked: Objects, _: Limits) -> ObjectList:
+    shown, unsure = listed_objects(scene, asked.all)
+    if not scene.objects:
+        return object_list(scene, [], "photos agree on nothing: more of them, or larger masks, may help")
+    more = f"{unsure} more that photos agree less on: all=true lists them" if unsure else ""
+    return object_list(scene, shown, ". ".join(filter(None, (more, scene.doubt))))
 
 
 def object_photo(scene: Scene, asked: OneObject, _: Limits) -> bytes:

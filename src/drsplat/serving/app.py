@@ -196,9 +196,11 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
 
 def _add_objects(app: FastAPI, bench: Workbench) -> None:
     @app.get("/scenes/{scene}/objects", tags=["objects"], response_model=ObjectList)
-    async def objects(scene: Scene) -> Response:
-        """All objects of a scene, found across photos, without any word for them."""
-        return _sent(await bench.run(Job("objects", scene)))
+    async def objects(
+        scene: Scene, all: Annotated[bool, Query(description="list also the objects that photos agree less on")] = False
+    ) -> Response:
+        """The objects of a scene that photos agree on, found across photos, without any word for them."""
+        return _sent(await bench.run(Job("objects", scene, {"all": all})))
 
     @app.get(
         "/scenes/{scene}/objects/{number}/picture", tags=["objects"], response_class=Response, responses=binary(JPEG)

@@ -97,6 +97,7 @@ class CatalogueAnswer(Body):
 class CatalogueScene(Body):
     name: str
     num_objects: int
+    num_agreed: int = Field(description="of its objects, those that photos agree on, or that have a label")
     added: str
     state: str = Field(description="current, changed (its field is another one now), missing or unknown")
 
@@ -139,7 +140,13 @@ def _match(entry: Entry) -> CatalogueMatch:
 def _listed(catalogue: Catalogue) -> CatalogueScenes:
     listed = catalogue.scenes()
     scenes = [
-        CatalogueScene(name=one.scene, num_objects=one.num_objects, added=one.added.isoformat(), state=one.state)
+        CatalogueScene(
+            name=one.scene,
+            num_objects=one.num_objects,
+            num_agreed=one.num_agreed,
+            added=one.added.isoformat(),
+            state=one.state,
+        )
         for one in listed
     ]
     return CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))

@@ -29,6 +29,7 @@ from .models import (
     When,
     Word,
     decimals_of,
+    listed_objects,
     matches_of,
     measured,
     object_list,
@@ -229,10 +230,13 @@ class Conversation:
     def what_is_at_pixel(self, view: str, x: float, y: float, names: list[str] | None = None) -> Here:
         return self._here((view, x, y), names)
 
-    def list_objects(self, top: int) -> ObjectList:
-        found = self.scene.objects
-        advice = f"the {top} largest of {len(found)}" if len(found) > top else ""
-        return object_list(self.scene, found[:top], advice if found else "photos agree on nothing here: use locate")
+    def list_objects(self, top: int, unsure: bool = False) -> ObjectList:
+        found, left = listed_objects(self.scene, unsure)
+        if not found and not left:
+            return object_list(self.scene, [], "photos agree on nothing here: use locate")
+        cut = f"the {top} largest of {len(found)}" if len(found) > top else ""
+        more = f"{left} more that photos agree less on, most of them scraps: unsure=true lists them" if left else ""
+        return object_list(self.scene, found[:top], ". ".join(filter(None, (cut, more))))
 
     def relations(self, relation: Relation, to: str, and_to: str | None = None) -> Related:
         end = self._object(to)

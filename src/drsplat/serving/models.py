@@ -153,18 +153,20 @@ class SceneObject(Body):
 
     id: int = Field(description="its number: 0 has the largest mass")
     label: str | None = Field(description="the name that people gave it")
-    name: str | None = Field(description="the best word for it, where the encoder knows a list and one fits")
+    name: str | None = Field(description="the word that the encoder is sure of among its list")
     center: Vector
     extent: Vector = Field(description="full lengths of the box along its axes")
     axes: list[Vector] = Field(description="unit directions of the box, one per row: the third is up where it is known")
     num_gaussians: int
     num_views: int = Field(description="photos that see it")
     sure: float = Field(description="how far the photos agree on it, from 0 to 1")
+    agreed: bool = Field(description="whether photos agree on it, or it has a label; most others are scraps")
     views: list[str] = Field(description="photos, those that show most of it first")
 
 
 class ObjectList(Body):
-    num_objects: int
+    num_objects: int = Field(description="all, listed or not")
+    num_agreed: int = Field(description="of these, those that photos agree on")
     objects: list[SceneObject] = Field(description="largest mass first")
     units: str = UNITS
     advice: str = ""
@@ -264,14 +266,30 @@ def span_of(scene: engine.Scene) -> list[float] | None:
     return None if scene.motion is None else list(scene.motion.span)
 
 
+def listed_objects(scene: engine.Scene, every: bool) -> tuple[list[engine.Match], int]:
+    """Return the objects that photos agree on, or all, and how many are left out. Raises: as `Scene.objects`."""
+    objects = scene.objects
+    shown = [one for one, agreed in zip(objects, scene.agreed, strict=True) if agreed or every]
+    return shown, len(objects) - len(shown)
+
+
 def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str = "") -> ObjectList:
     """shown: objects of the scene."""
-    names, digits = scene.object_names(), decimals_of(scene)
-    listed = [_object(scene, one, names[one.object_id], digits) for one in shown if one.object_id is not None]
-    return ObjectList(num_objects=len(names), objects=listed, advice=advice, field=scene.field.fingerprint)
+    names, agreed, digits = scene.object_names(), scene.agreed, decimals_of(scene)
+    return ObjectList(
+        num_objects=len(names),
+        num_agreed=int(np.count_nonzero(agreed)),
+        objects=[
+            _object(scene, one, names[one.object_id], bool(agreed[one.object_id]), digits)
+            for one in shown
+            if one.object_id is not None
+        ],
+        advice=advice,
+        field=scene.field.fingerprint,
+    )
 
 
-def _object(scene: engine.Scene, match: engine.Match, name: str | None, decimals: int) -> SceneObject:
+def _object(scene: engine.Scene, match: engine.Match, name: str | None, agreed: bool, decimals: int) -> SceneObject:
     objects, number = objects_of(scene.field), match.object_id
     node = objects.thing(-1 if number is None else number)
     return SceneObject(
@@ -284,6 +302,7 @@ def _object(scene: engine.Scene, match: engine.Match, name: str | None, decimals
         num_gaussians=len(match),
         num_views=objects.num_views[node],
         sure=round(match.score, 4),
+        agreed=agreed,
         views=photos_of(scene.field, node)[:MOST_PHOTOS],
     )
 

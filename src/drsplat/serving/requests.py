@@ -105,7 +105,9 @@ class Details(Request):
 
 
 class Objects(Request):
-    """All objects of a scene."""
+    """The objects of a scene that photos agree on, or all."""
+
+    all: bool = False
 
 
 class OneObject(Request):

@@ -247,9 +247,10 @@ def _add_objects(server: MCPServer, asking: _Asking) -> None:
     async def list_objects(
         scene: SceneName = "",
         top: Annotated[int, Field(ge=1, le=MOST_OBJECTS, description="most objects to list")] = 20,
+        unsure: Annotated[bool, Field(description="list also what photos agree less on, most of it scraps")] = False,
     ) -> ObjectList:
         """What is in a scene, largest first, without words for it: number, name if known, box, photos."""
-        return await asking.told(ObjectList, "list_objects", scene, top=top)
+        return await asking.told(ObjectList, "list_objects", scene, top=top, unsure=unsure)
 
     @server.tool(title="How objects lie", annotations=READS)
     async def relations(

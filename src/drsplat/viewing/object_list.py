@@ -26,12 +26,18 @@ def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | No
 
 
 def names_of(session: Session) -> list[str]:
-    """Label, else the best word, and the number of each object."""
+    """Label, else the word for it, and the number of each object; "object 7" where no word is sure."""
     words = session.scene.object_names(words=session.words or ())
     return [
-        f"{match.label or word or 'object'} · {match.object_id}"
+        f"{match.label or word} · {match.object_id}" if match.label or word else f"object {match.object_id}"
         for match, word in zip(session.scene.objects, words, strict=True)
     ]
+
+
+def in_order(session: Session) -> tuple[list[int], list[int]]:
+    """The numbers of the objects that photos agree on, or that have a label, and those of the others."""
+    agreed = session.scene.agreed
+    return np.flatnonzero(agreed).tolist(), np.flatnonzero(~agreed).tolist()
 
 
 class ObjectList:
@@ -51,18 +57,28 @@ class ObjectList:
 
     def _list(self, _: Any) -> None:
         objects, names = self.session.scene.objects, names_of(self.session)
-        some = objects[self.listed : self.listed + AT_ONCE]
-        for match, picture in zip(some, pictures_of(self.session, some), strict=True):
-            self._row(match, names[self.listed], picture)
-            self.listed += 1
-        left = len(objects) - self.listed
-        self.more.label, self.more.visible = f"{min(left, AT_ONCE)} more of {left}", left > 0
+        sure, unsure = in_order(self.session)
+        part = sure if self.listed < len(sure) else [*sure, *unsure]
+        numbers = part[self.listed : self.listed + AT_ONCE]
+        some = [objects[number] for number in numbers]
+        for number, match, picture in zip(numbers, some, pictures_of(self.session, some), strict=True):
+            self._row(number, match, names[number], picture)
+        self.more.label = _more_said(len(sure) - self.listed, len(objects) - self.listed)
+        self.more.visible = self.listed < len(objects)
 
-    def _row(self, match: Match, name: str, picture: OtherPixels | None) -> None:
-        number = self.listed
+    def _row(self, number: int, match: Match, name: str, picture: OtherPixels | None) -> None:
+        place = self.listed
         with self.folder:
             if picture is not None:
-                self.gui.add_image(np.ascontiguousarray(picture), order=10.0 + number)
+                self.gui.add_image(np.ascontiguousarray(picture), order=10.0 + place)
             button = self.button(printable(name, 60), lambda event: self.chosen(event, number))
-            button.order, button.hint = 10.5 + number, f"{len(match):,} Gaussians"
+            button.order, button.hint = 10.5 + place, f"{len(match):,} Gaussians"
             self.more.order = 1e6
+        self.listed += 1
+
+
+def _more_said(sure: int, every: int) -> str:
+    """Return the label of the button that lists further objects: how many are left of those photos agree on, of all."""
+    if sure > 0:
+        return f"{min(sure, AT_ONCE)} more of {sure}"
+    return f"{min(every, AT_ONCE)} of {every} that photos agree less on"

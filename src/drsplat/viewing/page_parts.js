@@ -12,16 +12,22 @@ addEventListener("drsplat", () => {
   };
   document.getElementById("objects-part").hidden = !header.objects.length;
   document.getElementById("notes-part").hidden = !header.annotations.length;
-  const pressed = () => [...rows.children].forEach((one, k) => one.setAttribute("aria-pressed", String(state.mode === "object" && state.object === k + 1)));
-  header.objects.forEach((object, k) => rows.append(button(object.name, object.picture, () => {
-    const again = state.mode === "object" && state.object === k + 1;
-    state.mode = again ? "photo" : "object";
-    state.object = k + 1;
-    document.querySelectorAll("#modes button").forEach((one) => one.setAttribute("aria-pressed", "false"));
-    pressed();
-    paint();
-    if (!again) flyTo(object.eye, object.center);
-  })));
+  const unsure = document.getElementById("unsure"), others = document.getElementById("unsure-objects"), buttons = [];
+  const pressed = () => buttons.forEach((one, k) => one.setAttribute("aria-pressed", String(state.mode === "object" && state.object === k + 1)));
+  header.objects.forEach((object, k) => {
+    buttons.push(button(object.name, object.picture, () => {
+      const again = state.mode === "object" && state.object === k + 1;
+      state.mode = again ? "photo" : "object";
+      state.object = k + 1;
+      document.querySelectorAll("#modes button").forEach((one) => one.setAttribute("aria-pressed", "false"));
+      pressed();
+      paint();
+      if (!again) flyTo(object.eye, object.center);
+    }));
+    (object.unsure ? others : rows).append(buttons[k]);
+  });
+  unsure.hidden = !others.children.length;
+  unsure.open = !rows.children.length;
   document.getElementById("modes").addEventListener("click", pressed);
   document.getElementById("queries").addEventListener("click", pressed);
   header.annotations.forEach((note) => notes.append(button(note.text, "", () => flyTo(note.eye, note.center))));

@@ -11,7 +11,7 @@ from PIL import Image
 from ..filming.looking import before
 from ..query import Match
 from ..scene.annotations import Annotation
-from .object_list import names_of, pictures_of
+from .object_list import in_order, names_of, pictures_of
 from .page_times import PageTimes, boxes_of
 from .playing import placed_now
 from .session import Session
@@ -19,40 +19,52 @@ from .shown import Frame
 from .texts import printable
 
 POINT = 1.0  # of the browser's units: how large a point is taken to be
-MOST_OBJECTS = 60  # listed: the largest
+MOST_OBJECTS = 60  # listed: the largest that photos agree on; and as many of the others, behind "more"
 PICTURES, PICTURE_SIZE, QUALITY = 24, (112, 84), 70  # some 3 KB each
 
 
 def objects_of_page(
     session: Session, up: Float64[np.ndarray, " 3"], times: PageTimes | None = None
 ) -> list[dict[str, Any]]:
-    """Name, box, a place to see it from and, of the first, a picture; [] of a field without objects."""
+    """Name, box, a place to see it from, whether photos agree less on it and, of the first, a picture; [] of a field
+    without objects.
+    """
     if not session.has_objects:
         return []
     scene, frame = session.scene, session.shown.frame
-    matches = [placed_now(session, match) for match in scene.objects[:MOST_OBJECTS]]
+    every, names, agreed, numbers = scene.objects, names_of(session), scene.agreed, listed_numbers(session)
+    matches = [placed_now(session, every[number]) for number in numbers]
     pictures = [_data_url(picture) for picture in pictures_of(session, matches[:PICTURES])]
     pictures += [""] * (len(matches) - len(pictures))
     return [
         _box(frame, match.center, match.axes, match.extent)
         | {
-            "name": printable(name, 60),
+            "name": printable(names[number], 60),
+            "unsure": not agreed[number],
             "picture": picture,
             "eye": frame.shown(before(match, scene.gaussians, scene.views, up)).tolist(),
             "boxes": boxes,
         }
-        for match, name, picture, boxes in zip(
-            matches, names_of(session), pictures, boxes_of(session, times, matches), strict=False
+        for number, match, picture, boxes in zip(
+            numbers, matches, pictures, boxes_of(session, times, matches), strict=True
         )
     ]
+
+
+def listed_numbers(session: Session) -> list[int]:
+    """Return the numbers of the objects that a page lists, those that photos agree on first."""
+    sure, unsure = in_order(session)
+    return [*sure[:MOST_OBJECTS], *unsure[:MOST_OBJECTS]]
 
 
 def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
     """Per Gaussian of the scene 0, or 1 for the first object that is listed; None where there are none."""
     if not session.has_objects:
         return None
-    ids = session.scene.object_ids()
-    return np.where(ids < MOST_OBJECTS, ids + 1, 0).astype(np.uint16)
+    numbers = listed_numbers(session)
+    place_of = np.zeros(len(session.scene.agreed) + 1, np.uint16)  # the last is of -1: no object
+    place_of[numbers] = np.arange(1, len(numbers) + 1)
+    return np.asarray(place_of[session.scene.object_ids()])
 
 
 def annotations_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list[dict[str, Any]]:
