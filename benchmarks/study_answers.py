@@ -1,11 +1,14 @@
 """Whether objects help: answers of the plain field and of objects, side by side, in made rooms and real captures.
 
-    python benchmarks/study_answers.py PLACE... --clip FOLDER --kept FOLDER [--wrong 0 20 40] [--seeds 2]
+    python benchmarks/study_answers.py PLACE... --kept FOLDER [--clip FOLDER] [--names FOLDER] [--wrong 0 20 40]
+        [--seeds 2]
 
-PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it. Words and
-embeddings are drawn as `suite/trials.py` says, of things that are known by `suite/places.py`. IoU is over Gaussians, by
-the weight that photos give them in which the truth is known. Columns: the plain field, objects, and the best threshold
-of the plain field; how many present words find nothing, and how many absent ones find something.
+PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it. --clip and
+--names: vectors of 40 words and genuine centroids, and of the 1,203 names of LVIS (`suite/vocabularies.py`). Trials are
+drawn as `suite/trials.py` says, of things known by `suite/places.py`. IoU is over Gaussians, by the weight that
+photos give them in which the truth is known. Columns: the plain field, objects, and the best threshold of the plain
+field, of all things and of those of less than 1 % of the Gaussians; how many present words find nothing, and how many
+absent ones find something.
 """
 
 import argparse
@@ -19,15 +22,20 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.suite import places
-from benchmarks.suite.trials import KINDS, Clip, Trial, trial
+from benchmarks.suite.trials import Trial, trial
+from benchmarks.suite.vocabularies import KINDS, Clip, Names, Vocabulary
 from drsplat.query.defaults import MIN_GAUSSIANS
 
 OUTLINES = Path(__file__).resolve().parent.parent / "tests"
 MASKS = {"room": ("graph", "true"), "capture": ("graph", "sam")}
+SMALL = 0.01  # of the Gaussians
 
 
 class Scores(NamedTuple):
-    """Lists over queries: IoU of the plain field, with objects, at the best threshold; then 0 or 1."""
+    """Lists over queries: IoU of the plain field, with objects, at the best threshold; then 0 or 1.
+
+    small: whether the thing has less than SMALL of the Gaussians.
+    """
 
     plain: list[float]
     objects: list[float]
@@ -36,6 +44,7 @@ class Scores(NamedTuple):
     missed_objects: list[float]
     found_plain: list[float]
     found_objects: list[float]
+    small: list[float]
 
 
 def scored(case: Trial) -> Scores:
@@ -48,8 +57,9 @@ def scored(case: Trial) -> Scores:
             ious.append(case.iou(some, meant))
             missed.append(float(some.sum() < MIN_GAUSSIANS))
         scores.best.append(best_iou(answers[0].values, meant, case.mass))
+        scores.small.append(float(meant.mean() < SMALL))
     for text in case.absent:
-        for found, scene in zip(scores[5:], (plain, whole), strict=True):
+        for found, scene in zip(scores[5:7], (plain, whole), strict=True):
             answer = scene.ask(text)
             found.append(float((answer.values > answer.threshold).sum() >= MIN_GAUSSIANS))
     return scores
@@ -73,11 +83,11 @@ def places_of(given: str, kept: Path) -> Iterator[places.Place]:
             yield places.room(Path(folder), kind, kept)
 
 
-def trials_of(place: places.Place, clip: Clip, wrong: list[int], seeds: int) -> Iterator[Trial]:
+def trials_of(place: places.Place, words: Vocabulary, wrong: list[int], seeds: int) -> Iterator[Trial]:
     for kind in KINDS:
         for share in wrong:
             for seed in range(seeds):
-                yield trial(place, clip, kind, share / 100, seed, range(seed % 2, len(clip.words), 2))
+                yield trial(place, words, kind, share / 100, seed)
 
 
 def said(values: list[float]) -> str:
@@ -85,26 +95,38 @@ def said(values: list[float]) -> str:
     return f"{np.mean(values):.3f} ± {1.96 * np.std(values) / np.sqrt(len(values)):.3f}"
 
 
+def row(name: str, scores: list[Scores]) -> str:
+    """Return a row of the table, of all trials of a place."""
+    pooled = Scores(*([value for some in scores for value in some[at]] for at in range(len(Scores._fields))))
+    small = np.array(pooled.small, bool)
+    few = [float(np.mean(np.array(ious)[small])) if small.any() else float("nan") for ious in pooled[:3]]
+    return (
+        f"| {name} | {said(pooled.plain)} | {said(pooled.objects)} | {said(pooled.best)} "
+        f"| {few[0]:.3f}, {few[1]:.3f}, {few[2]:.3f} "
+        f"| {np.mean(pooled.missed_plain):.0%}, {np.mean(pooled.missed_objects):.0%} "
+        f"| {np.mean(pooled.found_plain):.0%}, {np.mean(pooled.found_objects):.0%} |"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("places", nargs="+")
-    parser.add_argument("--clip", type=Path, required=True)
+    parser.add_argument("--clip", type=Path)
+    parser.add_argument("--names", type=Path)
     parser.add_argument("--kept", type=Path, required=True)
     parser.add_argument("--wrong", nargs="+", type=int, default=[0, 20, 40])
     parser.add_argument("--seeds", type=int, default=2)
     arguments = parser.parse_args()
-    clip = Clip(arguments.clip)
-    print("| place | plain | objects | best threshold | missed | absent found |\n" + "|---" * 6 + "|")
+    folders = {"40 words": (Clip, arguments.clip), "1,203 names": (Names, arguments.names)}
+    vocabularies: dict[str, Vocabulary] = {name: make(folder) for name, (make, folder) in folders.items() if folder}
+    if not vocabularies:
+        parser.error("expected --clip FOLDER or --names FOLDER: without vectors of words nothing can be asked")
+    print("| place | plain | objects | best threshold | small things | missed | absent found |\n" + "|---" * 7 + "|")
     for given in arguments.places:
         for place in places_of(given, arguments.kept):
-            some = [scored(case) for case in trials_of(place, clip, arguments.wrong, arguments.seeds)]
-            pooled = Scores(*([value for scores in some for value in scores[at]] for at in range(len(Scores._fields))))
-            print(
-                f"| {place.name} | {said(pooled.plain)} | {said(pooled.objects)} | {said(pooled.best)} "
-                f"| {np.mean(pooled.missed_plain):.0%}, {np.mean(pooled.missed_objects):.0%} "
-                f"| {np.mean(pooled.found_plain):.0%}, {np.mean(pooled.found_objects):.0%} |",
-                flush=True,
-            )
+            for title, words in vocabularies.items():
+                scores = [scored(case) for case in trials_of(place, words, arguments.wrong, arguments.seeds)]
+                print(row(f"{place.name}, {title}", scores), flush=True)
 
 
 if __name__ == "__main__":
