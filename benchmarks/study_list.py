@@ -30,7 +30,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.study_answers import places_of
 from benchmarks.suite.instances import LEAST
 from benchmarks.suite.places import Place, with_wrong_masks
-from benchmarks.suite.trials import Clip, trial
+from benchmarks.suite.trials import trial
+from benchmarks.suite.vocabularies import Clip
 from drsplat import LanguageField, load_field
 from drsplat.objects.agreed import agreed, agreement
 
@@ -85,7 +86,7 @@ def cases(given: str, clip: Clip, wrong: list[int], kept: Path) -> Iterator[tupl
     for place in places_of(f"{capture}={scene}" if scene else capture, kept):
         for percent in wrong:
             evidence = with_wrong_masks(place.evidence, percent)
-            case = trial(replace(place, evidence=evidence), clip, "rough", percent / 100, 0, range(len(clip.words)))
+            case = trial(replace(place, evidence=evidence), clip, "rough", percent / 100, 0)
             yield f"{kind}, {place.name.split(', ')[1]}| {place.name} | {percent} %", scored(case.field, place)
         if own and place.name.endswith("graph"):
             yield f"{kind}, field| {place.name.split(',')[0]}, field | as it is", scored(load_field(own), place)

@@ -25,7 +25,8 @@ from benchmarks.drawn_embeddings import unit
 from benchmarks.study_answers import places_of
 from benchmarks.study_objects import MINI, Room, room_of
 from benchmarks.suite.places import with_wrong_masks
-from benchmarks.suite.trials import Clip, Means, Trial, trial
+from benchmarks.suite.trials import Means, Trial, trial
+from benchmarks.suite.vocabularies import Clip
 from drsplat import LanguageField
 from drsplat.encoders import Encoder
 from drsplat.models.mini.lexicon import COLORS
@@ -151,8 +152,7 @@ def cases(given: str, clip: Clip | None, arguments: argparse.Namespace) -> Itera
                 wrong = replace(place, evidence=with_wrong_masks(place.evidence, percent))
                 sums = {rule: Counts() for rule in RULES}
                 for seed in range(arguments.seeds):
-                    words = range(seed % 2, len(clip.words), 2)
-                    for rule, found in of_trial(trial(wrong, clip, "rough", percent / 100, seed, words)).items():
+                    for rule, found in of_trial(trial(wrong, clip, "rough", percent / 100, seed)).items():
                         for key, value in vars(found).items():
                             setattr(sums[rule], key, getattr(sums[rule], key) + value)
                 yield f"{place.name} | CLIP, {percent} % wrong", sums

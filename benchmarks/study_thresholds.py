@@ -32,13 +32,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.suite.aggregators import MEASURED
 from benchmarks.suite.masks import MASKS
 from benchmarks.suite.scenes import BenchScene, read_scene
-from benchmarks.suite.trials import KINDS, Clip, unit
+from benchmarks.suite.vocabularies import KINDS, Clip, unit
 from drsplat import Gaussians, ViewFeatures, load_image, register
 from drsplat.evidence.evidence import Evidence
 from drsplat.masks.masks import LEVELS
 from drsplat.masks.selection import mask_maps
-from drsplat.query.contrast import CLEAR, Contrast, _contrast
-from drsplat.query.thresholds import PEAK, automatic_threshold, clear_threshold
+from drsplat.query.contrast import Contrast, _contrast, middle_threshold, relevancy_threshold
+from drsplat.query.thresholds import PEAK, automatic_threshold
 
 ROWS, OF = 12_000, 50_000  # Gaussians looked at, and of a scene
 PEAK_HERE = round(PEAK * ROWS / OF)
@@ -175,7 +175,8 @@ def selections(case: Trial, clip: Clip, known: Contrast, word: int) -> Iterator[
     values = known.relevancy(query, cosines)
     assert values is not None
     yield "list, levels halved", values > 0.5
-    yield "the rule", values > clear_threshold(values, 0.5, CLEAR, peak=PEAK_HERE)
+    yield "list, a clear peak", values > relevancy_threshold(values, PEAK_HERE)
+    yield "the rule", values > middle_threshold(values, PEAK_HERE)
 
 
 Results = dict[str, dict[str, list[float]]]

@@ -28,7 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.suite.answers import MASKS, Answered, Draws, answered, best_cut, kind_of, place_of
 from benchmarks.suite.causes import CAUSES, Culprits, Seen, Steps
 from benchmarks.suite.tables import markdown
-from benchmarks.suite.trials import Clip, Trial
+from benchmarks.suite.trials import Trial
+from benchmarks.suite.vocabularies import Clip
 from drsplat import load_image
 from drsplat.drawing.pictures import contact_sheet, highlighted, titled, write_picture
 

@@ -15,8 +15,18 @@ from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.models.mini import MiniEncoder
-from drsplat.query.contrast import CROWD, NEAR, TILT, contrast, relevancy_threshold
-from drsplat.query.nouns import NOUNS
+from drsplat.query.contrast import (
+    CLEARER,
+    CROWD,
+    MANY,
+    NEAR,
+    TILT,
+    contrast,
+    least_clear,
+    middle_threshold,
+    relevancy_threshold,
+)  # fmt: skip
+from drsplat.query.nouns import NOUNS, broad_list
 from drsplat.query.thresholds import PEAK
 from drsplat.query.word_list import MOST, list_vectors
 from fields import SCENE, ToyEncoder, unit_rows
@@ -116,8 +126,8 @@ def test_a_synonym_in_the_list_does_not_compete(world: World, scene: tuple) -> N
     assert (values[truth == 1] > 0.5).mean() > 0.9
 
 
-def test_a_word_has_to_be_among_the_best_of_every_seventy_five(scene: tuple) -> None:
-    """Three words of 225 are better everywhere: the third decides."""
+def test_a_word_has_to_be_among_the_best_of_every_three_hundred(scene: tuple) -> None:
+    """Three words of 900 are better everywhere: the third decides."""
     field, _ = scene
     rng = np.random.default_rng(1)
     texts = unit_rows(rng, 3 * CROWD, DIM)
@@ -138,6 +148,32 @@ def test_few_rows_that_fit_are_no_thing() -> None:
     assert relevancy_threshold(values) == 0.5
     values[:PEAK] = 0.55  # better than the list, but by a hair
     assert relevancy_threshold(values) == pytest.approx(0.55)
+
+
+def relevancies(margins: np.ndarray) -> np.ndarray:
+    return (1 / (1 + np.exp(-margins))).astype(np.float32)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
+def test_the_cut_lies_between_what_fits_a_little_and_what_fits(share: float) -> None:
+    """A thing at a margin of 4, its border at 0.3, the rest at -2: without the border, however large the thing is."""
+    rows = 10_000
+    margins = np.full(rows, -2.0)
+    margins[: round(share * rows)] = 4.0
+    margins[-200:] = 0.3
+    values = relevancies(margins)
+    np.testing.assert_array_equal(values > middle_threshold(values), margins == 4)
+    assert relevancy_threshold(values) == 0.5
+
+
+def test_the_cut_is_that_of_the_peak_where_nothing_is_clear() -> None:
+    values = relevancies(np.linspace(-3, 0.4, 1000))
+    assert middle_threshold(values) == pytest.approx(values.max())
+
+
+def test_in_larger_scenes_a_peak_has_to_be_higher() -> None:
+    margin = np.log(1 / (1 / np.array([least_clear(rows) for rows in (1, MANY, 10 * MANY)]) - 1))
+    assert_allclose(margin, [0.45, 0.45, 0.45 + CLEARER * np.log(10)])
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 50])
@@ -187,6 +223,18 @@ def test_a_list_of_plain_different_nouns_ships() -> None:
     assert len(NOUNS) == len(set(NOUNS)) > 300
     assert {"mattress", "bed", "wall", "floor", "sky"} <= set(NOUNS)
     assert all(noun == noun.strip().lower() and noun for noun in NOUNS)
+
+
+def test_the_broad_list_has_the_names_of_lvis_too() -> None:
+    names = broad_list()
+    assert len(names) == len(set(names)) == 1402
+    assert names[: len(NOUNS)] == NOUNS
+    assert {"aerosol can", "zucchini"} <= set(names)
+    assert not any(name.startswith("#") or name != name.strip() or "_" in name for name in names)
+
+
+def test_an_encoder_without_nouns_is_contrasted_with_the_broad_list() -> None:
+    assert_array_equal(list_vectors(ToyEncoder()), ToyEncoder().encode_texts(broad_list()))
 
 
 def test_the_kept_scores_are_let_go_with_the_field(world: World) -> None:

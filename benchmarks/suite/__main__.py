@@ -20,6 +20,7 @@ from .page import ANSWERS_FILE, write_page
 from .results import answers_of, results_of, with_earlier, write_results
 from .rivals import FITTED
 from .running import ALL, METHODS, Task, run, threads_for
+from .vocabularies import Clip
 
 SCENES = Path(__file__).resolve().parents[2] / "world" / "scenes"
 
@@ -65,7 +66,8 @@ def main() -> None:
     if arguments.clip:
         given = [*arguments.captures, *map(str, scenes)]
         draws, asked = Draws(seeds=arguments.seeds), []
-        for record in ask(given, arguments.clip, arguments.kept or work / "kept", draws, work):
+        words = Clip(arguments.clip)
+        for record in ask(given, words, arguments.clip, arguments.kept or work / "kept", draws, work):
             asked.append(record)
             print(f"{record['place']}, {record['masks']}, words: {record['seconds']:.1f} s", flush=True)
         write_results(arguments.output.with_name(ANSWERS_FILE), answers_of(draws, asked))

@@ -23,19 +23,22 @@ from .outlines import outlines_path
 from .scoring import rounded
 from .stamps import ANSWERS as CODE
 from .stamps import stamp
-from .trials import KINDS, Clip, Trial, trial
+from .trials import Trial, trial
+from .vocabularies import KINDS, Vocabulary
 
 VERSION = 1
 ROOM, CAPTURE = "room", "capture"
 MASKS = {ROOM: ("graph", "true"), CAPTURE: ("graph", "sam")}
 COLUMNS = ("plain", "objects", "best")
 ASKED = ("plain", "objects")
+SMALL = 0.01
 STAMP = stamp(CODE)  # of what is loaded, whatever becomes of the files during a run
 
 
 class Answered(NamedTuple):
     """IoU of a word that something is called by: of the plain field, with objects, and at the best threshold of the
-    plain field, chosen with the truth. missed: whether the first two find nothing."""
+    plain field, chosen with the truth. missed: whether the first two find nothing. small: whether all that it means is
+    less than SMALL of the Gaussians."""
 
     text: str
     plain: float
@@ -43,6 +46,7 @@ class Answered(NamedTuple):
     best: float
     missed_plain: bool
     missed_objects: bool
+    small: bool
 
 
 @dataclass(frozen=True)
@@ -52,11 +56,11 @@ class Draws:
     wrong: tuple[int, ...] = (0, 20, 40)
     seeds: int = 2
 
-    def of(self, place: places.Place, clip: Clip) -> Iterator[Trial]:
+    def of(self, place: places.Place, words: Vocabulary) -> Iterator[Trial]:
         for kind in KINDS:
             for share in self.wrong:
                 for seed in range(self.seeds):
-                    yield trial(place, clip, kind, share / 100, seed, range(seed % 2, len(clip.words), 2))
+                    yield trial(place, words, kind, share / 100, seed)
 
 
 def answered(case: Trial) -> Iterator[Answered]:
@@ -68,7 +72,7 @@ def answered(case: Trial) -> Iterator[Answered]:
         ious = [case.iou(rows, meant) for rows in selected]
         missed = [bool(rows.sum() < MIN_GAUSSIANS) for rows in selected]
         best = best_iou(plain.values, meant, case.mass)
-        yield Answered(text, ious[0], ious[1], best, missed[0], missed[1])
+        yield Answered(text, ious[0], ious[1], best, missed[0], missed[1], bool(meant.mean() < SMALL))
 
 
 def found_absent(case: Trial) -> list[tuple[bool, bool]]:
@@ -105,7 +109,7 @@ def record_of(cases: Iterable[Trial]) -> dict[str, Any]:
         asked.extend(answered(case))
         absent.extend(found_absent(case))
     missed = [(one.missed_plain, one.missed_objects) for one in asked]
-    record: dict[str, Any] = {"texts": [one.text for one in asked]}
+    record: dict[str, Any] = {"texts": [one.text for one in asked], "small": [one.small for one in asked]}
     record |= {column: [getattr(one, column) for one in asked] for column in COLUMNS}
     record |= {"missed": _shares(missed), "found": _shares(absent), "absent": len(absent)}
     return {key: rounded(value) for key, value in record.items()}
@@ -128,21 +132,25 @@ def kind_of(given: str) -> str:
     return CAPTURE if "=" in given else ROOM
 
 
-def run(given: Sequence[str], clip_folder: Path, kept: Path, draws: Draws, work: Path) -> Iterator[dict[str, Any]]:
-    """Yield the record of each place and kind of masks; those that are finished already are read from `work`."""
-    clip = Clip(clip_folder)
-    vectors = {path.name: hash_file(path) for path in sorted(clip_folder.iterdir()) if path.is_file()}
-    known = {"version": VERSION, "code": STAMP, "vectors": vectors, "wrong": list(draws.wrong)}
+def run(
+    given: Sequence[str], words: Vocabulary, vectors: Path, kept: Path, draws: Draws, work: Path
+) -> Iterator[dict[str, Any]]:
+    """Yield the record of each place and kind of masks; those that are finished already are read from `work`.
+
+    vectors: the folder that the words are from.
+    """
+    hashes = {path.name: hash_file(path) for path in sorted(vectors.iterdir()) if path.is_file()}
+    known = {"version": VERSION, "code": STAMP, "vectors": hashes, "wrong": list(draws.wrong)}
     work.mkdir(parents=True, exist_ok=True)
     for one in given:
         for masks in MASKS[kind_of(one)]:
             start, place = time.perf_counter(), place_of(one, masks, kept)
             key = known | {"seeds": draws.seeds, "place": place.inputs}
-            path = work / f"{place.inputs.partition('.')[0]}.{masks}.{len(clip.words)}.json"
+            path = work / f"{place.inputs.partition('.')[0]}.{masks}.{len(words.words)}.json"
             record = _finished(path, key)
             if record is None:
                 record = {"place": path.name.partition(".")[0], "kind": kind_of(one), "masks": masks}
-                record |= {"words": len(clip.words), **record_of(draws.of(place, clip))}
+                record |= {"words": len(words.words), **record_of(draws.of(place, words))}
                 record |= {"code": STAMP, "seconds": round(time.perf_counter() - start, 1)}
                 with replacing(path, overwrite=True) as file:
                     file.write(json.dumps({"key": key, "record": record}).encode())

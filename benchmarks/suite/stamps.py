@@ -32,7 +32,10 @@ ANSWERS = (
     *ASKED,
     PACKAGE / "objects",
     ROOT / "benchmarks" / "drawn_embeddings.py",
-    *(SUITE / f"{name}.py" for name in ("answers", "masks", "outlines", "places", "scenes", "scoring", "trials")),
+    *(
+        SUITE / f"{name}.py"
+        for name in ("answers", "masks", "outlines", "places", "scenes", "scoring", "trials", "vocabularies")
+    ),
 )
 """What decides the answers to words in rooms and captures."""
 

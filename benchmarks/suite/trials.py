@@ -1,64 +1,30 @@
-"""Words for the things of a place: genuine CLIP vectors drawn for them.
+"""Answers whose truth is known: the things of a place called by words, their masks given pictures of these.
 
-The published codebook of an encoder has genuine centroids of pictures, and there are text vectors of the same space. A
-trial gives words to 4 to 12 things of a place, the largest among them in every second trial, and to its other things
-the same words again, or nothing that has a name. A mask's embedding is one of the centroids that fit its word better
-than the other words, moved as far as residual codes do ("clean": the best centroid, cosine 0.98 with it; "rough": one
-of three, 0.94). Of a share of the masks it is another thing's or any centroid. Words that were given to nothing are
-absent.
+A trial gives words of a vocabulary (`suite/vocabularies.py`) to 4 to 12 things of a place, the largest among them in
+every second trial, and to its other things the same words again, or nothing that has a name: what has none shows a
+picture that fits no word of the whole list. Of a share of the masks the picture is another thing's, or one that has
+nothing to do with any. A word is absent if it was given to nothing, and no picture of a thing fits it best: what looks
+like a desk to the encoder is rightly found as a desk, whatever the trial calls it.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32
+from jaxtyping import Bool, Float32, Float64
 
 from benchmarks.drawn_embeddings import unit
 from drsplat import EncoderIdentity, Gaussians, LanguageField, Scene
-from drsplat.codes import read_faiss_codebook
 from drsplat.codes.code import Code
 from drsplat.encoders import Encoder
 from drsplat.evidence.evidence import Evidence
-from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.objects.finding import find_objects
 
 from .places import Place
+from .vocabularies import Pictures, Vocabulary
 
-NEGATIVES = ("object", "things", "stuff", "texture")
-KINDS = {"clean": (1, 0.5, 0.004), "rough": (3, 1.0, -0.004)}  # centroids, noise, least margin
 LEAST = 120  # Gaussians of what is asked for
-
-
-class Clip:
-    """words: plain nouns; texts, negatives: their vectors; centroids: of pictures.
-
-    folder: the published codebook (pq_index.faiss) and text vectors of its encoder (text_vectors.json).
-    """
-
-    def __init__(self, folder: Path) -> None:
-        book = read_faiss_codebook(folder / "pq_index.faiss", EncoderIdentity("published", 512))
-        assert book.coarse is not None
-        self.centroids = unit(book.coarse[np.linalg.norm(book.coarse, axis=1) > 0.5])
-        self.codes = book.centroids - book.centroids.mean(1, keepdims=True)
-        known = json.loads((folder / "text_vectors.json").read_text())
-        self.words = [word for word in known if word not in NEGATIVES]
-        self.texts = unit(np.array([known[word] for word in self.words]))
-        self.negatives = unit(np.array([known[word] for word in NEGATIVES]))
-        scores = self.centroids @ self.texts.T
-        best = [np.delete(scores, word, 1).max(1) for word in range(len(self.words))]
-        self.margins = scores - np.stack(best, 1)
-
-    @cached_property
-    def encoder(self) -> VocabularyEncoder:
-        return VocabularyEncoder(EncoderIdentity("published", 512), self.words, self.texts)
-
-    def noise(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        parts = self.codes.shape[0]
-        return self.codes[np.arange(parts), rng.integers(0, 256, (count, parts))].reshape(count, -1)
+MOST_ABSENT = 40  # words asked for in one trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,39 +69,49 @@ class Trial:
         return float(self.mass[selected & meant].sum() / either) if either else 0.0
 
 
-def trial(place: Place, clip: Clip, kind: str, wrong: float, seed: int, words: range) -> Trial:
-    """words: of the list, those that things may be called by."""
-    rng, (count, noise, least) = np.random.default_rng(seed), KINDS[kind]
-    good = rng.permutation([word for word in words if clip.margins[:, word].max() > least])
+def trial(place: Place, words: Vocabulary, kind: str, wrong: float, seed: int) -> Trial:
+    """Return a trial of half of the words: the first, third ... with an even seed, else the others."""
+    rng = np.random.default_rng(seed)
+    callable_words = range(seed % 2, len(words.words), 2)
+    pictures = words.pictures(kind, callable_words, rng)
+    good = rng.permutation(sorted(pictures.of_word))
     names = list(rng.permutation(sorted(place.things)))
     names.sort(key=lambda name: -np.isin(place.labels, place.things[name]).sum() if seed % 2 else 0)
     named = min(int(rng.integers(4, 13)), len(good) - 2, len(names))
     meaning: dict[int, int] = {}
-    pictures: dict[int, np.ndarray] = {}
+    shown: dict[int, np.ndarray] = {}
     for number, name in enumerate(names):
         word = int(good[number if number < named else rng.integers(0, named)])
         nameless = number >= named and rng.random() < 0.25 * (seed % 2)
-        centroids = np.argsort(-clip.margins[:, word])[:count]
         for thing in place.things[name]:
             meaning[thing] = -1 if nameless else word
-            pictures[thing] = rng.integers(0, len(clip.centroids), 1) if nameless else centroids
+            shown[thing] = rng.choice(pictures.of_nothing, 1) if nameless else pictures.of_word[word]
     for thing in place.nameless:
-        pictures[thing] = rng.choice(_like_nothing(clip, [int(word) for word in good[:named]]), 1)
-    anything = rng.integers(0, len(clip.centroids), len(place.owners))
-    others = rng.choice(np.concatenate(list(pictures.values())), len(place.owners))
-    chosen = np.array([rng.choice(pictures[o]) if o in pictures else anything[k] for k, o in enumerate(place.owners)])
-    swapped = np.where(rng.random(len(chosen)) < 0.5, others, anything)
-    chosen = np.where(rng.random(len(chosen)) < wrong, swapped, chosen)
-    evidence = replace(place.evidence, embeddings=unit(clip.centroids[chosen] + noise * clip.noise(rng, len(chosen))))
-    field = field_of(evidence, place.gaussians, clip.encoder.identity)
+        shown[thing] = rng.choice(pictures.of_nothing, 1)
+    masks = _pictures_of_masks(place, shown, pictures, wrong, rng)
+    embeddings = unit(pictures.vectors[masks] + pictures.noise(rng, len(masks)))
+    field = field_of(replace(place.evidence, embeddings=embeddings), place.gaussians, words.encoder.identity)
     labels = place.labels[field.gaussian_ids]
     truth = np.array([meaning.get(label, -1) for label in labels.tolist()])
     mass = place.mass[field.gaussian_ids]
     given = sorted(set(meaning.values()) - {-1})
-    present = {clip.words[word]: truth == word for word in given if ((truth == word) & (mass > 0)).sum() >= LEAST}
-    absent = [clip.words[word] for word in words if word not in given]
+    present = {words.words[word]: truth == word for word in given if ((truth == word) & (mass > 0)).sum() >= LEAST}
+    named_pictures = np.unique(np.concatenate([shown[thing] for thing, word in meaning.items() if word >= 0]))
+    rivals = words.shown_by(named_pictures, pictures) | words.like(given)
+    absent = [words.words[word] for word in callable_words if word not in given and word not in rivals]
     name = f"{place.name}, {kind}, {wrong:.0%} wrong, {seed}"
-    return Trial(name, field, place.gaussians, clip.encoder, present, absent, mass)
+    return Trial(name, field, place.gaussians, words.encoder, present, absent[:MOST_ABSENT], mass)
+
+
+def _pictures_of_masks(
+    place: Place, shown: Mapping[int, np.ndarray], pictures: Pictures, wrong: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Return the picture of each mask: of `wrong` of them another thing's, or one that has nothing to do with it."""
+    anything = rng.choice(pictures.of_anything, len(place.owners))
+    others = rng.choice(np.concatenate(list(shown.values())), len(place.owners))
+    right = np.array([rng.choice(shown[o]) if o in shown else anything[k] for k, o in enumerate(place.owners)])
+    swapped = np.where(rng.random(len(right)) < 0.5, others, anything)
+    return np.where(rng.random(len(right)) < wrong, swapped, right)
 
 
 def field_of(evidence: Evidence, gaussians: Gaussians, encoder: EncoderIdentity) -> LanguageField:
@@ -146,9 +122,3 @@ def field_of(evidence: Evidence, gaussians: Gaussians, encoder: EncoderIdentity)
     scene = gaussians.fingerprint
     field = LanguageField(ids.astype(np.uint32), Means(rows), encoder, scene, len(gaussians), seen)  # type: ignore[abstract]
     return replace(field, objects=find_objects(field, gaussians))
-
-
-def _like_nothing(clip: Clip, words: list[int]) -> Int32[np.ndarray, " c"]:
-    """The centroids that fit some words least: half of all."""
-    best = (clip.centroids @ clip.texts[words].T).max(1)
-    return np.argsort(best)[: len(best) // 2].astype(np.int32)

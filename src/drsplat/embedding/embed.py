@@ -26,7 +26,7 @@ from ..formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocab
 from ..masks.crops import crops
 from ..masks.masks import LEVELS, Masks, Segmenter
 from ..masks.selection import MaskMaps, mask_maps
-from ..query.nouns import NOUNS
+from ..query.nouns import broad_list
 from ..scene.photos import load_image
 from ..scene.views import View
 from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
@@ -121,7 +121,8 @@ def _record_words(folder: Path, encoder: ImageEncoder) -> None:
     """Embed the list while the model is at hand. Built-in encoders are always."""
     if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
         return
-    words = VocabularyEncoder(encoder.identity, NOUNS, encoder.encode_texts(NOUNS))
+    names = broad_list()
+    words = VocabularyEncoder(encoder.identity, names, encoder.encode_texts(names))
     write_vocabulary(folder / WORD_LIST, words, overwrite=True)
 
 

@@ -13,14 +13,19 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
 from ..field import LanguageField
-from .thresholds import PEAK, clear_threshold, peak_score
+from .thresholds import CUT, PEAK, clear_threshold, peak_score
 
 TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
 NEAR = 0.5  # cosine of two texts, seen from their mean: they mean the same and do not compete
-CROWD = 75  # words of which one may fit better than the query
+CROWD = 300  # words of which one may fit better than the query
 SPARE = 8  # words per row beyond those that count, for when some are near to the query
 SAMPLES = 4096  # pictures that say what is usual
 LEAST_SPREAD = 1e-3
+LEVEL = 0.5  # relevancy of what fits as well as the list
+CLEAR_MARGIN, CLEARER = 0.45, 0.15  # spreads that a peak stands above the list: in MANY rows, and for each e-fold more
+MANY = 50_000
+OWN = 0.6  # share of the query's own values in the threshold, against the level of the list
+TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
 Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
 
@@ -29,9 +34,9 @@ CHUNK = 8  # words scored at once
 class Contrast:
     """What the words of a list reach at each row of a field.
 
-    vectors: their unit embeddings. usual: the mean picture, times TILT. spread: standard deviation of
-    cosines of words with pictures once the means of both are taken off: the unit of margins. scores, words:
-    per row the best of the list, best first, and which ones they are.
+    vectors: their unit embeddings. usual: the mean picture, times TILT, or 0 for words of one kind. spread: standard
+    deviation of cosines of words with pictures once the means of both are taken off: the unit of margins. scores,
+    words: per row the best of the list, best first, and which ones they are.
     """
 
     vectors: Float32[np.ndarray, "n D"]
@@ -93,20 +98,51 @@ def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threa
     """
     known = _LAST.get(field)
     if known is None or not np.array_equal(known.vectors, vectors):
-        known = _LAST[field] = _contrast(field, vectors, threads)
+        known = _LAST[field] = _contrast(field, vectors, threads, TILT)
     return known
 
 
-def contrast_of(features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"]) -> Contrast:
-    """The same of unit features without a field, which are the pictures as well."""
-    usual, spread = _usual(features, vectors)
+def contrast_of_kind(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
+    """Score all words of one kind, of which one is right: nothing is taken off for what is usual."""
+    return _contrast(field, vectors, threads, 0.0)
+
+
+def contrast_of(
+    features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], tilt: float = TILT
+) -> Contrast:
+    """The same of unit features without a field, which are the pictures as well. tilt: 0 for words of one kind."""
+    usual, spread = _usual(features, vectors, tilt)
     scores, words = _best_words(vectors, usual, len(features), lambda some: some @ features.T)
     return Contrast(vectors, usual, spread, scores, words)
 
 
 def relevancy_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) -> float:
     """0.5, or the highest where too few rows stand clearly above: then nothing is found."""
-    return clear_threshold(relevancy, 0.5, CLEAR, peak=peak)
+    return clear_threshold(relevancy, LEVEL, least_clear(len(relevancy)), peak=peak)
+
+
+def least_clear(rows: int) -> float:
+    """Return the relevancy that the peak of a query has to exceed: of more rows more fit any word by chance."""
+    return _sigmoid(CLEAR_MARGIN + CLEARER * float(np.log(max(rows, MANY) / MANY)))
+
+
+def middle_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) -> float:
+    """Return where to cut between what fits and what does not: above the list's level, where nearly all of what fits
+    stands high above it.
+
+    In margins: 0.6 of what is 0.6 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
+    or `peak` rows. The level alone lets in what fits a little; the query's own values alone leave out half of what
+    fits in part. Where too few rows stand clearly above the list it is the highest, and nothing is found.
+    """
+    least = relevancy_threshold(relevancy, peak)
+    if least != LEVEL or not len(relevancy):
+        return least
+    inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
+    margins = np.log(inside / (1 - inside))
+    worse = margins[margins < 0]
+    middle = float(np.median(worse)) if len(worse) else 0.0
+    height = peak_score(margins, max(peak, round(TOP * len(margins))))
+    return _sigmoid(OWN * (middle + CUT * (height - middle)))
 
 
 def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndarray, "s D"]:
@@ -117,21 +153,20 @@ def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndar
     return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
 
 
-CLEAR = 1 / (1 + float(np.exp(-0.45)))  # a margin of 0.45 spreads
 _LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
-def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
-    usual, spread = _usual(usual_pictures(field), vectors)
+def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int, tilt: float = TILT) -> Contrast:
+    usual, spread = _usual(usual_pictures(field), vectors, tilt)
     scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads))
     return Contrast(vectors, usual, spread, scores, words)
 
 
 def _usual(
-    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"]
+    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"], tilt: float
 ) -> tuple[Float32[np.ndarray, " D"], float]:
-    """The mean picture, times TILT, and the unit of margins."""
-    return (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
+    """The mean picture, times `tilt`, and the unit of margins."""
+    return (tilt * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
 
 
 def _best_words(
@@ -158,6 +193,10 @@ def _keep_best(
     order = np.argsort(-both, axis=1, kind="stable")[:, : scores.shape[1]]
     scores[rows] = np.take_along_axis(both, order, axis=1)
     words[rows] = np.take_along_axis(names, order, axis=1)
+
+
+def _sigmoid(margin: float) -> float:
+    return 1 / (1 + float(np.exp(-margin)))
 
 
 def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) -> float:

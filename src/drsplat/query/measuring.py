@@ -12,14 +12,14 @@ from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..masks.crops import crop
 from .answer import Answer
-from .contrast import Contrast, contrast, relevancy_threshold
+from .contrast import Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .naming import doubt_of
 from .query import Cut, Query
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
 from .thresholds import PEAK, default_threshold, peak_score, share_threshold
 from .wholes import by_object
-from .word_list import list_vectors
+from .word_list import list_vectors, rival_vectors
 
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
 
@@ -61,6 +61,16 @@ class Background:
         """What a list of words reaches at each Gaussian; None where no list is known."""
         vectors = list_vectors(self.encoder)
         return contrast(self.field, vectors, threads=self.threads) if len(vectors) else None
+
+    def contrast_for(self, text: str | None) -> Contrast | None:
+        """What a text competes with: the words of its own kind where the encoder says so, else a list of words."""
+        if self.kept_contrast is not None:
+            return self.kept_contrast
+        rivals = rival_vectors(self.encoder, text)
+        return self.contrast if rivals is None else self.contrast_of_kind(rivals)
+
+    def contrast_of_kind(self, vectors: Float32[np.ndarray, "n D"]) -> Contrast:
+        return contrast_of_kind(self.field, vectors, threads=self.threads)
 
     @cached_property
     def least_peak(self) -> float:
@@ -122,7 +132,7 @@ class Measuring:
             queries = [embed_query(encoder, field, wanted) for wanted, _ in split]
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
-                answer = self._of_words(query, own)
+                answer = self._of_words(query, own, wanted)
                 answer = replace(answer, doubt=doubt_of(encoder, field, wanted))
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
@@ -138,7 +148,7 @@ class Measuring:
         scores = self._field.scores(vector, threads=self.background.threads)
         known = self.background.kept_contrast
         if known is not None and known.speaks(vector):
-            return self._of_words(vector, scores)
+            return self._of_words(vector, scores, None)
         return self._measured(vector, scores, (None, AUTO))
 
     @property
@@ -157,33 +167,40 @@ class Measuring:
         values = np.where(left, np.float32(answer.lowest), answer.values)
         return replace(answer, values=values, scores=np.where(left, np.float32(LOWEST), scores))
 
-    def _of_words(self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]) -> Answer:
+    def _of_words(
+        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
+    ) -> Answer:
         kept = self.background.kept_contrast
         own = self.background.own_threshold if kept is None else None
         if own is not None:
             return self._measured(query, scores, (own, ENCODER))
-        values = None if self.cut.measures_relevancy else self._contrasted(query, scores)
+        values = None if self.cut.measures_relevancy else self._contrasted(query, scores, text)
         if values is None:
             return self._measured(query, scores, (None, AUTO))
         default = self._list_threshold(scores, values), LIST
-        return self._cut(query, scores, self._whole(scores, values), RELEVANCY, default)
+        return self._cut(query, scores, values, RELEVANCY, default)
 
     def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
-        """As relevancies have it, or the highest where cosines are too low for this scene."""
+        """As relevancies have it, or the highest where cosines are too low for this scene.
+
+        An encoder with a least peak knows few words, which lie far apart: what fits better than all of them is meant.
+        """
         if not len(scores):
             return RELEVANCY_THRESHOLD
-        is_low = peak_score(scores) <= self.background.least_peak
-        return float(values.max()) if is_low else relevancy_threshold(values)
+        least = self.background.least_peak
+        if peak_score(scores) <= least:
+            return float(values.max())
+        return relevancy_threshold(values) if np.isfinite(least) else middle_threshold(values)
 
     def _contrasted(
-        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
+        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
     ) -> Float32[np.ndarray, " r"] | None:
-        known = self.background.kept_contrast or self.background.contrast
-        return None if known is None else known.relevancy(query, scores)
-
-    def _whole(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
-        """Of encoders only whose texts are sums of words, see `least_peak`."""
-        return whole(scores, values) if np.isfinite(self.background.least_peak) else values
+        """`whole` only of encoders whose texts are sums of words, see `least_peak`; a colour has no halves."""
+        background = self.background
+        known = background.contrast_for(text)
+        values = None if known is None else known.relevancy(query, scores)
+        is_sum = np.isfinite(background.least_peak) and rival_vectors(background.encoder, text) is None
+        return whole(scores, values) if values is not None and is_sum else values
 
     def _measured(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default

@@ -1,5 +1,7 @@
 """Plain names of what photos show: a query has to fit better than nearly all of them."""
 
+from importlib.resources import files
+
 _THINGS = """
 apple, banana, orange, pear, lemon, grapes, strawberry, watermelon, tomato, carrot, potato, onion, pepper, cucumber,
 lettuce, mushroom, bread, cake, cookie, cheese, egg, meat, fish, rice, noodles, soup, pizza, sandwich, salad, chocolate,
@@ -36,3 +38,12 @@ wood, metal, plastic, glass pane, leather, cloth, fur, wool, cardboard, concrete
 """
 
 NOUNS = tuple(dict.fromkeys(word.strip() for word in _THINGS.replace("\n", " ").split(",")))
+
+
+def broad_list() -> tuple[str, ...]:
+    """Return the nouns above and the 1,203 names of LVIS, none twice: structures and ground, and many small things.
+
+    Source: the names of LVIS 1.0 (Gupta, Dollar, Girshick, CVPR 2019), CC BY 4.0; `lvis_names.txt` says so too.
+    """
+    lines = (files(__package__) / "lvis_names.txt").read_text(encoding="utf-8").splitlines()
+    return tuple(dict.fromkeys((*NOUNS, *(line for line in lines if not line.startswith("#")))))

@@ -22,7 +22,7 @@ from .measuring import embedded_image, least_peak, own_threshold, whole
 from .query import Query
 from .search import NEGATIVES, embed_query, split_negation
 from .thresholds import automatic_threshold, threshold_above
-from .word_list import list_vectors
+from .word_list import list_vectors, rival_vectors
 
 ONE = 1  # object that fits is enough
 CUT_OF_OBJECTS = 0.8  # of the way to the peak: values of whole objects are further apart than those of Gaussians
@@ -127,20 +127,24 @@ class Surroundings:
         own = own_threshold(self.encoder) if query.text is not None else None
         if own is not None:
             return cosines, COSINE, threshold_above(cosines, own, CUT_OF_OBJECTS, peak=ONE), ENCODER
-        known = None if query.text is None else self.contrast
-        contrasted = None if known is None else self._contrasted(known, vector, objects, cosines)
+        text = None if query.text is None else split_negation(query.text)[0]
+        contrasted = None if text is None else self._contrasted(text, vector, objects, cosines)
         if contrasted is not None:
             return contrasted, RELEVANCY, self._list_threshold(cosines, contrasted), LIST
         return cosines, COSINE, self._automatic(vector, cosines), AUTO
 
     def _contrasted(
-        self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
+        self, text: str, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
     ) -> Float32[np.ndarray, " o"] | None:
-        values = known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
+        rivals = rival_vectors(self.encoder, text)
+        known = self.contrast if rivals is None or not len(self.usual) else contrast_of(self.usual, rivals, 0.0)
+        values = (
+            None if known is None else known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
+        )
         if values is None:
             return None
         values = objects.best(values)
-        return whole(cosines, values, ONE) if np.isfinite(self._least) else values
+        return whole(cosines, values, ONE) if rivals is None and np.isfinite(self._least) else values
 
     @cached_property
     def _least(self) -> float:

@@ -9,9 +9,9 @@ from jaxtyping import Float32
 from ..encoders import Encoder
 from ..errors import InputError
 from ..formats.vocabulary import VocabularyEncoder
-from .nouns import NOUNS
+from .nouns import NOUNS, broad_list
 
-MOST = 500  # texts of a vocabulary: more make a first question slow and an answer no better
+MOST = 2000  # texts of a vocabulary: more make a first question slow
 
 
 def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
@@ -23,12 +23,21 @@ def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     return _EMBEDDED[encoder]
 
 
+def rival_vectors(encoder: Encoder, text: str | None) -> Float32[np.ndarray, "n D"] | None:
+    """Return the vectors of the few words that a text competes with; None: those of the list.
+
+    text: None for a query that is no text. An encoder of few words may have `rivals`, see `MiniEncoder.rivals`.
+    """
+    rivals = getattr(encoder, "rivals", None)
+    return None if rivals is None or text is None else rivals(text)
+
+
 _EMBEDDED: "WeakKeyDictionary[Encoder, Float32[np.ndarray, 'n D']]" = WeakKeyDictionary()
 
 
 def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     """The vectors of those nouns that the encoder knows."""
-    nouns: tuple[str, ...] = getattr(encoder, "nouns", NOUNS)
+    nouns: tuple[str, ...] = getattr(encoder, "nouns", None) or broad_list()
     try:
         return np.asarray(encoder.encode_texts(nouns), np.float32)
     except InputError:  # an encoder of some words

@@ -10,7 +10,7 @@ from PIL import Image
 
 from ...encoders import EncoderIdentity
 from ...errors import InputError, did_you_mean
-from .lexicon import COLORS, NAMES, STRUCTURES, WORDS, words_of
+from .lexicon import ANYTHING, COLORS, NAMES, PAINTS, STRUCTURES, WORDS, only_colors, words_of
 from .network import SIDE, embed_images
 
 DIM = 512
@@ -55,11 +55,24 @@ class MiniEncoder:
         ]
         return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
 
+    def rivals(self, text: str) -> Float32[np.ndarray, "r d"] | None:
+        """Return the vectors that a text competes with in place of the nouns: all colours, with one that asks for a
+        colour and nothing else. None: the nouns.
+
+        A colour is known by which one fits best, on photos too, where no noun fits and any of them may fit better.
+        """
+        if not only_colors(text):
+            return None
+        rows = self._weights["words"][[_ROWS[paint] for paint in PAINTS]]
+        return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
+
     def _text(self, text: str) -> Float32[np.ndarray, " d"]:
         words = words_of(text)
         strange = [word for word in words if word not in _ROWS]
         if strange or not words:
             raise InputError(_unknown(text, strange))
+        if only_colors(text):  # "a red thing" is something red
+            words = [word for word in words if word not in ANYTHING]
         total = self._weights["words"][[_ROWS[word] for word in words]].sum(0)
         return np.asarray(total / np.linalg.norm(total), np.float32)
 

@@ -54,8 +54,8 @@ ANYTHING = ("object", "thing", "stuff", "texture", "item")
 IGNORED = frozenset(
     [
         "a", "an", "and", "any", "anything", "at", "by", "close", "find", "for", "from", "image", "in", "is", "it",
-        "me", "my", "of", "on", "one", "or", "photo", "show", "some", "something", "that", "the", "this", "to", "up",
-        "used", "where", "which", "with", "you", "your",
+        "me", "my", "of", "on", "one", "ones", "or", "photo", "show", "some", "something", "that", "the", "this", "to",
+        "up", "used", "where", "which", "with", "you", "your",
     ]
 )  # fmt: skip
 
@@ -71,11 +71,11 @@ WORDS = tuple(
 def words_of(text: str) -> list[str]:
     """The words of a text that say something, in singular; those that nobody taught are included.
 
-    "orange" is the colour before another word and in "something orange", else the fruit.
+    "orange" is the colour before another word, in "something orange" and in "the orange one", else the fruit.
     """
     spoken = re.findall(r"[^\W\d_]+", text.lower())
     found = [(word, _singular(word)) for word in spoken if word not in IGNORED]
-    painted = "something" in spoken or "anything" in spoken
+    painted = not {"something", "anything", "one", "ones"}.isdisjoint(spoken)
     last = len(found) - 1
     return [
         ORANGE if word == "orange" and (painted or at < last) else single for at, (word, single) in enumerate(found)
@@ -92,6 +92,12 @@ def _singular(word: str) -> str:
 def nouns_in(text: str) -> list[str]:
     """Return the words of a text that say what a thing is or is made of; colours and "thing" do not."""
     return [word for word in words_of(text) if TONES.get(word, word) not in PAINTS and word not in ANYTHING]
+
+
+def only_colors(text: str) -> bool:
+    """Return whether a text asks for a colour and nothing else: "something red", "white", "a green thing"."""
+    words = words_of(text)
+    return not nouns_in(text) and any(word not in ANYTHING for word in words)
 
 
 def fits(word: str, name: str, color: str, material: str) -> bool | None:
