@@ -34,14 +34,14 @@ from benchmarks.suite.masks import MASKS, features_of
 from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.rivals.things import Agreement, Alike, light_splat, mask_clustering, sureness
 from benchmarks.suite.scenes import read_scene
-from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, read_gaussians, read_views, register
+from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, View, read_gaussians, read_views, register
 from drsplat.codes.code import Code
 from drsplat.evaluation import metrics
 from drsplat.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.field.objects import THING
 from drsplat.formats.tensors import read_tensors, write_tensors
-from drsplat.objects.choosing import _owners, choose
-from drsplat.objects.finding import SMALLEST, grow
+from drsplat.objects.choosing import Tree, _owners, choose
+from drsplat.objects.finding import SMALLEST, grow, of_pieces
 
 MINI = MiniEncoder()
 OURS = "objects"
@@ -55,6 +55,7 @@ ALIKE = Alike(iou=0.3, cosine=0.7, smallest=10)
 class Room:
     """ids: Gaussians with evidence, the rows of it. owners: per Gaussian of the scene. categories: of true things."""
 
+    views: list[View]
     gaussians: Gaussians
     ids: np.ndarray
     evidence: Evidence
@@ -91,7 +92,7 @@ def room_of(folder: Path, masks: str, kept: Path) -> Room:
     evidence = evidence_from_tensors(tensors, metadata, str(path))
     ids = np.flatnonzero(np.diff(evidence.weights.indptr))
     categories = {thing["id"]: thing["category"] for thing in truth["objects"]}
-    return Room(gaussians, ids, evidence.rows(ids), whose, categories)
+    return Room(read_views(folder), gaussians, ids, evidence.rows(ids), whose, categories)
 
 
 def with_wrong(room: Room, percent: int) -> Room:
@@ -117,6 +118,9 @@ class Means(Code):
     def scores(self, queries: np.ndarray, *, threads: int = 0) -> np.ndarray:
         return (self.evidence.weights @ (self.evidence.embeddings @ queries.T)).T / self.lengths
 
+    def decode(self, rows: np.ndarray) -> np.ndarray:
+        return np.asarray(self.evidence.weights[rows] @ self.evidence.embeddings) / self.lengths[rows, None]
+
 
 def by_query(room: Room) -> list[Region]:
     evidence = room.evidence
@@ -129,10 +133,21 @@ def by_query(room: Room) -> list[Region]:
     return [Region(match.gaussian_ids, match.score) for text in room.texts for match in asked.locate(text, box="free")]
 
 
+def pieces(room: Room) -> np.ndarray:
+    return _things(_chosen(room))
+
+
 def ours(room: Room) -> np.ndarray:
-    chosen = choose(grow(room.evidence, room.gaussians.means[room.ids]), len(room.ids), SMALLEST)
-    thing = _owners(chosen.parents, chosen.levels == THING)
-    return np.asarray(np.append(thing, -1)[chosen.node_of])
+    return _things(of_pieces(_chosen(room), room.gaussians, room.ids.astype(np.uint32), room.views))
+
+
+def _chosen(room: Room) -> Tree:
+    return choose(grow(room.evidence, room.gaussians.means[room.ids]), len(room.ids), SMALLEST)
+
+
+def _things(tree: Tree) -> np.ndarray:
+    thing = _owners(tree.parents, tree.levels == THING)
+    return np.asarray(np.append(thing, -1)[tree.node_of])
 
 
 def regions_of(room: Room, labels: np.ndarray) -> list[Region]:
@@ -165,6 +180,7 @@ RULES: dict[str, Rule] = {
     "query, components": by_query,
     "MaskClustering": rule_of(partial(consensus, AGREEMENT)),
     "LightSplat": rule_of(partial(alike, ALIKE)),
+    "objects, pieces not joined": rule_of(pieces),
     OURS: rule_of(ours),
 }
 

@@ -24,7 +24,7 @@ from .evidence.aggregation import aggregator as named
 from .evidence.changing import with_views, without_views
 from .evidence.columns import ColumnMaker, scenery_of, stack_columns, time_of
 from .evidence.evidence import Evidence, MaskIds
-from .evidence.provenance import Provenance
+from .evidence.provenance import Provenance, cameras_of
 from .field import AT_ONCE, LanguageField, RowCoder, build_field, whole_evidence
 from .kernels import default_isa
 from .masks.features import ViewFeatures
@@ -342,7 +342,8 @@ def provenance_of(views: Sequence[View], keys: Sequence[bytes], features: Mappin
     """keys: of the columns of each view."""
     hashes = np.frombuffer(b"".join(keys), np.uint8).reshape(len(keys), -1)
     level = getattr(features, "level", None)
-    return Provenance(camera_axes(views), hashes, default_isa(), None if level is None else LEVELS[level])
+    known = None if level is None else LEVELS[level]
+    return Provenance(camera_axes(views), hashes, default_isa(), known, cameras_of(views))
 
 
 def encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:

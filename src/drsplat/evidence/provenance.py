@@ -8,8 +8,10 @@ from jaxtyping import Float64, Int64, UInt8
 
 from ..errors import InputError
 from ..scene.boxes import upward_of
+from ..scene.views import View
 
 KEY_BYTES = 16
+NUMBERS = 18  # of a camera
 LARGEST = 2.0  # of any number of a direction
 
 
@@ -29,6 +31,7 @@ class Provenance:
     keys: UInt8[np.ndarray, "v 16"]
     isa: str
     level: str | None = None
+    cameras: Float64[np.ndarray, "v 18"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.axes)
@@ -38,6 +41,10 @@ class Provenance:
                 raise InputError(f"{name}: expected {dtype} {shape}, got {given.dtype} {given.shape}")
         if not (np.abs(self.axes) <= LARGEST).all():  # NaN is not either
             raise InputError("axes: expected unit vectors")
+        if self.cameras is not None and not _are_cameras(self.cameras, count):
+            raise InputError(
+                f"cameras: expected {NUMBERS} finite numbers, with lengths and sizes above 0, for each view"
+            )
 
     def __len__(self) -> int:
         return len(self.axes)
@@ -52,7 +59,16 @@ class Provenance:
 
     def of(self, views: Int64[np.ndarray, " k"]) -> "Provenance":
         """Of some views, in that order."""
-        return Provenance(self.axes[views], self.keys[views], self.isa, self.level)
+        cameras = None if self.cameras is None else self.cameras[views]
+        return Provenance(self.axes[views], self.keys[views], self.isa, self.level, cameras)
+
+    def views(self, names: Sequence[str]) -> list[View]:
+        """The cameras, without photos; none where they are unknown. names: of all views.
+
+        Raises: InputError: a camera that is no rigid motion.
+        """
+        numbers = np.empty((0, NUMBERS)) if self.cameras is None else self.cameras
+        return [_view(name, camera) for name, camera in zip(names, numbers, strict=False)]
 
     def with_views(self, other: "Provenance", order: Int64[np.ndarray, " v"]) -> "Provenance":
         """Of the views of both, those of `other` after these, then in an order.
@@ -62,7 +78,32 @@ class Provenance:
         if None not in (self.level, other.level) and self.level != other.level:
             raise InputError(f"masks of the levels {self.level} and {other.level}: register both with the same level")
         axes, keys = (np.concatenate(pair)[order] for pair in ((self.axes, other.axes), (self.keys, other.keys)))
-        return Provenance(axes, keys, _joined((self.isa, other.isa)), self.level or other.level)
+        known = [come.cameras for come in (self, other) if come.cameras is not None]
+        cameras = np.concatenate(known)[order] if len(known) == 2 else None
+        return Provenance(axes, keys, _joined((self.isa, other.isa)), self.level or other.level, cameras)
+
+
+def cameras_of(views: Sequence[View]) -> Float64[np.ndarray, "v 18"]:
+    """As `Provenance.cameras`."""
+    rows = [[*v.cam_from_world[:3].ravel(), *_lens(v), v.width, v.height] for v in views]
+    return np.array(rows, np.float64).reshape(-1, NUMBERS)
+
+
+def _lens(view: View) -> tuple[float, float, float, float]:
+    return view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
+
+
+def _view(name: str, numbers: Float64[np.ndarray, " 18"]) -> View:
+    pose, (across, down, x, y, width, height) = numbers[:12].reshape(3, 4), numbers[12:].tolist()
+    lens = np.array([[across, 0.0, x], [0.0, down, y], [0.0, 0.0, 1.0]])
+    whole = np.concatenate([pose, [[0.0, 0, 0, 1]]])
+    return View(name, width=int(width), height=int(height), K=lens, cam_from_world=whole)
+
+
+def _are_cameras(numbers: np.ndarray, count: int) -> bool:
+    if numbers.dtype != np.float64 or numbers.shape != (count, NUMBERS) or not np.isfinite(numbers).all():
+        return False
+    return bool((numbers[:, 12:14] > 0).all() and (numbers[:, 16:] >= 1).all())
 
 
 def _joined(isas: Sequence[str]) -> str:

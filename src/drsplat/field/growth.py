@@ -98,6 +98,8 @@ class Growth:
             "axes": come.axes, "keys": come.keys, "rest_ids": self.rest_ids,
             "rest_indptr": rest.indptr, "rest_indices": rest.indices, "rest_data": rest.data,
         }  # fmt: skip
+        if come.cameras is not None:
+            arrays["cameras"] = come.cameras
         if self.scene_atoms is None or self.scene_places is None:
             return arrays
         atoms = self.scene_atoms
@@ -133,7 +135,7 @@ def growth_from_tensors(
     if not isinstance(removed, list) or not all(map(is_text, removed)):
         raise FormatError(f"{where}: growth: removed: expected a list of photos' names, got {shown(removed)}")
     try:
-        provenance = Provenance(tensors["axes"], tensors["keys"], str(isa), level)
+        provenance = Provenance(tensors["axes"], tensors["keys"], str(isa), level, tensors.get("cameras"))
         atoms, places = _scene(tensors) if has_scene else (None, None)
         code = _code_from_json(document.get("code"))
         ids, rest = tensors["rest_ids"], _rest(tensors, masks)

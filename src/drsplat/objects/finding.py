@@ -4,8 +4,10 @@ Two Gaussians of one thing lie in the same mask in the photos that see both. Nei
 their masks agree; of the regions that come about, things are those that single masks fit best. See docs/objects.md.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, UInt32
 from scipy.sparse import csr_array
 
 from ..errors import InputError
@@ -14,11 +16,14 @@ from ..evidence.changing import without_views
 from ..evidence.evidence import Evidence
 from ..field import LanguageField
 from ..field.learning import drawn
-from ..field.objects import Objects
+from ..field.objects import THING, Objects
 from ..kernels import Forest, MergeRule, agglomerate
 from ..scene.gaussians import Gaussians
-from .choosing import choose
+from ..scene.views import View
+from .borders import borders
+from .choosing import NONE, Tree, _owners, choose
 from .describing import describe
+from .joining import join, with_joined
 from .neighbours import along_a_curve, neighbours
 
 THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
@@ -29,10 +34,13 @@ DIRECTIONS = 32  # of embeddings that are looked at
 MOST_WEIGHTS = 32_000_000  # that are held at once, in some 66 bytes each
 
 
-def find_objects(field: LanguageField, gaussians: Gaussians, *, threads: int = 0) -> Objects:
+def find_objects(
+    field: LanguageField, gaussians: Gaussians, *, views: Sequence[View] | None = None, threads: int = 0
+) -> Objects:
     """The things of a scene with their parts and groups, from the evidence that its field keeps.
 
-    No encoder is needed. Time and memory are linear in the weights, of which up to MOST_WEIGHTS are looked at: of more
+    views: whose cameras tell which pieces are one thing (`joining`); None: those that the field keeps. No encoder is
+    needed. Time and memory are linear in the weights, of which up to MOST_WEIGHTS are looked at: of more
     those of some views, which a hash of their names draws. The same bits at any number of threads.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
@@ -42,7 +50,30 @@ def find_objects(field: LanguageField, gaussians: Gaussians, *, threads: int = 0
     if field.evidence is None:
         raise InputError("objects are found in the evidence, and this field was saved without: register again")
     forest = grow(of_few_views(field.evidence), gaussians.means[field.gaussian_ids], threads=threads)
-    return describe(field, gaussians, choose(forest, len(field), SMALLEST), threads=threads)
+    tree = choose(forest, len(field), SMALLEST)
+    cameras = cameras_of(field) if views is None else views
+    if cameras:
+        tree = of_pieces(tree, gaussians, field.gaussian_ids, cameras, threads=threads)
+    return describe(field, gaussians, tree, threads=threads)
+
+
+def of_pieces(
+    tree: Tree, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
+) -> Tree:
+    """The tree with the things that its things are pieces of. ids: the Gaussians of its rows."""
+    (things,) = np.nonzero(tree.levels == THING)
+    owners = _owners(tree.parents, tree.levels == THING)
+    numbers = np.append(np.where(owners >= 0, np.searchsorted(things, owners), NONE), NONE)
+    pieces = np.full(len(gaussians), NONE, np.int32)
+    pieces[ids] = numbers[tree.node_of]
+    return with_joined(tree, join(borders(gaussians, views, pieces, threads=threads), tree.sure[things]))
+
+
+def cameras_of(field: LanguageField) -> list[View]:
+    """Those that took its photos, without these; none where it keeps none, or where the scene moves between them."""
+    if field.growth is None or field.evidence is None or field.times is not None:
+        return []
+    return field.growth.provenance.views(field.evidence.masks.view_names)
 
 
 def of_few_views(evidence: Evidence, most: int = MOST_WEIGHTS) -> Evidence:

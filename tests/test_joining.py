@@ -1,0 +1,233 @@
+"""Pieces that become things: what depth says at their borders, what is joined, and where that stands in the forest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drsplat import Gaussians, View
+from drsplat.errors import InputError
+from drsplat.evidence.provenance import Provenance, cameras_of
+from drsplat.field.objects import GROUP, PART, THING, check_forest
+from drsplat.objects.borders import TOLERANCES, Borders, borders
+from drsplat.objects.choosing import Tree
+from drsplat.objects.joining import Joined, join, with_joined
+from splat_captures import look_at
+
+SIZE = 200
+UP = np.array([0.0, -1, 0])
+LENS = np.array([[200.0, 0, SIZE / 2], [0, 200, SIZE / 2], [0, 0, 1]])
+UNSURE = np.float32(0.1)
+
+
+def photo(name: str, eye: np.ndarray, target: np.ndarray) -> View:
+    return View(name, width=SIZE, height=SIZE, K=LENS, cam_from_world=look_at(eye, target, UP))
+
+
+def views_around(target: np.ndarray, distance: float, count: int = 6) -> list[View]:
+    """Cameras in a half circle before the target, a little above it."""
+    views = []
+    for number, angle in enumerate(np.linspace(-1.0, 1.0, count)):
+        eye = target + distance * np.array([np.sin(angle), -0.4, -np.cos(angle)])
+        views.append(photo(f"{number}.jpg", eye, target))
+    return views
+
+
+def spheres(points: np.ndarray, size: float) -> Gaussians:
+    """Small round opaque Gaussians at some points."""
+    count = len(points)
+    return Gaussians(
+        np.ascontiguousarray(points, np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        np.full((count, 3), size, np.float32),
+        np.full(count, 0.99, np.float32),
+        np.zeros((count, 1, 3), np.float32),
+    )
+
+
+def sheet(low: tuple[float, float, float], high: tuple[float, float, float], step: float) -> np.ndarray:
+    """Points of a flat rectangle; one of the three lengths is nothing."""
+    along = [np.arange(a, b + step / 2, step) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*along, indexing="ij"), -1).reshape(-1, 3)
+
+
+def ball(radius: float, step: float) -> np.ndarray:
+    """Points of a sphere around zero."""
+    count = int(4 * np.pi * radius**2 / step**2)
+    heights = 1 - 2 * (np.arange(count) + 0.5) / count
+    angles = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    flat = np.sqrt(1 - heights**2)
+    return radius * np.stack([flat * np.cos(angles), heights, flat * np.sin(angles)], 1)
+
+
+def pairs_of(found: Borders) -> dict[tuple[int, int], np.ndarray]:
+    return {(int(a), int(b)): counts for a, b, counts in zip(found.front, found.back, found.counts, strict=True)}
+
+
+def a_ball_before_a_wall() -> tuple[Gaussians, np.ndarray, list[View]]:
+    """Pieces: the upper and the lower half of the ball, and the wall, far behind it."""
+    points, wall = ball(1.0, 0.05), sheet((-6, -4, 4), (6, 4, 4), 0.12)
+    pieces = np.where(points[:, 1] < 0, 0, 1)
+    scene = spheres(np.concatenate([points, wall]), 0.04)
+    return scene, np.append(pieces, np.full(len(wall), 2)).astype(np.int32), views_around(np.zeros(3), 5.0)
+
+
+def test_depth_goes_on_between_halves_of_a_ball_and_jumps_to_the_wall() -> None:
+    scene, pieces, views = a_ball_before_a_wall()
+    found = borders(scene, views, pieces)
+    pairs = pairs_of(found)
+    halves = pairs.get((0, 1), np.zeros(4)) + pairs.get((1, 0), np.zeros(4))
+    assert halves[0] > 0.8 * halves[-1] > 100
+    for half in (0, 1):
+        assert pairs[half, 2][-2] < 0.05 * pairs[half, 2][-1]
+        assert (2, half) not in pairs or pairs[2, half][-1] < 0.05 * pairs[half, 2][-1]
+    assert found.areas.min() > 1000
+
+
+def test_two_colours_of_a_slanted_wall_have_no_jump() -> None:
+    """Depth changes from pixel to pixel, by as much on either side of the border."""
+    points = sheet((-4, -3, 0), (4, 3, 0), 0.08)
+    points[:, 2] = 1.5 * points[:, 0]
+    pieces = (points[:, 0] > 0).astype(np.int32)
+    view = photo("a.jpg", np.array([0.0, 0, -8]), np.zeros(3))
+    counts = sum(pairs_of(borders(spheres(points, 0.06), [view], pieces)).values(), np.zeros(4, np.int64))
+    assert counts[0] > 0.9 * counts[-1] > 50
+
+
+def test_what_stands_on_a_table_touches_it_and_is_no_part_of_it() -> None:
+    """In the valley between the two depth goes on as well: such pixels are not told as borders."""
+    table, box = sheet((-3, 0, -3), (3, 0, 3), 0.08), sheet((-1, -2, 0), (1, -0.04, 0), 0.08)
+    scene = spheres(np.concatenate([table, box]), 0.06)
+    pieces = np.append(np.zeros(len(table)), np.ones(len(box))).astype(np.int32)
+    eye = np.array([0.0, -3, -6])
+    view = photo("a.jpg", eye, np.array([0.0, -0.5, 0]))
+    pairs = pairs_of(borders(scene, [view], pieces))
+    level = sum(counts[0] for counts in pairs.values())
+    assert level < 0.2 * sum(counts[-1] for counts in pairs.values())
+
+
+def test_the_halves_of_a_ball_are_one_thing_and_the_wall_is_another() -> None:
+    scene, pieces, views = a_ball_before_a_wall()
+    (thing,) = join(borders(scene, views, pieces), np.full(3, UNSURE))
+    assert thing.members == [0, 1]
+    assert thing.relief > 0.9
+
+
+def test_borders_are_the_same_at_any_number_of_threads() -> None:
+    scene, pieces, views = a_ball_before_a_wall()
+    one, two = (borders(scene, views, pieces, threads=threads) for threads in (1, 2))
+    for first, second in zip(one, two, strict=True):
+        np.testing.assert_array_equal(first, second)
+
+
+def known(pairs: dict[tuple[int, int], tuple[int, int]], areas: list[int]) -> Borders:
+    """pairs: by nearer and further piece, pixels where depth goes on, and where it jumps."""
+    front, back = (np.array([pair[k] for pair in pairs], np.int32) for k in (0, 1))
+    counts = [[level] * len(TOLERANCES) + [level + jumps] for level, jumps in pairs.values()]
+    return Borders(front, back, np.array(counts, np.int64).reshape(len(pairs), -1), np.array(areas, np.int64))
+
+
+DOLL = {(0, 1): (500, 0), (1, 2): (300, 0), (0, 3): (50, 1000), (1, 3): (20, 700), (2, 3): (60, 600)}
+"""Face, hair and dress, before a wall."""
+
+
+def test_what_stands_out_together_is_one_thing() -> None:
+    """Closed form: of face, hair and dress 2300 pixels are in front, 130 level: 2300 / (2430 + 30)."""
+    (thing,) = join(known(DOLL, [4000, 3000, 3000, 90_000]), np.full(4, UNSURE))
+    assert thing.members == [0, 1, 2]
+    assert thing.relief == pytest.approx(2300 / 2460)
+
+
+def test_what_fills_more_than_half_of_the_photos_is_the_room() -> None:
+    pairs = {(0, 1): (500, 0), (0, 2): (50, 1000), (1, 2): (20, 700)}
+    assert join(known(pairs, [4000, 4000, 7000]), np.full(3, UNSURE)) == []
+    assert len(join(known(pairs, [4000, 4000, 9000]), np.full(3, UNSURE))) == 1
+
+
+def test_a_small_piece_that_masks_hold_as_a_whole_stays_a_thing() -> None:
+    """A book on a sofa: a tenth of the pixels, and every photo has a mask of it."""
+    sure = np.array([UNSURE, UNSURE, 0.8, UNSURE], np.float32)
+    (thing,) = join(known(DOLL, [4000, 3000, 500, 90_000]), sure)
+    assert thing.members == [0, 1]
+    (thing,) = join(known(DOLL, [4000, 3000, 3000, 90_000]), sure)
+    assert thing.members == [0, 1, 2]
+
+
+def test_a_table_that_stands_out_does_not_take_the_plates_on_it() -> None:
+    pairs = {(0, 3): (0, 2000), (1, 0): (200, 20), (2, 0): (150, 20)}
+    assert join(known(pairs, [40_000, 2000, 1500, 90_000]), np.full(4, UNSURE)) == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 12))
+def test_sets_are_disjoint_and_follow_the_pieces(seed: int, count: int) -> None:
+    """Whatever the pieces are called."""
+    rng = np.random.default_rng(seed)
+    pairs = {
+        (int(a), int(b)): (int(rng.integers(0, 400)), int(rng.integers(0, 900)))
+        for a, b in rng.integers(0, count, (3 * count, 2))
+        if a != b
+    }
+    areas, sure = rng.integers(1, 5000, count + 1), rng.random(count + 1).astype(np.float32)
+    areas[-1] = 100_000
+    found = join(known(pairs, areas.tolist()), sure)
+    members = [member for joined in found for member in joined.members]
+    assert len(members) == len(set(members))
+    assert all(len(joined.members) > 1 and 0.7 < joined.relief <= 1 for joined in found)
+    names = np.append(rng.permutation(count), count)
+    renamed = {(int(names[a]), int(names[b])): counts for (a, b), counts in pairs.items()}
+    places = np.argsort(names)
+    others = join(known(renamed, areas[places].tolist()), sure[places])
+    assert {frozenset(names[joined.members].tolist()) for joined in found} == {frozenset(j.members) for j in others}
+
+
+def tree(parents: list[int], levels: list[int], node_of: list[int]) -> Tree:
+    count = len(parents)
+    return Tree(
+        np.array(node_of, np.int32), np.array(parents, np.int32), np.array(levels, np.uint8), np.full(count, UNSURE)
+    )
+
+
+def test_joined_things_are_parts_of_a_new_one() -> None:
+    """Nodes: a part of thing 1, things 1, 2 and 3, a group of 2 and 3. Things 1 and 2 are one: the group is crossed."""
+    before = tree([1, -1, 4, 4, -1], [PART, THING, THING, THING, GROUP], [0, 1, 2, 3, 3, -1])
+    after = with_joined(before, [Joined([0, 1], 0.9)])
+    check_forest(after.node_of, after.parents, after.levels)
+    assert after.levels.tolist() == [PART, PART, PART, THING, THING]
+    assert after.parents.tolist() == [1, 3, 3, -1, -1]
+    assert after.node_of.tolist() == [0, 1, 2, 4, 4, -1]
+    assert after.sure[3] == np.float32(0.9)
+
+
+def test_groups_that_hold_all_of_a_thing_and_more_stay() -> None:
+    """Things 0, 1, 2; a group of 0 and 1, in a group with 2. Once 0 and 1 are one the inner group says nothing new."""
+    before = tree([3, 3, 4, 4, -1], [THING, THING, THING, GROUP, GROUP], [0, 1, 2, -1])
+    after = with_joined(before, [Joined([0, 1], 0.8)])
+    check_forest(after.node_of, after.parents, after.levels)
+    assert after.levels.tolist() == [PART, PART, THING, THING, GROUP]
+    assert after.parents.tolist() == [2, 2, 4, 4, -1]
+
+
+def test_cameras_are_kept_with_how_columns_came_about() -> None:
+    views = views_around(np.zeros(3), 5.0, 3)
+    come = Provenance(np.zeros((3, 2, 3)), np.zeros((3, 16), np.uint8), "avx2", None, cameras_of(views))
+    again = come.of(np.array([2, 0])).views(["2.jpg", "0.jpg"])
+    for view, expected in zip(again, (views[2], views[0]), strict=True):
+        assert (view.name, view.width, view.height) == (expected.name, SIZE, SIZE)
+        np.testing.assert_array_equal(view.K, expected.K)
+        np.testing.assert_array_equal(view.cam_from_world, expected.cam_from_world)
+    both = come.of(np.array([0])).with_views(come.of(np.array([1, 2])), np.array([2, 1, 0]))
+    np.testing.assert_array_equal(both.cameras, come.cameras[::-1])
+    unknown = replace(come, cameras=None)
+    assert unknown.views(["a", "b", "c"]) == []
+    assert come.with_views(unknown, np.arange(6)).cameras is None
+
+
+@pytest.mark.parametrize(("place", "value"), [(0, np.nan), (12, 0.0), (16, 0.0)])
+def test_cameras_that_are_none_are_refused(place: int, value: float) -> None:
+    numbers = cameras_of(views_around(np.zeros(3), 5.0, 2))
+    numbers[1, place] = value
+    with pytest.raises(InputError, match="cameras: expected 18 finite numbers"):
+        Provenance(np.zeros((2, 2, 3)), np.zeros((2, 16), np.uint8), "avx2", None, numbers)
