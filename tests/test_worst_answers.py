@@ -58,7 +58,7 @@ def case() -> Any:
 
 
 def test_steps_of_a_scene_and_masks_without_a_fault() -> None:
-    answer = answers.Answered("mug", 0.4, 0.3, 0.9, False, False)
+    answer = answers.Answered("mug", 0.4, 0.3, 0.9, False, False, False)
     found = place([0, 1], 0.2).steps(case(), answer)
     assert found == causes.Steps(1.0, 1.0, 0.9, 0.4, 0.3)
     assert found.cause == "threshold"
@@ -66,7 +66,7 @@ def test_steps_of_a_scene_and_masks_without_a_fault() -> None:
 
 def test_a_mask_of_two_things_is_the_cause() -> None:
     """Both masks show the mug and the plate alike: the best that can be selected is both."""
-    answer = answers.Answered("mug", 0.4, 0.4, 0.45, False, False)
+    answer = answers.Answered("mug", 0.4, 0.4, 0.45, False, False, False)
     found = place([0, 1], 1.0).steps(case(), answer)
     assert found.masks == pytest.approx(0.5)
     assert found.cause == "masks"
@@ -75,7 +75,7 @@ def test_a_mask_of_two_things_is_the_cause() -> None:
 def test_gaussians_that_do_not_cover_the_outline_are_the_cause() -> None:
     culprits = place([0, 1], 0.0)
     culprits.place.shown = lambda view: np.zeros((view.height, view.width), np.int32)  # the mug is everywhere
-    found = culprits.steps(case(), answers.Answered("mug", 0.8, 0.8, 0.9, False, False))
+    found = culprits.steps(case(), answers.Answered("mug", 0.8, 0.8, 0.9, False, False, False))
     assert found.scene < 0.2
     assert found.cause == "scene"
 
@@ -103,7 +103,8 @@ def test_no_threshold_parts_equal_values() -> None:
 
 def test_the_worst_are_of_many_places() -> None:
     def bad(where: str, text: str, iou: float, best: float) -> study_worst.Bad:
-        return study_worst.Bad(where, "graph", 0, where, answers.Answered(text, iou, iou, best, False, False), STEPS)
+        answer = answers.Answered(text, iou, iou, best, False, False, False)
+        return study_worst.Bad(where, "graph", 0, where, answer, STEPS)
 
     found = [bad("a", "mug", 0.0, 0.5), bad("a", "mug", 0.0, 0.9), bad("a", "cup", 0.1, 0.5), bad("a", "bed", 0.2, 0.5)]
     found += [bad("b", "mug", 0.3, 0.5), bad("b", "bed", 0.4, 0.5)]

@@ -47,9 +47,9 @@ Ids = Callable[[View], Int32[np.ndarray, "h w"]]
 class Place:
     """evidence: of masks of no meaning, a row per Gaussian of the scene. owners: the thing that most of each mask
     shows. labels: the thing of each Gaussian, mass: its weight in photos whose truth is known, 0 where it is not.
-    things: by name. nameless: cells of the rest of a capture. views: whose truth is known, as their photos are stored.
-    shown: what each pixel of one of these shows, -1 for nothing and numbers beyond those of `things` for the rest.
-    inputs: name of the kept file, which says what the place was registered from.
+    things: by name. nameless: cells of the rest of a capture. cameras: of all photos. views: whose truth is known, as
+    their photos are stored. shown: what each pixel of one of these shows, -1 for nothing and numbers beyond those of
+    `things` for the rest. inputs: name of the kept file, which says what the place was registered from.
     """
 
     name: str
@@ -60,6 +60,7 @@ class Place:
     mass: Float64[np.ndarray, " n"]
     things: Mapping[str, list[int]]
     nameless: list[int]
+    cameras: list[View]
     views: list[View]
     shown: Ids
     inputs: str
@@ -77,8 +78,8 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
         _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *_true(scene))
     evidence, owners, labels, mass = _read(path)
     return Place(
-        f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [], scene.views, scene.ids,
-        path.name,
+        f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [], scene.views,
+        scene.views, scene.ids, path.name,
     )  # fmt: skip
 
 
@@ -103,7 +104,7 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
     cells = list(range(len(names), len(names) + CELLS))
     stored = [view for view in photos if view.name in known]
     return Place(
-        f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells, stored,
+        f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells, views, stored,
         lambda view: known[view.name], path.name,
     )  # fmt: skip
 

@@ -17,7 +17,6 @@ from benchmarks.drawn_embeddings import unit
 from drsplat import EncoderIdentity, Gaussians, LanguageField, Scene
 from drsplat.codes.code import Code
 from drsplat.encoders import Encoder
-from drsplat.evidence.evidence import Evidence
 from drsplat.objects.finding import find_objects
 
 from .places import Place
@@ -90,7 +89,7 @@ def trial(place: Place, words: Vocabulary, kind: str, wrong: float, seed: int) -
         shown[thing] = rng.choice(pictures.of_nothing, 1)
     masks = _pictures_of_masks(place, shown, pictures, wrong, rng)
     embeddings = unit(pictures.vectors[masks] + pictures.noise(rng, len(masks)))
-    field = field_of(replace(place.evidence, embeddings=embeddings), place.gaussians, words.encoder.identity)
+    field = field_of(replace(place, evidence=replace(place.evidence, embeddings=embeddings)), words.encoder.identity)
     labels = place.labels[field.gaussian_ids]
     truth = np.array([meaning.get(label, -1) for label in labels.tolist()])
     mass = place.mass[field.gaussian_ids]
@@ -114,11 +113,12 @@ def _pictures_of_masks(
     return np.where(rng.random(len(right)) < wrong, swapped, right)
 
 
-def field_of(evidence: Evidence, gaussians: Gaussians, encoder: EncoderIdentity) -> LanguageField:
+def field_of(place: Place, encoder: EncoderIdentity) -> LanguageField:
     """With objects, its features as they are."""
+    evidence, gaussians = place.evidence, place.gaussians
     ids = np.flatnonzero(np.diff(evidence.weights.indptr))
     seen = evidence.rows(ids)
     rows = np.concatenate([unit(seen.weights[at : at + 8192] @ seen.embeddings) for at in range(0, len(ids), 8192)])
     scene = gaussians.fingerprint
     field = LanguageField(ids.astype(np.uint32), Means(rows), encoder, scene, len(gaussians), seen)  # type: ignore[abstract]
-    return replace(field, objects=find_objects(field, gaussians))
+    return replace(field, objects=find_objects(field, gaussians, views=place.cameras))
