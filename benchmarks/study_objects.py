@@ -18,7 +18,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
@@ -55,12 +55,12 @@ ALIKE = Alike(iou=0.3, cosine=0.7, smallest=10)
 class Room:
     """ids: Gaussians with evidence, the rows of it. owners: per Gaussian of the scene. categories: of true things."""
 
-    views: list[View]
     gaussians: Gaussians
     ids: np.ndarray
     evidence: Evidence
     owners: np.ndarray
     categories: dict[int, str]
+    views: list[View] = field(default_factory=list)
 
     @property
     def things(self) -> list[int]:
@@ -92,7 +92,7 @@ def room_of(folder: Path, masks: str, kept: Path) -> Room:
     evidence = evidence_from_tensors(tensors, metadata, str(path))
     ids = np.flatnonzero(np.diff(evidence.weights.indptr))
     categories = {thing["id"]: thing["category"] for thing in truth["objects"]}
-    return Room(read_views(folder), gaussians, ids, evidence.rows(ids), whose, categories)
+    return Room(gaussians, ids, evidence.rows(ids), whose, categories, read_views(folder))
 
 
 def with_wrong(room: Room, percent: int) -> Room:

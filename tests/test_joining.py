@@ -126,7 +126,7 @@ def known(pairs: dict[tuple[int, int], tuple[int, int]], areas: list[int]) -> Bo
     """pairs: by nearer and further piece, pixels where depth goes on, and where it jumps."""
     front, back = (np.array([pair[k] for pair in pairs], np.int32) for k in (0, 1))
     counts = [[level] * len(TOLERANCES) + [level + jumps] for level, jumps in pairs.values()]
-    return Borders(front, back, np.array(counts, np.int64).reshape(len(pairs), -1), np.array(areas, np.int64))
+    return Borders(front, back, np.array(counts, np.int64).reshape(-1, len(TOLERANCES) + 1), np.array(areas, np.int64))
 
 
 DOLL = {(0, 1): (500, 0), (1, 2): (300, 0), (0, 3): (50, 1000), (1, 3): (20, 700), (2, 3): (60, 600)}

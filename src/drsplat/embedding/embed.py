@@ -27,6 +27,7 @@ from ..masks.crops import crops
 from ..masks.masks import LEVELS, Masks, Segmenter
 from ..masks.selection import MaskMaps, mask_maps
 from ..query.nouns import broad_list
+from ..query.word_list import known_words
 from ..scene.photos import load_image
 from ..scene.views import View
 from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
@@ -121,9 +122,8 @@ def _record_words(folder: Path, encoder: ImageEncoder) -> None:
     """Embed the list while the model is at hand. Built-in encoders are always."""
     if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
         return
-    names = broad_list()
-    words = VocabularyEncoder(encoder.identity, names, encoder.encode_texts(names))
-    write_vocabulary(folder / WORD_LIST, words, overwrite=True)
+    names, vectors = known_words(encoder, broad_list())
+    write_vocabulary(folder / WORD_LIST, VocabularyEncoder(encoder.identity, names, vectors), overwrite=True)
 
 
 def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:

@@ -1,4 +1,4 @@
-"""From pieces to things: what no mask holds as a whole, but stands out from all around it as one.
+"""From pieces to what they are pieces of: what no mask holds as a whole, but stands out from all around it as one.
 
 A thing of many colours is found in pieces where masks end at colours. Photos still show that the pieces are one
 surface: at the borders between them depth goes on, and around all of them it jumps. See docs/objects.md.

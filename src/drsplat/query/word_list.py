@@ -37,12 +37,17 @@ _EMBEDDED: "WeakKeyDictionary[Encoder, Float32[np.ndarray, 'n D']]" = WeakKeyDic
 
 def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     """The vectors of those nouns that the encoder knows."""
-    nouns: tuple[str, ...] = getattr(encoder, "nouns", None) or broad_list()
+    return known_words(encoder, getattr(encoder, "nouns", None) or broad_list())[1]
+
+
+def known_words(encoder: Encoder, words: Sequence[str]) -> tuple[list[str], Float32[np.ndarray, "n D"]]:
+    """Return those of some words that an encoder can read, and their vectors."""
     try:
-        return np.asarray(encoder.encode_texts(nouns), np.float32)
-    except InputError:  # an encoder of some words
-        known = [vector for noun in nouns for vector in _if_known(encoder, noun)]
-    return np.asarray(known, np.float32).reshape(len(known), encoder.identity.dim)
+        return list(words), np.asarray(encoder.encode_texts(words), np.float32)
+    except InputError:  # an encoder of some words, or of short ones
+        pairs = [(word, vector) for word in words for vector in _if_known(encoder, word)]
+    vectors = np.asarray([vector for _, vector in pairs], np.float32)
+    return [word for word, _ in pairs], vectors.reshape(len(pairs), encoder.identity.dim)
 
 
 def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]]:
