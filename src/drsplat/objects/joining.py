@@ -19,7 +19,7 @@ from .choosing import NONE, Tree, _above, _owners
 GAIN, RELIEF = 0.1, 0.7  # of relief over that of the pieces, and least
 FINISHED = 0.8  # of the pixels of a join: a piece of so much that stands out by itself is a thing, with things on it
 LARGE = 0.1  # of the pixels of a join: pieces that may not stand out more than all together
-WHOLE = 0.6  # sureness of pieces that single masks hold as a whole: small ones are things on a thing
+WHOLE = 0.6  # sureness of what single masks hold as a whole
 MOST = 0.5  # of all pixels: what has more is the room
 GOES_ON = 0.5  # of a border, without a jump
 LEAST = 0.02  # of both outlines that two pieces share: less is a touch
@@ -51,29 +51,23 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
     """The pieces that are one thing, at the finest of TOLERANCES first.
 
     A set of pieces is one thing where it stands out (`RELIEF`) by `GAIN` more than its pieces do on average, and by no
-    less than each large one of them. sure: of each piece how well single masks fit it; small ones that are `WHOLE`
-    stay what they are.
+    less than each large one of them. sure: of each piece how well single masks fit it; those that are `WHOLE` stay
+    what they are.
     """
     total = len(found.areas)
     roots, reliefs = np.arange(total), np.zeros(total)
     for k in range(len(TOLERANCES)):
         names, numbers = np.unique(roots, return_inverse=True)
-        nodes = _merged(found, numbers, k, len(names))
+        whole = set(numbers[sure >= WHOLE].tolist())
+        nodes = _merged(found, numbers, k, len(names), whole)
         areas = np.bincount(numbers, found.areas, len(names))
         for members, relief in _standing_out(nodes, areas):
             roots[np.isin(numbers, members)] = names[members[0]]
             reliefs[names[members[0]]] = relief
     order = np.argsort(roots, kind="stable")
     starts = np.flatnonzero(np.diff(roots[order], prepend=NONE))
-    found_sets = [_without_whole(part, found.areas, sure) for part in np.split(order, starts[1:])] if total else []
-    return [Joined(part.tolist(), float(reliefs[roots[part[0]]])) for part in found_sets if len(part) > 1]
-
-
-def _without_whole(
-    members: Int64[np.ndarray, " k"], areas: Int64[np.ndarray, " n"], sure: Float32[np.ndarray, " n"]
-) -> Int64[np.ndarray, " rest"]:
-    small = areas[members] < LARGE * areas[members].sum()
-    return np.asarray(members[~(small & (sure[members] >= WHOLE))])
+    sets = [part.tolist() for part in np.split(order, starts[1:])] if total else []
+    return [Joined(part, float(reliefs[roots[part[0]]])) for part in sets if len(part) > 1]
 
 
 class _Node(NamedTuple):
@@ -81,11 +75,17 @@ class _Node(NamedTuple):
     outline: _Outline
 
 
-def _merged(found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int, total: int) -> list[_Node]:
-    """The forest of merges, children first: best are those that share most of both outlines, where depth goes on."""
+def _merged(
+    found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int, total: int, whole: set[int]
+) -> list[_Node]:
+    """The forest of merges, children first: best are those that share most of both outlines, where depth goes on.
+
+    whole: those that are merged with nothing.
+    """
     sides = _sides(found, numbers, tolerance)
     nodes = [_Node((), _outline(sides.get(node, {}))) for node in range(total)]
-    heap = [entry for one in sides for other in sides[one] if one < other for entry in _entry(nodes, sides, one, other)]
+    pairs = ((one, other) for one in sides for other in sides[one] if one < other and not {one, other} & whole)
+    heap = [entry for pair in pairs for entry in _entry(nodes, sides, *pair)]
     heapify(heap)
     while heap:
         _, one, other = heappop(heap)
@@ -93,7 +93,7 @@ def _merged(found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int, to
             new = len(nodes)
             sides[new] = _united(sides, one, other, new)
             nodes.append(_Node((one, other), _outline(sides[new])))
-            for beside in sides[new]:
+            for beside in sides[new].keys() - whole:
                 for entry in _entry(nodes, sides, beside, new):
                     heappush(heap, entry)
     return nodes
