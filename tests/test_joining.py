@@ -147,10 +147,14 @@ def test_what_fills_more_than_half_of_the_photos_is_the_room() -> None:
 
 
 def test_what_masks_hold_as_a_whole_stays_a_thing() -> None:
-    """A book on a sofa: every photo has a mask of it."""
+    """Every photo has a mask of the third piece: it is left out where it is small, else nothing is joined."""
     sure = np.array([UNSURE, UNSURE, 0.8, UNSURE], np.float32)
-    (thing,) = join(known(DOLL, [4000, 3000, 3000, 90_000]), sure)
+    (thing,) = join(known(DOLL, [4000, 3000, 500, 90_000]), sure)
     assert thing.members == [0, 1]
+    pairs = {(0, 1): (500, 0), (0, 2): (50, 1000), (1, 2): (20, 700)}
+    areas, whole = [4000, 4000, 90_000], np.float32(0.8)
+    assert len(join(known(pairs, areas), np.full(3, UNSURE))) == 1
+    assert join(known(pairs, areas), np.array([UNSURE, whole, UNSURE])) == []
 
 
 def test_a_table_that_stands_out_does_not_take_the_plates_on_it() -> None:

@@ -52,22 +52,29 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
 
     A set of pieces is one thing where it stands out (`RELIEF`) by `GAIN` more than its pieces do on average, and by no
     less than each large one of them. sure: of each piece how well single masks fit it; those that are `WHOLE` stay
-    what they are.
+    what they are: where one is large nothing is joined, and small ones are left out.
     """
     total = len(found.areas)
     roots, reliefs = np.arange(total), np.zeros(total)
     for k in range(len(TOLERANCES)):
         names, numbers = np.unique(roots, return_inverse=True)
-        whole = set(numbers[sure >= WHOLE].tolist())
-        nodes = _merged(found, numbers, k, len(names), whole)
+        nodes = _merged(found, numbers, k, len(names))
         areas = np.bincount(numbers, found.areas, len(names))
-        for members, relief in _standing_out(nodes, areas):
+        single = np.bincount(numbers, minlength=len(names)) == 1
+        for members, relief in _standing_out(nodes, areas, single & (sure[names] >= WHOLE)):
             roots[np.isin(numbers, members)] = names[members[0]]
             reliefs[names[members[0]]] = relief
     order = np.argsort(roots, kind="stable")
     starts = np.flatnonzero(np.diff(roots[order], prepend=NONE))
-    sets = [part.tolist() for part in np.split(order, starts[1:])] if total else []
-    return [Joined(part, float(reliefs[roots[part[0]]])) for part in sets if len(part) > 1]
+    sets = [part[_is_piece(part, found.areas, sure)] for part in np.split(order, starts[1:])] if total else []
+    return [Joined(part.tolist(), float(reliefs[roots[part[0]]])) for part in sets if len(part) > 1]
+
+
+def _is_piece(
+    members: Int64[np.ndarray, " k"], areas: Int64[np.ndarray, " n"], sure: Float32[np.ndarray, " n"]
+) -> Bool[np.ndarray, " k"]:
+    """Not so are small things on a thing, which masks hold as a whole."""
+    return np.asarray((areas[members] >= LARGE * areas[members].sum()) | (sure[members] < WHOLE))
 
 
 class _Node(NamedTuple):
@@ -75,17 +82,11 @@ class _Node(NamedTuple):
     outline: _Outline
 
 
-def _merged(
-    found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int, total: int, whole: set[int]
-) -> list[_Node]:
-    """The forest of merges, children first: best are those that share most of both outlines, where depth goes on.
-
-    whole: those that are merged with nothing.
-    """
+def _merged(found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int, total: int) -> list[_Node]:
+    """The forest of merges, children first: best are those that share most of both outlines, where depth goes on."""
     sides = _sides(found, numbers, tolerance)
     nodes = [_Node((), _outline(sides.get(node, {}))) for node in range(total)]
-    pairs = ((one, other) for one in sides for other in sides[one] if one < other and not {one, other} & whole)
-    heap = [entry for pair in pairs for entry in _entry(nodes, sides, *pair)]
+    heap = [entry for one in sides for other in sides[one] if one < other for entry in _entry(nodes, sides, one, other)]
     heapify(heap)
     while heap:
         _, one, other = heappop(heap)
@@ -93,7 +94,7 @@ def _merged(
             new = len(nodes)
             sides[new] = _united(sides, one, other, new)
             nodes.append(_Node((one, other), _outline(sides[new])))
-            for beside in sides[new].keys() - whole:
+            for beside in sides[new]:
                 for entry in _entry(nodes, sides, beside, new):
                     heappush(heap, entry)
     return nodes
@@ -148,21 +149,29 @@ def _entry(
         yield -shared, one, other
 
 
-def _standing_out(nodes: list[_Node], areas: Float64[np.ndarray, " n"]) -> Iterator[tuple[list[int], float]]:
+class _Leaf(NamedTuple):
+    relief: float
+    size: float
+    is_whole: bool
+
+
+def _standing_out(
+    nodes: list[_Node], areas: Float64[np.ndarray, " n"], whole: Bool[np.ndarray, " n"]
+) -> Iterator[tuple[list[int], float]]:
     """The leaves of the nodes that are things, none of them within another, with their relief."""
     sizes, worth = areas.tolist(), [node.outline.relief * area for node, area in zip(nodes, areas, strict=False)]
-    large = [[(node.outline.relief, size)] for node, size in zip(nodes, sizes, strict=False)]  # leaves of a node
+    large = [[_Leaf(nodes[leaf].outline.relief, sizes[leaf], bool(whole[leaf]))] for leaf in range(len(sizes))]
     most, is_thing = MOST * sum(sizes), [False] * len(nodes)
     for number, (children, outline) in enumerate(nodes[len(sizes) :], len(sizes)):
         size = sum(sizes[child] for child in children)
-        within = [leaf for child in children for leaf in large[child] if leaf[1] >= LARGE * size]
+        within = [leaf for child in children for leaf in large[child] if leaf.size >= LARGE * size]
         apart, together = sum(worth[child] for child in children), outline.relief * size
         is_thing[number] = (
             size <= most
             and outline.relief > RELIEF
             and together > apart + GAIN * size
-            and all(relief <= outline.relief for relief, _ in within)
-            and not any(part >= FINISHED * size and relief >= RELIEF for relief, part in within)
+            and all(leaf.relief <= outline.relief and not leaf.is_whole for leaf in within)
+            and not any(leaf.size >= FINISHED * size and leaf.relief >= RELIEF for leaf in within)
         )
         sizes.append(size)
         large.append(within)
