@@ -19,8 +19,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.study_answers import OUTLINES, best_iou
 from benchmarks.suite import places
+from benchmarks.suite.answers import best_iou, place_of
 from drsplat import LanguageField, MiniEncoder, Scene, load_field
 from drsplat.models.mini.lexicon import COLORS, MATERIALS
 from drsplat.query.defaults import MIN_GAUSSIANS
@@ -109,9 +109,7 @@ def main() -> None:
     print("| capture | colour | plain | objects | best threshold | absent: found |\n" + "|---" * 6 + "|")
     for given in arguments.places:
         folder, scene, path = given.split("=")
-        outlines = OUTLINES / f"{Path(folder).name}_outlines.json"
-        known = outlines if outlines.is_file() else None
-        place = places.capture(Path(folder), Path(scene), known, "graph", arguments.kept)
+        place = place_of(f"{folder}={scene}", "graph", arguments.kept)
         field = load_field(Path(path))
         some = study(place, field, Path(folder).name)
         ious += some[0]

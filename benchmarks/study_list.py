@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float64
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.study_answers import places_of
+from benchmarks.suite.answers import places_of
 from benchmarks.suite.instances import LEAST
 from benchmarks.suite.places import Place, with_wrong_masks
 from benchmarks.suite.trials import trial

@@ -22,8 +22,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.drawn_embeddings import unit
-from benchmarks.study_answers import places_of
 from benchmarks.study_objects import MINI, Room, room_of
+from benchmarks.suite.answers import places_of
 from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.trials import Means, Trial, trial
 from benchmarks.suite.vocabularies import Clip
@@ -123,7 +123,7 @@ def of_room(folder: Path, room: Room) -> dict[str, Counts]:
     rows = [unit(evidence.weights[at : at + 4096] @ evidence.embeddings) for at in range(0, len(evidence), 4096)]
     code, ids, scene = Means(np.concatenate(rows)), room.ids.astype(np.uint32), room.gaussians
     field = LanguageField(ids, code, MINI.identity, scene.fingerprint, len(scene), evidence)  # type: ignore[abstract]
-    field = replace(field, objects=find_objects(field, scene))
+    field = replace(field, objects=find_objects(field, scene, views=room.views))
     things = {one["id"]: (one["name"], one.get("color")) for one in truth["objects"]}
     things |= {one["id"]: (one["name"], None) for one in truth["structures"]}
     owners = room.owners[room.ids]

@@ -1,6 +1,7 @@
 """The benchmark that ships (benchmarks/suite): its page, its rival, and a run on shipped scenes."""
 
 import ast
+import importlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -398,3 +399,14 @@ def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
 def test_prose_of_the_page_is_at_most_120_wide() -> None:
     lines = [line for line in page.page(results()).split("\n") if not line.startswith("|")]
     assert 80 < max(map(len, lines)) <= 120
+
+
+@pytest.mark.parametrize("study", sorted(path.stem for path in (ROOT / "benchmarks").glob("study_*.py")))
+def test_studies_find_what_they_take_from_each_other(study: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))  # as where a script is run
+    try:
+        importlib.import_module(f"benchmarks.{study}")
+    except ModuleNotFoundError as error:
+        if str(error.name).split(".")[0] in ("benchmarks", "drsplat"):
+            raise
+        pytest.skip(f"{error.name} is not installed")
