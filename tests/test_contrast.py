@@ -22,6 +22,7 @@ from drsplat.query.contrast import (
     NEAR,
     TILT,
     contrast,
+    contrast_of,
     least_clear,
     middle_threshold,
     relevancy_threshold,
@@ -174,6 +175,15 @@ def test_the_cut_is_that_of_the_peak_where_nothing_is_clear() -> None:
 def test_in_larger_scenes_a_peak_has_to_be_higher() -> None:
     margin = np.log(1 / (1 / np.array([least_clear(rows) for rows in (1, MANY, 10 * MANY)]) - 1))
     assert_allclose(margin, [0.45, 0.45, 0.45 + CLEARER * np.log(10)])
+
+
+def test_a_peak_above_many_words_has_to_be_higher_than_one_above_few() -> None:
+    """A margin of 0.5 is found with a list of 299 words, and not with one of 300."""
+    values = relevancies(np.where(np.arange(1000) < PEAK, 0.5, -2.0))
+    texts = np.eye(CROWD, dtype=np.float32)
+    few, many = (contrast_of(texts[:2], texts[:count]).clear_margin for count in (CROWD - 1, CROWD))
+    assert (values > middle_threshold(values, clear_margin=few)).sum() == PEAK
+    assert not (values > middle_threshold(values, clear_margin=many)).any()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 50])

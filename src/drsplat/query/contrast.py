@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
 from ..field import LanguageField
-from .thresholds import CUT, PEAK, clear_threshold, peak_score
+from .thresholds import PEAK, clear_threshold, peak_score
 
 TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
 NEAR = 0.5  # cosine of two texts, seen from their mean: they mean the same and do not compete
@@ -23,8 +23,9 @@ SAMPLES = 4096  # pictures that say what is usual
 LEAST_SPREAD = 1e-3
 LEVEL = 0.5  # relevancy of what fits as well as the list
 CLEAR_MARGIN, CLEARER = 0.45, 0.05  # spreads that a peak stands above the list: in MANY rows, and for each e-fold more
+CLEAR_OF_MANY = 0.6  # the first of these for lists of CROWD words and more
 MANY = 50_000
-OWN = 0.6  # share of the query's own values in the threshold, against the level of the list
+OWN, UPPER = 0.6, 0.7  # of the threshold against the level of the list, and of the way from the middle to the peak
 TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
 Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
@@ -44,6 +45,11 @@ class Contrast:
     spread: float
     scores: Float32[np.ndarray, "r t"]
     words: UInt16[np.ndarray, "r t"]
+
+    @property
+    def clear_margin(self) -> float:
+        """Spreads that the peak of a query has to stand above the list. Of few words one often fits nearly as well."""
+        return CLEAR_OF_MANY if len(self.vectors) >= CROWD else CLEAR_MARGIN
 
     def height(self, peak: int = PEAK) -> float:
         """The cosine that enough rows for a thing reach with a word of the list, whichever fits them best."""
@@ -116,25 +122,29 @@ def contrast_of(
     return Contrast(vectors, usual, spread, scores, words)
 
 
-def relevancy_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) -> float:
-    """0.5, or the highest where too few rows stand clearly above: then nothing is found."""
-    return clear_threshold(relevancy, LEVEL, least_clear(len(relevancy)), peak=peak)
+def relevancy_threshold(
+    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK, clear_margin: float = CLEAR_MARGIN
+) -> float:
+    """Return 0.5, or the highest where too few rows stand clearly above: then nothing is found."""
+    return clear_threshold(relevancy, LEVEL, least_clear(len(relevancy), clear_margin), peak=peak)
 
 
-def least_clear(rows: int) -> float:
+def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
     """Return the relevancy that the peak of a query has to exceed: of more rows more fit any word by chance."""
-    return _sigmoid(CLEAR_MARGIN + CLEARER * float(np.log(max(rows, MANY) / MANY)))
+    return _sigmoid(margin + CLEARER * float(np.log(max(rows, MANY) / MANY)))
 
 
-def middle_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) -> float:
+def middle_threshold(
+    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK, clear_margin: float = CLEAR_MARGIN
+) -> float:
     """Return where to cut between what fits and what does not: above the list's level, where nearly all of what fits
     stands high above it.
 
-    In margins: 0.6 of what is 0.6 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
+    In margins: 0.6 of what is 0.7 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
     or `peak` rows. The level alone lets in what fits a little; the query's own values alone leave out half of what
     fits in part. Where too few rows stand clearly above the list it is the highest, and nothing is found.
     """
-    least = relevancy_threshold(relevancy, peak)
+    least = relevancy_threshold(relevancy, peak, clear_margin)
     if least != LEVEL or not len(relevancy):
         return least
     inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
@@ -142,7 +152,7 @@ def middle_threshold(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK) -> 
     worse = margins[margins < 0]
     middle = float(np.median(worse)) if len(worse) else 0.0
     height = peak_score(margins, max(peak, round(TOP * len(margins))))
-    return _sigmoid(OWN * (middle + CUT * (height - middle)))
+    return _sigmoid(OWN * (middle + UPPER * (height - middle)))
 
 
 def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndarray, "s D"]:

@@ -174,13 +174,16 @@ class Measuring:
         own = self.background.own_threshold if kept is None else None
         if own is not None:
             return self._measured(query, scores, (own, ENCODER))
-        values = None if self.cut.measures_relevancy else self._contrasted(query, scores, text)
-        if values is None:
+        known = None if self.cut.measures_relevancy else self.background.contrast_for(text)
+        values = None if known is None else self._contrasted(known, query, scores, text)
+        if known is None or values is None:
             return self._measured(query, scores, (None, AUTO))
-        default = self._list_threshold(scores, values), LIST
+        default = self._list_threshold(known, scores, values), LIST
         return self._cut(query, scores, values, RELEVANCY, default)
 
-    def _list_threshold(self, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> float:
+    def _list_threshold(
+        self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
+    ) -> float:
         """As relevancies have it, or the highest where cosines are too low for this scene.
 
         An encoder with a least peak knows few words, which lie far apart: what fits better than all of them is meant.
@@ -190,15 +193,16 @@ class Measuring:
         least = self.background.least_peak
         if peak_score(scores) <= least:
             return float(values.max())
-        return relevancy_threshold(values) if np.isfinite(least) else middle_threshold(values)
+        if np.isfinite(least):
+            return relevancy_threshold(values)
+        return middle_threshold(values, clear_margin=known.clear_margin)
 
     def _contrasted(
-        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
+        self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
     ) -> Float32[np.ndarray, " r"] | None:
         """`whole` only of encoders whose texts are sums of words, see `least_peak`; a colour has no halves."""
         background = self.background
-        known = background.contrast_for(text)
-        values = None if known is None else known.relevancy(query, scores)
+        values = known.relevancy(query, scores)
         is_sum = np.isfinite(background.least_peak) and rival_vectors(background.encoder, text) is None
         return whole(scores, values) if values is not None and is_sum else values
 
