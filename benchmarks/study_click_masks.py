@@ -17,7 +17,6 @@ from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.study_clicks import row
 from benchmarks.suite.answers import places_of
 from benchmarks.suite.outlines import Clicks, outlines_path, read_outlines
 from benchmarks.suite.places import Place
@@ -31,6 +30,15 @@ def clicks_of(place: Place, folder: Path, clip: Clip) -> Clicks:
     field = trial(place, clip, "rough", 0.0, 0).field
     outlines = read_outlines(outlines_path(folder.resolve().name))
     return Clicks(Scene(field, place.gaussians, views=place.views), outlines)
+
+
+def row(place: Place, clicks: Clicks, thing: str) -> str:
+    answers, best = zip(*(clicks.answered(thing, photo) for photo in clicks.masks[thing]), strict=True)
+    ious = np.array([answer.ious for answer in answers])
+    return (
+        f"| {place.name}: {thing} | {ious.mean():.2f} | {ious.min():.2f} to {ious.max():.2f} "
+        f"| {np.mean([found.mean for found in best]):.2f} | {limit(clicks, place, thing):.2f} |"
+    )
 
 
 def limit(clicks: Clicks, place: Place, thing: str) -> float:
@@ -49,14 +57,12 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, required=True)
     arguments = parser.parse_args()
     clip = Clip(arguments.clip)
-    print("| place, masks, thing | click | in single photos | best level | all pieces | pieces | limit |")
-    print("|---" * 7 + "|")
+    print("| place, masks, thing | click | in single photos | best level | limit |\n" + "|---" * 5 + "|")
     for given in arguments.captures:
         for place in places_of(given, arguments.kept):
             clicks = clicks_of(place, Path(given.partition("=")[0]), clip)
             for thing in clicks.masks:
-                cells = row(f"{place.name}: {thing}", list(clicks.of(thing)))
-                print(f"{cells} {limit(clicks, place, thing):.2f} |", flush=True)
+                print(row(place, clicks, thing), flush=True)
 
 
 if __name__ == "__main__":

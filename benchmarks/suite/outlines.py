@@ -121,12 +121,15 @@ class Clicks:
 
     def of(self, thing: str) -> Iterator[Click]:
         """A click in each of the photos, looked at in the others."""
-        for photo, mask in self.masks[thing].items():
-            click = (photo, *middle(mask))
-            answer = self.fit(thing, photo, "click", self.scene.ask(Query(click=click)).gaussian_ids)
-            best = max(self.levels(thing, click), key=lambda found: found.mean, default=answer)
-            whole, pieces = self.whole(thing, photo)
-            yield Click(photo, answer, best, whole, pieces)
+        for photo in self.masks[thing]:
+            answer, best = self.answered(thing, photo)
+            yield Click(photo, answer, best, *self.whole(thing, photo))
+
+    def answered(self, thing: str, photo: str) -> tuple[Found, Found]:
+        """Return what a click in a photo finds, and the best level there."""
+        click = (photo, *middle(self.masks[thing][photo]))
+        answer = self.fit(thing, photo, "click", self.scene.ask(Query(click=click)).gaussian_ids)
+        return answer, max(self.levels(thing, click), key=lambda found: found.mean, default=answer)
 
     def levels(self, thing: str, click: tuple[str, float, float]) -> Iterator[Found]:
         """Each node at the click, none where what is there is loose."""
