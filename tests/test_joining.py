@@ -14,6 +14,7 @@ from drsplat.field.objects import GROUP, PART, THING, check_forest
 from drsplat.objects.borders import TOLERANCES, Borders, borders
 from drsplat.objects.choosing import Tree
 from drsplat.objects.joining import Joined, join, with_joined
+from drsplat.objects.pairing import STANDS_OUT
 from splat_captures import look_at
 
 SIZE = 200
@@ -162,6 +163,35 @@ def test_a_table_that_stands_out_does_not_take_the_plates_on_it() -> None:
     assert join(known(pairs, [40_000, 2000, 1500, 90_000]), np.full(4, UNSURE)) == []
 
 
+HEAD_ON_BODY = {(0, 2): (100, 1000), (1, 2): (150, 1200), (1, 0): (140, 340)}
+"""Head and body before a wall: at most of the border between them depth jumps, at 140 pixels it goes on."""
+
+
+def test_two_things_that_touch_and_stand_out_more_together_are_one() -> None:
+    """Closed form: 1000 / 1270 and 1540 / 1860 by themselves, together 2200 / 2480, and 140 of 1240 pixels touch."""
+    areas, unsure = [9000, 9000, 90_000], np.full(3, UNSURE)
+    (thing,) = join(known(HEAD_ON_BODY, areas), unsure)
+    assert thing.members == [0, 1]
+    assert thing.relief == pytest.approx(2200 / 2480)
+    assert join(known(HEAD_ON_BODY | {(1, 0): (60, 420)}, areas), unsure) == []  # a touch
+    assert join(known(HEAD_ON_BODY | {(1, 2): (1400, 1200)}, areas), unsure) == []  # the body does not stand out
+    assert join(known(HEAD_ON_BODY, areas), np.array([UNSURE, 0.8, UNSURE], np.float32)) == []  # masks hold the body
+
+
+def test_a_thing_stays_apart_from_another_that_would_blur_it() -> None:
+    """It stands out by 1000 / 1150, the other by 400 / 730, both together by 1400 / 1650."""
+    pairs = {(0, 2): (20, 1000), (1, 2): (200, 400), (0, 1): (100, 0)}
+    assert join(known(pairs, [9000, 9000, 90_000]), np.full(3, UNSURE)) == []
+
+
+def test_things_of_several_pieces_are_paired() -> None:
+    """A head of two colours: joined by the first rounds, and with the body by the last one."""
+    pairs = {(1, 3): (150, 1200), (0, 3): (50, 500), (2, 3): (50, 500), (0, 2): (400, 0), (1, 0): (140, 340)}
+    (thing,) = join(known(pairs, [4500, 9000, 4500, 90_000]), np.full(4, UNSURE))
+    assert thing.members == [0, 1, 2]
+    assert thing.relief == pytest.approx(2200 / 2480)
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 12))
 def test_sets_are_disjoint_and_follow_the_pieces(seed: int, count: int) -> None:
@@ -177,7 +207,7 @@ def test_sets_are_disjoint_and_follow_the_pieces(seed: int, count: int) -> None:
     found = join(known(pairs, areas.tolist()), sure)
     members = [member for joined in found for member in joined.members]
     assert len(members) == len(set(members))
-    assert all(len(joined.members) > 1 and 0.7 < joined.relief <= 1 for joined in found)
+    assert all(len(joined.members) > 1 and STANDS_OUT < joined.relief <= 1 for joined in found)
     names = np.append(rng.permutation(count), count)
     renamed = {(int(names[a]), int(names[b])): counts for (a, b), counts in pairs.items()}
     places = np.argsort(names)

@@ -3,6 +3,7 @@
 In JSON: name of a photo -> name of a thing -> corners of its outline in pixels of the stored photo, as it was drawn.
 Outlines show what is visible of a thing. Where one thing lies on another and the outlines overlap, as a mouse on a mat,
 the pixels are the smaller one's; the functions here draw each outline alone and do not take them from the larger one.
+No corners mean that a thing is in sight and was not outlined: what the photo shows outside of outlines is not known.
 """
 
 import json
@@ -33,8 +34,15 @@ def outlines_path(capture: str) -> Path:
 
 
 def read_outlines(path: Path) -> Outlines:
-    outlines: Outlines = json.loads(path.read_text(encoding="utf-8"))
-    return outlines
+    """Return the outlines that were drawn."""
+    drawn = json.loads(path.read_text(encoding="utf-8"))
+    return {photo: {thing: corners for thing, corners in things.items() if corners} for photo, things in drawn.items()}
+
+
+def outlined_in_part(path: Path) -> set[str]:
+    """Return the photos that show things which are outlined in other photos only."""
+    drawn = json.loads(path.read_text(encoding="utf-8"))
+    return {photo for photo, things in drawn.items() if not all(things.values())}
 
 
 def inside(view: View, corners: list[list[float]]) -> np.ndarray:
@@ -113,12 +121,15 @@ class Clicks:
 
     def of(self, thing: str) -> Iterator[Click]:
         """A click in each of the photos, looked at in the others."""
-        for photo, mask in self.masks[thing].items():
-            click = (photo, *middle(mask))
-            answer = self.fit(thing, photo, "click", self.scene.ask(Query(click=click)).gaussian_ids)
-            best = max(self.levels(thing, click), key=lambda found: found.mean, default=answer)
-            whole, pieces = self.whole(thing, photo)
-            yield Click(photo, answer, best, whole, pieces)
+        for photo in self.masks[thing]:
+            answer, best = self.answered(thing, photo)
+            yield Click(photo, answer, best, *self.whole(thing, photo))
+
+    def answered(self, thing: str, photo: str) -> tuple[Found, Found]:
+        """Return what a click in a photo finds, and the best level there."""
+        click = (photo, *middle(self.masks[thing][photo]))
+        answer = self.fit(thing, photo, "click", self.scene.ask(Query(click=click)).gaussian_ids)
+        return answer, max(self.levels(thing, click), key=lambda found: found.mean, default=answer)
 
     def levels(self, thing: str, click: tuple[str, float, float]) -> Iterator[Found]:
         """Each node at the click, none where what is there is loose."""

@@ -28,7 +28,7 @@ from drsplat.masks.selection import mask_maps
 from drsplat.models.graph import GraphSegmenter
 
 from .masks import MASKS
-from .outlines import inside, read_outlines
+from .outlines import inside, outlined_in_part, read_outlines
 from .scenes import BenchScene, read_scene
 
 SIDE = 504  # pixels of the longer side of a capture's photos
@@ -179,12 +179,17 @@ def _true(scene: BenchScene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outlined(folder: Path, outlines: Path) -> tuple[list[str], dict[str, np.ndarray]]:
-    """Names of the things, and per outlined photo what each pixel shows; the rest counts one more."""
+    """Names of the things, and per outlined photo what each pixel shows; the rest counts one more.
+
+    What photos show outside of their outlines is not known where some things in sight were not outlined.
+    """
     drawn, views = read_outlines(outlines), {view.name: view for view in read_views(folder)}
+    in_part = outlined_in_part(outlines)
     names = sorted({thing for things in drawn.values() for thing in things})
     known = {}
     for photo, things in drawn.items():
-        ids = np.full((views[photo].height, views[photo].width), len(names), np.int32)
+        rest = UNKNOWN if photo in in_part else len(names)
+        ids = np.full((views[photo].height, views[photo].width), rest, np.int32)
         pixels = {thing: inside(views[photo], corners) for thing, corners in things.items()}
         for thing in sorted(pixels, key=lambda thing: -np.count_nonzero(pixels[thing])):  # small ones lie on large ones
             ids[pixels[thing]] = names.index(thing)

@@ -15,16 +15,15 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from ..field.objects import PART, THING
 from .borders import TOLERANCES, Borders
 from .choosing import NONE, Tree, _above, _owners
+from .pairing import paired
+from .sides import MOST, SHORT, Outline, Side, outline_of, sides_of, united
 
 GAIN, RELIEF = 0.1, 0.7  # of relief over that of the pieces, and least
 FINISHED = 0.8  # of the pixels of a join: a piece of so much that stands out by itself is a thing, with things on it
 LARGE = 0.1  # of the pixels of a join: pieces that may not stand out more than all together
 WHOLE = 0.6  # sureness of what single masks hold as a whole
-MOST = 0.5  # of all pixels: what has more is the room
 GOES_ON = 0.5  # of a border, without a jump
 LEAST = 0.02  # of both outlines that two pieces share: less is a touch
-FEW = 30  # pixels of border that a relief is held against
-SHORT = 20  # pixels: shorter outlines count as that
 
 
 class Joined(NamedTuple):
@@ -34,21 +33,8 @@ class Joined(NamedTuple):
     relief: float
 
 
-class _Outline(NamedTuple):
-    """Pixels of the border of a node with others: where it is in front, where depth goes on, and all."""
-
-    front: float
-    level: float
-    length: float
-
-    @property
-    def relief(self) -> float:
-        """The share of its border where a node stands in front of what is beside it; behind counts for neither."""
-        return self.front / (self.front + self.level + FEW)
-
-
 def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
-    """The pieces that are one thing, at the finest of TOLERANCES first.
+    """The pieces that are one thing, at the finest of TOLERANCES first, and the things that are one (`paired`) last.
 
     A set of pieces is one thing where it stands out (`RELIEF`) by `GAIN` more than its pieces do on average, and by no
     less than each large one of them. sure: of each piece how well single masks fit it; those that are `WHOLE` stay
@@ -56,18 +42,21 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
     """
     total = len(found.areas)
     roots, reliefs = np.arange(total), np.zeros(total)
-    for k in range(len(TOLERANCES)):
+    for k in range(len(TOLERANCES) + 1):
         names, numbers = np.unique(roots, return_inverse=True)
-        nodes = _merged(found, numbers, k, len(names))
         areas = np.bincount(numbers, found.areas, len(names))
-        single = np.bincount(numbers, minlength=len(names)) == 1
-        for members, relief in _standing_out(nodes, areas, single & (sure[names] >= WHOLE)):
+        whole = (np.bincount(numbers, minlength=len(names)) == 1) & (sure[names] >= WHOLE)
+        if k < len(TOLERANCES):
+            sets = list(_standing_out(_merged(found, numbers, k, len(names)), areas, whole))
+        else:
+            sets = paired(sides_of(found, numbers, k - 1), areas, whole)
+        for members, relief in sets:
             roots[np.isin(numbers, members)] = names[members[0]]
             reliefs[names[members[0]]] = relief
     order = np.argsort(roots, kind="stable")
     starts = np.flatnonzero(np.diff(roots[order], prepend=NONE))
-    sets = [part[_is_piece(part, found.areas, sure)] for part in np.split(order, starts[1:])] if total else []
-    return [Joined(part.tolist(), float(reliefs[roots[part[0]]])) for part in sets if len(part) > 1]
+    joined = [part[_is_piece(part, found.areas, sure)] for part in np.split(order, starts[1:])] if total else []
+    return [Joined(part.tolist(), float(reliefs[roots[part[0]]])) for part in joined if len(part) > 1]
 
 
 def _is_piece(
@@ -79,73 +68,35 @@ def _is_piece(
 
 class _Node(NamedTuple):
     children: tuple[int, ...]
-    outline: _Outline
+    outline: Outline
 
 
 def _merged(found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int, total: int) -> list[_Node]:
     """The forest of merges, children first: best are those that share most of both outlines, where depth goes on."""
-    sides = _sides(found, numbers, tolerance)
-    nodes = [_Node((), _outline(sides.get(node, {}))) for node in range(total)]
+    sides = sides_of(found, numbers, tolerance)
+    nodes = [_Node((), outline_of(sides.get(node, {}))) for node in range(total)]
     heap = [entry for one in sides for other in sides[one] if one < other for entry in _entry(nodes, sides, one, other)]
     heapify(heap)
     while heap:
         _, one, other = heappop(heap)
         if one in sides and other in sides:  # neither is part of another by now
             new = len(nodes)
-            sides[new] = _united(sides, one, other, new)
-            nodes.append(_Node((one, other), _outline(sides[new])))
+            sides[new] = united(sides, one, other, new)
+            nodes.append(_Node((one, other), outline_of(sides[new])))
             for beside in sides[new]:
                 for entry in _entry(nodes, sides, beside, new):
                     heappush(heap, entry)
     return nodes
 
 
-_Side = tuple[int, int, int]  # pixels: in front, level, behind
-
-
-def _sides(found: Borders, numbers: Int64[np.ndarray, " n"], tolerance: int) -> dict[int, dict[int, _Side]]:
-    """By node and neighbour the border between them, seen from the node."""
-    sides: dict[int, dict[int, _Side]] = {}
-    fronts, backs = numbers[found.front].tolist(), numbers[found.back].tolist()
-    levels = found.counts[:, tolerance].tolist()
-    for front, back, level, length in zip(fronts, backs, levels, found.counts[:, -1].tolist(), strict=True):
-        if front != back:
-            jumps = length - level
-            _add(sides.setdefault(front, {}), back, (jumps, level, 0))
-            _add(sides.setdefault(back, {}), front, (0, level, jumps))
-    return sides
-
-
-def _add(sides: dict[int, _Side], node: int, more: _Side) -> None:
-    known = sides.get(node, (0, 0, 0))
-    sides[node] = (known[0] + more[0], known[1] + more[1], known[2] + more[2])
-
-
-def _united(sides: dict[int, dict[int, _Side]], one: int, other: int, new: int) -> dict[int, _Side]:
-    """The sides of two nodes as those of a new one, which their neighbours know from now on instead."""
-    united: dict[int, _Side] = {}
-    for old in (one, other):
-        for beside, side in sides.pop(old).items():
-            if beside in (one, other):
-                continue
-            _add(united, beside, side)
-            _add(sides[beside], new, sides[beside].pop(old))
-    return united
-
-
-def _outline(sides: dict[int, _Side]) -> _Outline:
-    front, level, behind = (sum(side[k] for side in sides.values()) for k in range(3))
-    return _Outline(front, level, front + level + behind)
-
-
 def _entry(
-    nodes: list[_Node], sides: dict[int, dict[int, _Side]], one: int, other: int
+    nodes: list[_Node], sides: dict[int, dict[int, Side]], one: int, other: int
 ) -> Iterator[tuple[float, int, int]]:
     """For the heap, best first, where the two may be merged."""
     side = sides[one][other]
     lengths = nodes[one].outline.length * nodes[other].outline.length
-    shared = side[1] / max(lengths**0.5, SHORT)
-    if side[1] > GOES_ON * sum(side) and shared >= LEAST:
+    shared = side.level / max(lengths**0.5, SHORT)
+    if side.level > GOES_ON * sum(side) and shared >= LEAST:
         yield -shared, one, other
 
 
