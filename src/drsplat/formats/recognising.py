@@ -32,11 +32,11 @@ class Kind(Enum):
     FEATURES = "features of photos", "pass them as `--features` to `drsplat register SCENE CAPTURE`"
     PHOTOS = (
         "photos without poses",
-        f"find the poses first, with COLMAP (`colmap automatic_reconstructor`) or pycolmap; {_TUTORIAL}",
+        f"find the poses first: `drsplat capture PHOTOS --output capture`, or COLMAP's own program; {_TUTORIAL}",
     )
     UNREAD_PHOTOS = (
         "photos that cannot be read as they are (HEIC, AVIF or raw)",
-        f"convert them to JPEG (`magick mogrify -format jpg *.HEIC`), then find their poses; {_TUTORIAL}",
+        f"`drsplat capture PHOTOS --output capture` finds poses and reads HEIC; convert others to JPEG; {_TUTORIAL}",
     )
     VIDEO = (
         "a video",

@@ -1,0 +1,217 @@
+"""A folder of photos -> a capture: posed photos in COLMAP's layout, in a world that stands upright."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from ..errors import InputError
+from ..formats.claiming import claimed_folder
+from ..formats.colmap import read_colmap
+from ..formats.georeference import write_georeference
+from ..formats.photo_files import listed
+from ..formats.replacing import replacing
+from .finding import find_photos
+from .photos import Photo, bring
+from .posing import LENSES, Model, Posed, Posing, Progress
+from .program import ask_colmap, require_colmap
+from .reasons import reason_of
+from .work import FORMAT, MODEL, RECORD, VERSION, Work, is_ready, publish, refuse_overlap, refuse_strangers
+from .world import World, world_of
+
+FEWEST_PHOTOS = 3
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """lens: of `posing.LENSES`.
+
+    Raises: InputError: an unknown lens.
+    """
+
+    lens: str = "radial"
+
+    def __post_init__(self) -> None:
+        if self.lens not in LENSES:
+            raise InputError(f"lens: expected one of {', '.join(LENSES)}, got {self.lens!a}")
+
+
+def capture(
+    photos: str | Path,
+    output: str | Path,
+    settings: CaptureSettings | None = None,
+    *,
+    overwrite: bool = False,
+    threads: int = 0,
+    progress: Progress = lambda stage, done, total: None,
+) -> dict[str, Any]:
+    """Find where photos were taken, write the capture as a folder, and return its record (capture.json).
+
+    Photos are only read. A stopped run goes on where it was when it is called again. The random seed of COLMAP is
+    fixed.
+
+    Args:
+        photos: folder of JPEG, PNG, HEIC, WebP, TIFF or BMP files, also in folders below it.
+        output: folder to write: images/, sparse/0, capture.json and, where photos have GPS, georeference.json.
+        overwrite: replace a capture that is there; it stays until the new one is complete.
+        threads: of COLMAP, 0 for all cores.
+        progress: told of each stage.
+
+    Raises:
+        InputError: no photos, too few that overlap, an output that is in the way, a full disk.
+        MissingExtraError: pycolmap is not installed, or pillow-heif for HEIC photos.
+    """
+    require_colmap()
+    source, target = Path(photos), Path(output)
+    refuse_overlap(source, target)
+    with claimed_folder(target):
+        refuse_strangers(target, overwrite)
+        if not is_ready(target):
+            _make(source, target, settings or CaptureSettings(), threads, progress)
+        publish(target)
+    record: dict[str, Any] = json.loads((target / RECORD).read_text(encoding="utf-8"))
+    return record
+
+
+def _make(source: Path, output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
+    """Bring everything to where `publish` finds it."""
+    work = Work(output)
+    photos = _bring_all(source, work, progress)
+    taken = list({photo.file: photo for photo in reversed(photos) if photo.fault is None}.values())[::-1]
+    if len(taken) < FEWEST_PHOTOS:
+        raise InputError(_too_few(source, photos, len(taken)))
+    posed = Posing(work, taken, settings.lens, threads, progress).run()
+    if not posed.models:
+        raise InputError(_nothing_fits(source, taken, posed))
+    progress("world", 0, 1)
+    model = posed.models[0]
+    by_file = {photo.file: photo for photo in taken if photo.file in model.files}
+    names = capture_names(list(by_file.values()))
+    world = _placed(model, by_file, names, work)
+    work.new.joinpath("images").mkdir(exist_ok=True)
+    for file, name in names.items():
+        _moved(work.photos / file, work.new / "images" / name)
+    if world.georeference is not None:
+        write_georeference(work.new, world.georeference)
+    record = _record(photos, posed, world, settings)
+    with replacing(work.new / RECORD, overwrite=True) as written:
+        written.write(json.dumps(record, indent=1).encode())
+
+
+def _bring_all(source: Path, work: Work, progress: Progress) -> list[Photo]:
+    """Return all photos, brought into the work folder; those that an earlier run has brought are not read again."""
+    sources = find_photos(source)
+    known = _records(work.record)
+    photos = []
+    with work.record.open("a", encoding="utf-8") as record:
+        for done, one in enumerate(sources, 1):
+            key = f"{one.name} {one.num_bytes} {one.changed_ns}"
+            photo = known.get(key)
+            if photo is None or (photo.fault is None and not (work.photos / photo.file).is_file()):
+                photo = bring(one, work.photos)
+                record.write(json.dumps([key, photo.to_json()]) + "\n")
+                record.flush()
+            photos.append(photo)
+            progress("photos", done, len(sources))
+    return photos
+
+
+def _records(path: Path) -> dict[str, Photo]:
+    """Return the photos that an earlier run has brought; a line that was cut off ends them."""
+    photos: dict[str, Photo] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
+        try:
+            key, document = json.loads(line)
+            photos[key] = Photo.from_json(document)
+        except (ValueError, TypeError, KeyError):
+            continue
+    return photos
+
+
+def _too_few(source: Path, photos: Sequence[Photo], num_taken: int) -> str:
+    faults = [f"{photo.name} ({photo.fault})" for photo in photos if photo.fault is not None]
+    twins = len(photos) - num_taken - len(faults)
+    why = [f"{len(faults)} cannot be used: {listed(faults, 3)}"] if faults else []
+    why += [f"{twins} are copies of others"] if twins else []
+    because = f"; {'; '.join(why)}" if why else ""
+    return f"{source}: expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}"
+
+
+def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
+    """Return the name in the capture of each photo's file: as it was found, with the suffix that it has now.
+
+    Features are found by names without suffix, so two photos whose names differ in nothing else get their suffix
+    into the name.
+    """
+    names: dict[str, str] = {}
+    stems: set[str] = set()
+    for photo in photos:
+        path = PurePosixPath(photo.name)
+        given, suffix = path.suffix[1:], PurePosixPath(photo.file).suffix
+        same_kind = {"jpeg": "jpg"}.get(given.lower(), given.lower()) == suffix[1:]
+        stem = str(path.with_suffix(""))
+        while stem.lower() in stems:
+            stem += f"_{given}"
+        stems.add(stem.lower())
+        names[photo.file] = stem + (path.suffix if same_kind else suffix)
+    return names
+
+
+def _placed(model: Model, photos: dict[str, Photo], names: dict[str, str], work: Work) -> World:
+    """Write the model as it is in the capture's world, and return the world."""
+    views = read_colmap(model.folder)
+    facts = {file: photo.exif for file, photo in photos.items()}
+    world = world_of(views, facts, model.depth)
+    similarity = world.similarity
+    ask_colmap(
+        "place", work.log, model=str(model.folder), output=str(work.new / MODEL / "0"), names=names,
+        scale=similarity.scale, rotation=similarity.rotation.tolist(), translation=similarity.translation.tolist(),
+    )  # fmt: skip
+    return world
+
+
+def _moved(source: Path, target: Path) -> None:
+    """Rename a photo, unless an earlier run has."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if source.exists():
+        source.replace(target)
+
+
+def _nothing_fits(source: Path, photos: Sequence[Photo], posed: Posed) -> str:
+    """Return why there is no model, with the photos that are most to blame."""
+    reasons = [f"{photo.name} ({_reason(photo, photos, posed)})" for photo in photos]
+    return (
+        f"{source}: no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
+        "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
+    )
+
+
+def _reason(photo: Photo, photos: Sequence[Photo], posed: Posed) -> str:
+    return reason_of(photo, photos, posed.features, posed.pairs, [model.files for model in posed.models])
+
+
+def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:
+    """Return what capture.json says."""
+    model = posed.models[0]
+    first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
+    out = [photo for photo in photos if photo.file not in model.files or first[photo.file] is not photo]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "num_photos": len(photos),
+        "num_registered": len(model.files),
+        "num_points": model.num_points,
+        "reprojection_error_px": model.error_px,
+        "mapper": model.mapper,
+        "unit": world.unit,
+        "scale_from": world.scale_from,
+        "up": "+z" if world.up_from else None,
+        "up_from": world.up_from,
+        "georeferenced": world.georeference is not None,
+        "gps_residual_m": world.residual_m,
+        "left_out": [{"name": photo.name, "reason": _reason(photo, photos, posed)} for photo in out],
+        "settings": asdict(settings),
+        "made_by": {name: version(name) for name in ("drsplat", "pycolmap")},
+    }

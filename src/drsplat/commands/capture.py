@@ -1,0 +1,97 @@
+"""drsplat capture: photos -> posed photos."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from .options import add_overwrite
+
+if TYPE_CHECKING:
+    from ..progress import Meter
+
+SUMMARY = "find where photos were taken (COLMAP): a folder of photos to a capture that train and embed take"
+EXAMPLES = """\
+  drsplat capture photos --output capture
+  drsplat capture photos --output capture --lens opencv --json
+  drsplat train capture --output-dir model --iterations 7000
+
+The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
+photos. Needs COLMAP's package: pip install "drsplat[capture]"."""
+LENSES = ("pinhole", "radial", "opencv")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("photos", help="folder of photos: JPEG, PNG, HEIC, WebP, TIFF or BMP, also in subfolders")
+    parser.add_argument(
+        "--output", "-o", required=True, metavar="DIR",
+        help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
+    )  # fmt: skip
+    add_overwrite(parser)
+    parser.add_argument(
+        "--lens", choices=LENSES, default="radial",
+        help="what the lens does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
+        "radial and two tangential terms (wide angles) (default: radial)",
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..capture.capturing import CaptureSettings, capture
+    from ..system import peak_memory_bytes
+
+    with Stages(arguments.json) as stages:
+        record = capture(
+            arguments.photos, arguments.output, CaptureSettings(lens=arguments.lens),
+            overwrite=arguments.overwrite, threads=arguments.threads, progress=stages.update,
+        )  # fmt: skip
+    return {"capture": arguments.output, **record, "peak_memory_bytes": peak_memory_bytes()}
+
+
+class Stages:
+    """A `Meter` for each stage that is told of, one after the other."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet, self._stage = quiet, ""
+        self._meter: Meter | None = None
+
+    def __enter__(self) -> Stages:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._meter is not None:
+            self._meter.__exit__(None, None, None)
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        """Show that so much of a stage is done; the first word of another stage ends the one before."""
+        from ..progress import Meter
+
+        if stage != self._stage or self._meter is None:
+            self.__exit__()
+            self._stage, self._meter = stage, Meter(stage, total, quiet=self._quiet)
+        self._meter.update(done, "")
+
+
+def interrupted(arguments: argparse.Namespace) -> str:
+    """Return what a stopped run keeps, and how to go on."""
+    return f"what is done is kept in {arguments.output}: give the same command again to go on"
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import said, show_facts, show_table, size_said
+
+    registered, photos = answer["num_registered"], answer["num_photos"]
+    residual = answer["gps_residual_m"]
+    show_facts(
+        f"capture: {answer['capture']}",
+        {
+            "posed": f"{said(registered)} of {said(photos)} photos",
+            "points": f"{said(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
+            "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in units of no length",
+            "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
+            "GPS": "not used" if residual is None else f"{residual:.2f} m from the cameras (median)",
+            "peak memory": size_said(answer["peak_memory_bytes"]),
+        },
+    )
+    if answer["left_out"]:
+        rows = [(one["name"], one["reason"]) for one in answer["left_out"]]
+        show_table("Photos without a pose", ("photo", "why"), rows)
