@@ -16,7 +16,9 @@ import pytest
 from PIL import Image
 
 from drsplat.capture import program
-from drsplat.capture.capturing import CaptureSettings, capture
+from drsplat.capture.capturing import capture
+from drsplat.capture.measuring import KnownDistance, Place
+from drsplat.capture.settings import CaptureSettings
 from drsplat.capture.world import umeyama
 from drsplat.cli import main
 from drsplat.errors import InputError, MissingExtraError
@@ -286,3 +288,53 @@ def test_heic_photos_are_taken(good_photos: Path, tmp_path: Path) -> None:
 def test_an_unknown_lens_is_refused() -> None:
     with pytest.raises(InputError, match="lens: expected one of pinhole, radial"):
         CaptureSettings(lens="bent")
+
+
+def pixel_of(view: View, point: tuple[float, float, float]) -> tuple[float, float]:
+    """Where a camera of the room sees a point, metres."""
+    seen = view.K @ (view.cam_from_world[:3, :3] @ point + view.cam_from_world[:3, 3])
+    return float(seen[0] / seen[2]), float(seen[1] / seen[2])
+
+
+@has_colmap
+def test_a_known_distance_gives_metres_and_keeps_the_poses(
+    good_photos: Path, views: list[View], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two places on a side of the lower box, 80 cm apart, one of them at its edge, each in a photo of its own."""
+    line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "2", "--json"]
+    assert main(line) == 0
+    before = read_views(tmp_path / "c")
+    places = [(views[2], (0.4, -0.48, 0.6)), (views[4], (0.4, 0.32, 0.6))]
+    known = [part for view, point in places for part in (view.name, *map(str, pixel_of(view, point)))]
+    assert main([*line, "--known-distance", *known, "0.8", "--overwrite"]) == 0
+    record = json.loads((tmp_path / "c/capture.json").read_text())
+    assert (record["unit"], record["scale_from"]) == ("m", "--known-distance")
+    after = read_views(tmp_path / "c")
+    here, there = (np.array([view.center for view in each]) for each in (after, views))
+    assert umeyama(here, there).scale == pytest.approx(1, abs=0.02)
+    away, turned, _ = differences(before, after)
+    assert (away, turned) == pytest.approx((0, 0), abs=1e-4)
+    assert (tmp_path / "c/images/photo_00.jpg").is_file()
+    assert main([*line, "--scale", "2", "--overwrite"]) == 0
+    ratio = np.linalg.norm(read_views(tmp_path / "c")[0].center) / np.linalg.norm(before[0].center)
+    assert ratio == pytest.approx(2)
+    capsys.readouterr()
+    for wrong, words in (
+        (["nobody.jpg", "1", "1", *known[3:], "1"], "'nobody.jpg' has no pose"),
+        ([*known[:3], known[3], "4000", "1", "1"], "is not on photo_04.jpg, which is 400x300 upright"),
+        ([*known[:3], *known[:3], "1"], "both places are one"),
+    ):
+        assert main([*line, "--known-distance", *wrong, "--overwrite"]) == 1
+        assert words in capsys.readouterr().out
+    assert main([*line, "--known-distance", *known, "x", "--overwrite"]) == 2
+    assert len(read_views(tmp_path / "c")) == NUM_GOOD
+
+
+def test_lengths_are_said_once() -> None:
+    known = KnownDistance(Place("a", 1, 2), Place("b", 3, 4), 1.0)
+    with pytest.raises(InputError, match="give one"):
+        CaptureSettings(scale=1.0, known_distance=known)
+    with pytest.raises(InputError, match="scale: expected a number above 0, got 0"):
+        CaptureSettings(scale=0.0)
+    with pytest.raises(InputError, match="known_distance: expected metres above 0, got nan"):
+        KnownDistance(Place("a", 1, 2), Place("b", 3, 4), np.nan)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -13,29 +13,18 @@ from ..formats.colmap import read_colmap
 from ..formats.georeference import write_georeference
 from ..formats.photo_files import listed
 from ..formats.replacing import replacing
-from .finding import find_photos
+from .finding import Source, find_photos
+from .measuring import units_between
 from .photos import Photo, bring
-from .posing import LENSES, Model, Posed, Posing, Progress
+from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
 from .reasons import reason_of
+from .rescaling import STAYING, differs_in_scale, rescale, sources_key
+from .settings import KNOWN_DISTANCE, SCALE, CaptureSettings
 from .work import FORMAT, MODEL, RECORD, VERSION, Work, is_ready, publish, refuse_overlap, refuse_strangers
-from .world import World, world_of
+from .world import World, with_scale, world_of
 
 FEWEST_PHOTOS = 3
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """lens: of `posing.LENSES`.
-
-    Raises: InputError: an unknown lens.
-    """
-
-    lens: str = "radial"
-
-    def __post_init__(self) -> None:
-        if self.lens not in LENSES:
-            raise InputError(f"lens: expected one of {', '.join(LENSES)}, got {self.lens!a}")
 
 
 def capture(
@@ -55,7 +44,8 @@ def capture(
     Args:
         photos: folder of JPEG, PNG, HEIC, WebP, TIFF or BMP files, also in folders below it.
         output: folder to write: images/, sparse/0, capture.json and, where photos have GPS, georeference.json.
-        overwrite: replace a capture that is there; it stays until the new one is complete.
+        overwrite: replace a capture that is there; it stays until the new one is complete. Where only `scale` or
+            `known_distance` are others than before, poses stay, and lengths alone are made anew.
         threads: of COLMAP, 0 for all cores.
         progress: told of each stage.
 
@@ -64,45 +54,50 @@ def capture(
         MissingExtraError: pycolmap is not installed, or pillow-heif for HEIC photos.
     """
     require_colmap()
-    source, target = Path(photos), Path(output)
+    source, target, settings = Path(photos), Path(output), settings or CaptureSettings()
     refuse_overlap(source, target)
     with claimed_folder(target):
         refuse_strangers(target, overwrite)
+        kept: tuple[str, ...] = ()
         if not is_ready(target):
-            _make(source, target, settings or CaptureSettings(), threads, progress)
-        publish(target)
+            sources = find_photos(source)
+            if differs_in_scale(sources, target, settings):
+                rescale(sources, target, settings)
+                kept = STAYING
+            else:
+                _make(sources, target, settings, threads, progress)
+        publish(target, kept)
     record: dict[str, Any] = json.loads((target / RECORD).read_text(encoding="utf-8"))
     return record
 
 
-def _make(source: Path, output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
+def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
     """Bring everything to where `publish` finds it."""
     work = Work(output)
-    photos = _bring_all(source, work, progress)
+    photos = _bring_all(sources, work, progress)
     taken = list({photo.file: photo for photo in reversed(photos) if photo.fault is None}.values())[::-1]
     if len(taken) < FEWEST_PHOTOS:
-        raise InputError(_too_few(source, photos, len(taken)))
+        raise InputError(_too_few(photos, len(taken)))
     posed = Posing(work, taken, settings.lens, threads, progress).run()
     if not posed.models:
-        raise InputError(_nothing_fits(source, taken, posed))
+        raise InputError(_nothing_fits(taken, posed))
     progress("world", 0, 1)
     model = posed.models[0]
     by_file = {photo.file: photo for photo in taken if photo.file in model.files}
     names = capture_names(list(by_file.values()))
-    world = _placed(model, by_file, names, work)
+    world = _placed(model, by_file, names, work, settings)
     work.new.joinpath("images").mkdir(exist_ok=True)
     for file, name in names.items():
         _moved(work.photos / file, work.new / "images" / name)
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
-    record = _record(photos, posed, world, settings)
+    record = _record(photos, posed, world, settings, sources_key(sources))
     with replacing(work.new / RECORD, overwrite=True) as written:
         written.write(json.dumps(record, indent=1).encode())
 
 
-def _bring_all(source: Path, work: Work, progress: Progress) -> list[Photo]:
+def _bring_all(sources: Sequence[Source], work: Work, progress: Progress) -> list[Photo]:
     """Return all photos, brought into the work folder; those that an earlier run has brought are not read again."""
-    sources = find_photos(source)
     known = _records(work.record)
     photos = []
     with work.record.open("a", encoding="utf-8") as record:
@@ -130,13 +125,13 @@ def _records(path: Path) -> dict[str, Photo]:
     return photos
 
 
-def _too_few(source: Path, photos: Sequence[Photo], num_taken: int) -> str:
+def _too_few(photos: Sequence[Photo], num_taken: int) -> str:
     faults = [f"{photo.name} ({photo.fault})" for photo in photos if photo.fault is not None]
     twins = len(photos) - num_taken - len(faults)
     why = [f"{len(faults)} cannot be used: {listed(faults, 3)}"] if faults else []
     why += [f"{twins} are copies of others"] if twins else []
     because = f"; {'; '.join(why)}" if why else ""
-    return f"{source}: expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}"
+    return f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}"
 
 
 def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
@@ -159,11 +154,19 @@ def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
     return names
 
 
-def _placed(model: Model, photos: dict[str, Photo], names: dict[str, str], work: Work) -> World:
+def _placed(
+    model: Model, photos: dict[str, Photo], names: dict[str, str], work: Work, settings: CaptureSettings
+) -> World:
     """Write the model as it is in the capture's world, and return the world."""
     views = read_colmap(model.folder)
     facts = {file: photo.exif for file, photo in photos.items()}
     world = world_of(views, facts, model.depth)
+    if settings.scale is not None:
+        world = with_scale(world, settings.scale, SCALE)
+    elif settings.known_distance is not None:
+        by_name = {photo.name: photo.file for photo in photos.values()}
+        units = world.similarity.scale * units_between(settings.known_distance, model.folder, work.log, by_name)
+        world = with_scale(world, settings.known_distance.metres / units, KNOWN_DISTANCE)
     similarity = world.similarity
     ask_colmap(
         "place", work.log, model=str(model.folder), output=str(work.new / MODEL / "0"), names=names,
@@ -179,11 +182,11 @@ def _moved(source: Path, target: Path) -> None:
         source.replace(target)
 
 
-def _nothing_fits(source: Path, photos: Sequence[Photo], posed: Posed) -> str:
+def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
     """Return why there is no model, with the photos that are most to blame."""
     reasons = [f"{photo.name} ({_reason(photo, photos, posed)})" for photo in photos]
     return (
-        f"{source}: no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
+        f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
         "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
     )
 
@@ -192,7 +195,9 @@ def _reason(photo: Photo, photos: Sequence[Photo], posed: Posed) -> str:
     return reason_of(photo, photos, posed.features, posed.pairs, [model.files for model in posed.models])
 
 
-def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:
+def _record(
+    photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings, sources: str
+) -> dict[str, Any]:
     """Return what capture.json says."""
     model = posed.models[0]
     first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
@@ -212,6 +217,8 @@ def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: Captu
         "georeferenced": world.georeference is not None,
         "gps_residual_m": world.residual_m,
         "left_out": [{"name": photo.name, "reason": _reason(photo, photos, posed)} for photo in out],
+        "scale_factor": world.scale_factor,
+        "sources": sources,
         "settings": asdict(settings),
         "made_by": {name: version(name) for name in ("drsplat", "pycolmap")},
     }

@@ -18,16 +18,12 @@ from .finding import are_numbered
 from .looks import looks_of
 from .photos import Photo
 from .program import ColmapFailure, ask_colmap
+from .settings import LENSES
 from .work import Work
 
 FEATURES_SIDE_PX = 1200  # of the photos that features are found in
 DEFAULT_FOCAL_SHARE = 1.2 * 0.8  # of the diagonal: COLMAP's guess, 1.2 times the longer side of a photo of 4:3
 ENOUGH_SHARE = 0.95  # of the photos that overlap with others: where global mapping poses fewer, incremental has a try
-LENSES = {
-    "pinhole": ("SIMPLE_PINHOLE", 0), "radial": ("SIMPLE_RADIAL", 1), "opencv": ("OPENCV", 4),
-    "fisheye": ("OPENCV_FISHEYE", 4),
-}  # fmt: skip
-"""COLMAP's camera model of each lens, and its number of distortion parameters."""
 _TWO_FOCAL = ("OPENCV", "OPENCV_FISHEYE")
 
 Progress = Callable[[str, int, int], None]

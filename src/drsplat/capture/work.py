@@ -7,6 +7,7 @@ place, the model last: a folder without sparse/0 is no capture, and a move that 
 
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +58,17 @@ def refuse_overlap(photos: Path, output: Path) -> None:
         raise InputError(f"{output}: the photos in {photos} stay as they are: name an output beside their folder")
 
 
-def publish(output: Path) -> None:
-    """Move what is ready into place; also the rest of what an earlier run began to move."""
+def publish(output: Path, kept: Sequence[str] = ()) -> None:
+    """Move what is ready into place; also the rest of what an earlier run began to move.
+
+    kept: parts that stay as they are where there are no new ones; others go.
+    """
     work = output / WORK
     ready = work / READY
     if not ready.exists():
+        parts = [part for part in PARTS if part in kept or (work / "new" / part).exists()]
         with replacing(ready) as file:
-            file.write(json.dumps([part for part in PARTS if (work / "new" / part).exists()]).encode())
+            file.write(json.dumps(parts).encode())
     parts = json.loads(ready.read_text(encoding="utf-8"))
     if (work / "new" / MODEL).exists():
         _remove(output / MODEL)  # from here on there is no capture, until the new model comes last

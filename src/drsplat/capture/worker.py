@@ -20,6 +20,7 @@ SEED = 0
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 8, 64
 MAX_FEATURES = 4096
 FEWEST_PHOTOS = 3  # of a model
+FEWEST_POINTS = 15  # that a photo has to see
 DEPTHS = 2000  # points whose distances are looked at
 ERRORS_ONLY = 2  # of glog's levels
 
@@ -73,7 +74,8 @@ def map_globally(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads, options.random_seed = request["threads"], SEED
     options.min_model_size, options.image_names = FEWEST_PHOTOS, request["names"]
-    return _described(pycolmap.global_mapping(request["database"], request["images"], request["output"], options))
+    models = pycolmap.global_mapping(request["database"], request["images"], request["output"], options)
+    return _described(models, request["output"])
 
 
 def map_incrementally(request: dict[str, Any], line: TextIO) -> list[dict[str, Any]]:
@@ -91,7 +93,7 @@ def map_incrementally(request: dict[str, Any], line: TextIO) -> list[dict[str, A
     models = pycolmap.incremental_mapping(
         request["database"], request["images"], request["output"], options, next_image_callback=count
     )
-    return _described(models)
+    return _described(models, request["output"])
 
 
 def place(request: dict[str, Any], _: TextIO) -> None:
@@ -108,7 +110,26 @@ def place(request: dict[str, Any], _: TextIO) -> None:
     model.write_binary(request["output"])
 
 
-def _described(models: dict[int, pycolmap.Reconstruction]) -> list[dict[str, Any]]:
+def look(request: dict[str, Any], _: TextIO) -> dict[str, Any]:
+    """Return where a photo was taken, the ray of a pixel (of depth 1), and the pixels and depths of its points."""
+    model = pycolmap.Reconstruction(request["model"])
+    image = next(image for image in model.images.values() if image.name == request["name"])
+    camera, pose = model.cameras[image.camera_id], image.cam_from_world()
+    seen = [point for point in image.points2D if point.has_point3D()]
+    across, down = camera.cam_from_img(request["pixel"])
+    return {
+        "size": [camera.width, camera.height],
+        "center": image.projection_center().tolist(),
+        "ray": (pose.rotation.inverse() * [across, down, 1.0]).tolist(),
+        "pixels": [point.xy.tolist() for point in seen],
+        "depths": [float((pose * model.points3D[point.point3D_id].xyz)[2]) for point in seen],
+    }
+
+
+def _described(models: dict[int, pycolmap.Reconstruction], output: str) -> list[dict[str, Any]]:
+    for index, model in models.items():
+        if _drop_unsupported(model):
+            model.write_binary(str(Path(output, str(index))))
     return [
         {
             "folder": str(index),
@@ -118,7 +139,27 @@ def _described(models: dict[int, pycolmap.Reconstruction]) -> list[dict[str, Any
             "depth": _typical_depth(model),
         }
         for index, model in models.items()
+        if model.num_reg_images() >= FEWEST_PHOTOS
     ]
+
+
+def _drop_unsupported(model: pycolmap.Reconstruction) -> bool:
+    """Take the poses of photos that see too few points; return whether there were some.
+
+    Global mapping poses a photo by relations to others alone, also where no point holds it: such poses are anywhere.
+    """
+    dropped = False
+    while True:
+        weak = [
+            image.frame_id
+            for image in model.images.values()
+            if image.has_pose and sum(point.has_point3D() for point in image.points2D) < FEWEST_POINTS
+        ]
+        if not weak:
+            return dropped
+        dropped = True
+        for frame in weak:
+            model.deregister_frame(frame)
 
 
 def _typical_depth(model: pycolmap.Reconstruction) -> float:
@@ -138,7 +179,7 @@ def _say(line: TextIO, **said: Any) -> None:
     print(json.dumps(said), file=line, flush=True)
 
 
-TASKS = {task.__name__: task for task in (add_cameras, extract, match, map_globally, map_incrementally, place)}
+TASKS = {task.__name__: task for task in (add_cameras, extract, match, map_globally, map_incrementally, place, look)}
 
 
 def main() -> None:

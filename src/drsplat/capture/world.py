@@ -35,7 +35,7 @@ class World:
 
     unit: "m" or "units". up_from: "GPS", "gravity", "horizons" or "" (unknown). scale_from: "GPS", "--scale",
     "--known-distance" or "". georeference: where its zero is on the Earth. residual_m: median distance of the cameras
-    from their GPS positions, None without.
+    from their GPS positions, None without. scale_factor: what people made lengths longer by.
     """
 
     similarity: Similarity
@@ -44,6 +44,7 @@ class World:
     scale_from: str
     georeference: Georeference | None = None
     residual_m: float | None = None
+    scale_factor: float = 1.0
 
 
 def world_of(views: Sequence[View], facts: Mapping[str, ExifFacts], depth: float) -> World:
@@ -64,7 +65,7 @@ def with_scale(world: World, factor: float, source: str) -> World:
     """Return the world with lengths times `factor`, in metres; its zero on the Earth stays where it is."""
     given = world.similarity
     similarity = Similarity(given.scale * factor, given.rotation, given.translation * factor)
-    return replace(world, similarity=similarity, unit="m", scale_from=source)
+    return replace(world, similarity=similarity, unit="m", scale_from=source, scale_factor=factor)
 
 
 def _upright(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> tuple[Rotation, str]:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite
+from .options import add_overwrite, finite, length
 
 if TYPE_CHECKING:
+    from ..capture.settings import CaptureSettings
     from ..progress import Meter
 
 SUMMARY = "find where photos were taken (COLMAP): a folder of photos to a capture that train and embed take"
 EXAMPLES = """\
   drsplat capture photos --output capture
   drsplat capture photos --output capture --lens opencv --json
+  drsplat capture photos --output capture --known-distance a.jpg 310 540 b.jpg 1200 610 0.9 --overwrite
   drsplat train capture --output-dir model --iterations 7000
 
 The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
-photos. Needs COLMAP's package: pip install "drsplat[capture]"."""
+photos. Where there is a capture and only --scale or --known-distance is new, --overwrite keeps its poses. Needs
+COLMAP's package: pip install "drsplat[capture]"."""
 LENSES = ("pinhole", "radial", "opencv")
 
 
@@ -28,6 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
     )  # fmt: skip
     add_overwrite(parser)
+    size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
+    size.add_argument(
+        "--known-distance", nargs=7, metavar=("PHOTO", "X", "Y", "PHOTO", "X", "Y", "METRES"),
+        help="metres between two places, each by a pixel (x right, y down) of an upright photo in its full size",
+    )  # fmt: skip
+    size.add_argument(
+        "--scale", type=length, metavar="FACTOR", help="metres of a unit that the capture has without this option"
+    )
     parser.add_argument(
         "--lens", choices=LENSES, default="radial",
         help="what the lens does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
@@ -36,15 +47,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..capture.capturing import CaptureSettings, capture
+    from ..capture.capturing import capture
     from ..system import peak_memory_bytes
 
     with Stages(arguments.json) as stages:
         record = capture(
-            arguments.photos, arguments.output, CaptureSettings(lens=arguments.lens),
+            arguments.photos, arguments.output, _settings(arguments),
             overwrite=arguments.overwrite, threads=arguments.threads, progress=stages.update,
         )  # fmt: skip
     return {"capture": arguments.output, **record, "peak_memory_bytes": peak_memory_bytes()}
+
+
+def _settings(arguments: argparse.Namespace) -> CaptureSettings:
+    from ..capture.measuring import KnownDistance, Place
+    from ..capture.settings import CaptureSettings
+    from .parsing import UsageError
+
+    known = None
+    if arguments.known_distance is not None:
+        one, x1, y1, other, x2, y2, metres = arguments.known_distance
+        try:
+            numbers = [finite(text) for text in (x1, y1, x2, y2, metres)]
+        except argparse.ArgumentTypeError as error:
+            raise UsageError(f"--known-distance: {error}") from None
+        known = KnownDistance(Place(one, *numbers[:2]), Place(other, *numbers[2:4]), numbers[4])
+    return CaptureSettings(arguments.lens, arguments.scale, known)
 
 
 class Stages:
