@@ -274,7 +274,8 @@ def test_photos_without_texture_are_an_error_that_names_them(tmp_path: Path) -> 
 
 @has_colmap
 def test_heic_photos_are_taken(good_photos: Path, tmp_path: Path) -> None:
-    heif = pytest.importorskip("pillow_heif", reason='needs pip install "drsplat[capture]"')
+    pytest.importorskip("pi_heif", reason='needs pip install "drsplat[capture]"')
+    heif = pytest.importorskip("pillow_heif", reason="needs pillow-heif, which can write HEIC")
     (tmp_path / "photos").mkdir()
     for path in sorted(good_photos.iterdir())[:5]:
         with Image.open(path) as photo:

@@ -1,4 +1,4 @@
-"""A folder of photos -> a capture: posed photos in COLMAP's layout, in a world that stands upright."""
+"""A folder of photos or a video -> a capture: posed photos in COLMAP's layout, in a world that stands upright."""
 
 import json
 from collections.abc import Sequence
@@ -21,6 +21,7 @@ from .program import ask_colmap, require_colmap
 from .reasons import reason_of
 from .rescaling import STAYING, differs_in_scale, rescale, sources_key
 from .settings import KNOWN_DISTANCE, SCALE, CaptureSettings
+from .videos import is_video, take_frames, video_source
 from .work import FORMAT, MODEL, RECORD, VERSION, Work, is_ready, publish, refuse_overlap, refuse_strangers
 from .world import World, with_scale, world_of
 
@@ -42,7 +43,7 @@ def capture(
     fixed.
 
     Args:
-        photos: folder of JPEG, PNG, HEIC, WebP, TIFF or BMP files, also in folders below it.
+        photos: folder of JPEG, PNG, HEIC, WebP, TIFF or BMP files, also in folders below it; or a video.
         output: folder to write: images/, sparse/0, capture.json and, where photos have GPS, georeference.json.
         overwrite: replace a capture that is there; it stays until the new one is complete. Where only `scale` or
             `known_distance` are others than before, poses stay, and lengths alone are made anew.
@@ -51,7 +52,7 @@ def capture(
 
     Raises:
         InputError: no photos, too few that overlap, an output that is in the way, a full disk.
-        MissingExtraError: pycolmap is not installed, or pillow-heif for HEIC photos.
+        MissingExtraError: pycolmap is not installed, or pi-heif for HEIC photos.
     """
     require_colmap()
     source, target, settings = Path(photos), Path(output), settings or CaptureSettings()
@@ -60,7 +61,7 @@ def capture(
         refuse_strangers(target, overwrite)
         kept: tuple[str, ...] = ()
         if not is_ready(target):
-            sources = find_photos(source)
+            sources = [video_source(source)] if is_video(source) else find_photos(source)
             if differs_in_scale(sources, target, settings):
                 rescale(sources, target, settings)
                 kept = STAYING
@@ -73,7 +74,11 @@ def capture(
 
 def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
     """Bring everything to where `publish` finds it."""
-    work = Work(output)
+    work, film = Work(output), None
+    key = sources_key(sources)
+    if is_video(sources[0].path):
+        film = take_frames(sources[0], work, progress)
+        sources = find_photos(work.frames)
     photos = _bring_all(sources, work, progress)
     taken = list({photo.file: photo for photo in reversed(photos) if photo.fault is None}.values())[::-1]
     if len(taken) < FEWEST_PHOTOS:
@@ -91,7 +96,7 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
         _moved(work.photos / file, work.new / "images" / name)
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
-    record = _record(photos, posed, world, settings, sources_key(sources))
+    record = _record(photos, posed, world, settings) | {"sources": key, "video": film}
     with replacing(work.new / RECORD, overwrite=True) as written:
         written.write(json.dumps(record, indent=1).encode())
 
@@ -195,9 +200,7 @@ def _reason(photo: Photo, photos: Sequence[Photo], posed: Posed) -> str:
     return reason_of(photo, photos, posed.features, posed.pairs, [model.files for model in posed.models])
 
 
-def _record(
-    photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings, sources: str
-) -> dict[str, Any]:
+def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:
     """Return what capture.json says."""
     model = posed.models[0]
     first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
@@ -218,7 +221,6 @@ def _record(
         "gps_residual_m": world.residual_m,
         "left_out": [{"name": photo.name, "reason": _reason(photo, photos, posed)} for photo in out],
         "scale_factor": world.scale_factor,
-        "sources": sources,
         "settings": asdict(settings),
         "made_by": {name: version(name) for name in ("drsplat", "pycolmap")},
     }

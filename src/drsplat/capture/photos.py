@@ -85,7 +85,7 @@ class _Decoded(NamedTuple):
 def bring(source: Source, folder: Path) -> Photo:
     """Check a photo, write it upright into a folder under a name made of its digest, and return what it is.
 
-    Raises: InputError: it cannot be written. MissingExtraError: HEIC, and pillow-heif is not installed.
+    Raises: InputError: it cannot be written. MissingExtraError: HEIC, and pi-heif is not installed.
     """
     try:
         decoded = _decoded(source)
@@ -188,9 +188,9 @@ def turned_down(down: Vector | None, orientation: int) -> Vector | None:
 
 
 def add_heif() -> None:
-    """Teach Pillow to read HEIC. Raises: MissingExtraError: pillow-heif is not installed."""
+    """Teach Pillow to read HEIC. Raises: MissingExtraError: pi-heif is not installed."""
     try:
-        from pillow_heif import register_heif_opener
+        from pi_heif import register_heif_opener
     except ImportError:
-        raise MissingExtraError(f"HEIC photos need pillow-heif: {INSTALL}") from None
+        raise MissingExtraError(f"HEIC photos need pi-heif: {INSTALL}") from None
     register_heif_opener()

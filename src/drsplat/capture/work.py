@@ -27,7 +27,7 @@ class Work:
     def __init__(self, output: Path) -> None:
         self.output, self.folder = output, output / WORK
         self.photos, self.record, self.log = (self.folder / name for name in ("photos", "photos.jsonl", "colmap.log"))
-        self.new = self.folder / "new"
+        self.new, self.frames = self.folder / "new", self.folder / "frames"
         self.photos.mkdir(parents=True, exist_ok=True)
 
     def remembered(self, name: str) -> Any:
@@ -53,7 +53,7 @@ def refuse_strangers(output: Path, overwrite: bool) -> None:
 
 def refuse_overlap(photos: Path, output: Path) -> None:
     """Raises: InputError: the output is the photos' own folder, in it, or around it."""
-    source, target = photos.resolve(), output.resolve()
+    source, target = photos.resolve(), output.resolve()  # a video, too, is not to lie in what is made of it
     if source == target or source in target.parents or target in source.parents:
         raise InputError(f"{output}: the photos in {photos} stay as they are: name an output beside their folder")
 

@@ -1,4 +1,4 @@
-"""drsplat capture: photos -> posed photos."""
+"""drsplat capture: photos or a video -> posed photos."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from ..capture.settings import CaptureSettings
     from ..progress import Meter
 
-SUMMARY = "find where photos were taken (COLMAP): a folder of photos to a capture that train and embed take"
+SUMMARY = "find where photos were taken (COLMAP): photos or a video to a capture that train and embed take"
 EXAMPLES = """\
   drsplat capture photos --output capture
+  drsplat capture walk.mp4 --output capture
   drsplat capture photos --output capture --lens opencv --json
   drsplat capture photos --output capture --known-distance a.jpg 310 540 b.jpg 1200 610 0.9 --overwrite
   drsplat train capture --output-dir model --iterations 7000
@@ -25,7 +26,9 @@ LENSES = ("pinhole", "radial", "opencv")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("photos", help="folder of photos: JPEG, PNG, HEIC, WebP, TIFF or BMP, also in subfolders")
+    parser.add_argument(
+        "photos", help="folder of photos (JPEG, PNG, HEIC, WebP, TIFF, BMP; also in subfolders), or a video"
+    )
     parser.add_argument(
         "--output", "-o", required=True, metavar="DIR",
         help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
@@ -112,6 +115,7 @@ def show(answer: dict[str, Any]) -> None:
         f"capture: {answer['capture']}",
         {
             "posed": f"{said(registered)} of {said(photos)} photos",
+            **({} if answer["video"] is None else {"frames": _frames_said(answer["video"])}),
             "points": f"{said(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
             "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in units of no length",
             "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
@@ -122,3 +126,12 @@ def show(answer: dict[str, Any]) -> None:
     if answer["left_out"]:
         rows = [(one["name"], one["reason"]) for one in answer["left_out"]]
         show_table("Photos without a pose", ("photo", "why"), rows)
+
+
+def _frames_said(counts: dict[str, int]) -> str:
+    from .tables import said
+
+    return (
+        f"{said(counts['num_chosen'])} of {said(counts['num_frames'])} became photos, "
+        f"{said(counts['num_blurred'])} were blurred, {said(counts['num_still'])} showed nothing new"
+    )

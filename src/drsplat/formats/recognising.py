@@ -40,8 +40,7 @@ class Kind(Enum):
     )
     VIDEO = (
         "a video",
-        "take two or three pictures of each second (`ffmpeg -i VIDEO -vf fps=2 -qscale:v 2 DIR/images/%04d.jpg`), then "
-        f"find their poses; {_TUTORIAL}",
+        f"`drsplat capture VIDEO --output capture` takes sharp pictures of it and finds their poses; {_TUTORIAL}",
     )
     PHOTO = "a single photo", "name the folder that holds the photos and their poses"
     ARCHIVE = "an archive", "unpack it and name the folder"
