@@ -16,12 +16,15 @@ import pytest
 from PIL import Image
 
 from drsplat.capture import program
-from drsplat.capture.capturing import capture
+from drsplat.capture.capturing import _bring_all, capture
+from drsplat.capture.finding import find_photos
 from drsplat.capture.measuring import KnownDistance, Place
+from drsplat.capture.posing import camera_key
 from drsplat.capture.settings import CaptureSettings
+from drsplat.capture.work import Work
 from drsplat.capture.world import umeyama
 from drsplat.cli import main
-from drsplat.errors import InputError, MissingExtraError
+from drsplat.errors import FormatError, InputError, MissingExtraError
 from drsplat.formats.captures import read_sparse_points, read_views
 from drsplat.scene.photos import load_image
 from drsplat.scene.views import View
@@ -339,3 +342,39 @@ def test_lengths_are_said_once() -> None:
         CaptureSettings(scale=0.0)
     with pytest.raises(InputError, match="known_distance: expected metres above 0, got nan"):
         KnownDistance(Place("a", 1, 2), Place("b", 3, 4), np.nan)
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+from drsplat.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@has_colmap
+@pytest.mark.parametrize("limit", [20_000, 400_000], ids=["for photos", "for features"])
+def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(limit: int, good_photos: Path, tmp_path: Path) -> None:
+    pytest.importorskip("resource", reason="this system has no limits on files")
+    line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "1"]
+    program = [sys.executable, "-c", LIMITED.format(limit=limit)]
+    ran = subprocess.run([*program, *line], capture_output=True, text=True)
+    assert ran.returncode == 1
+    assert "there is no room left" in ran.stderr
+    assert ran.stderr.count("\n") == 1
+    assert main([*line, "--json"]) == 0
+    assert len(read_views(tmp_path / "c")) == NUM_GOOD
+
+
+@has_colmap
+def test_a_damaged_database_is_a_sentence(good_photos: Path, tmp_path: Path) -> None:
+    (tmp_path / "c/.work").mkdir(parents=True)
+    (tmp_path / "c/.work/radial.db").write_bytes(b"no database" * 1000)
+    cameras = {camera_key(photo): 1 for photo in _bring_all(find_photos(good_photos), Work(tmp_path / "c"), quietly)}
+    (tmp_path / "c/.work/radial.json").write_text(json.dumps(cameras))
+    with pytest.raises(FormatError, match=r"database in .* is damaged.*remove that folder"):
+        capture(good_photos, tmp_path / "c")
+
+
+def quietly(*_: object) -> None:
+    """Take progress and say nothing."""

@@ -24,7 +24,9 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)) as database:
             yield database
     except sqlite3.Error as error:
-        raise FormatError(f"{path}: damaged ({error}): start anew with overwrite=True") from error
+        raise FormatError(
+            f"COLMAP's database in {path.parent} is damaged ({error}): remove that folder, and start anew"
+        ) from error
 
 
 def num_features(database: sqlite3.Connection) -> dict[str, int]:

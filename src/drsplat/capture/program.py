@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -12,8 +13,10 @@ from typing import Any
 from ..errors import DrSplatError, FormatError, InputError, MissingExtraError
 
 INSTALL = 'pip install "drsplat[capture]"'
-LOG_TAIL_BYTES = 2000
+LOG_BYTES = 1 << 20
+LEAST_ROOM_BYTES = 1 << 20  # a disk with less is full
 _FULL = ("disk is full", "No space left", "disk I/O error")
+_DAMAGED = ("malformed", "not a database", "No registered database factory")
 
 Report = Callable[[int], None]
 
@@ -41,6 +44,7 @@ def ask_colmap(task: str, log: Path, report: Report | None = None, **request: An
             start_new_session=True,
         ) as process,
     ):  # fmt: skip
+        start = errors.tell()
         assert process.stdin is not None
         assert process.stdout is not None
         try:
@@ -53,7 +57,7 @@ def ask_colmap(task: str, log: Path, report: Report | None = None, **request: An
             process.kill()
     if "answer" in last:
         return last["answer"]
-    raise _failure(task, last.get("error") or _tail(log), log)
+    raise _failure(task, last.get("error") or _last_words(log, start), log)
 
 
 def _last_line(lines: Iterable[str], report: Report | None) -> dict[str, Any]:
@@ -68,19 +72,20 @@ def _last_line(lines: Iterable[str], report: Report | None) -> dict[str, Any]:
 
 
 def _failure(task: str, said: str, log: Path) -> DrSplatError:
-    if any(words in said for words in _FULL):
+    if any(words in said for words in _FULL) or shutil.disk_usage(log.parent).free < LEAST_ROOM_BYTES:
         return InputError(
             f"{log.parent}: there is no room left while COLMAP worked there: free some space and give the same "
             "command again, what is done is kept"
         )
-    if "malformed" in said or "not a database" in said:
-        return FormatError(f"{log.parent}: COLMAP's database is damaged: start anew with overwrite=True")
+    if any(words in said for words in _DAMAGED):
+        return FormatError(f"COLMAP's database in {log.parent} is damaged: remove that folder, and start anew")
     return ColmapFailure(f"COLMAP could not {task.replace('_', ' ')}: {said.strip() or 'it ended without a word'}")
 
 
-def _tail(log: Path) -> str:
-    """Return the last line that COLMAP printed."""
+def _last_words(log: Path, start: int) -> str:
+    """Return what COLMAP printed before it was ended: the error that it did not catch, else its last line."""
     with log.open("rb") as file:
-        file.seek(max(0, log.stat().st_size - LOG_TAIL_BYTES))
-        lines = file.read().decode("utf-8", "replace").strip().splitlines()
-    return lines[-1] if lines else ""
+        file.seek(start)
+        lines = file.read(LOG_BYTES).decode("utf-8", "replace").strip().splitlines()
+    errors = [line.partition("what():")[2] for line in lines if "what():" in line]
+    return (errors or lines[-1:] or [""])[0].strip()
