@@ -15,7 +15,7 @@ from drsplat.capture.capturing import capture_names
 from drsplat.capture.exif import APPLE, ExifFacts, exif_facts
 from drsplat.capture.finding import are_numbered, find_photos, in_order
 from drsplat.capture.photos import Photo, bring, sharpness, turned_down
-from drsplat.capture.reasons import reason_of
+from drsplat.capture.reasons import Reasons
 from drsplat.errors import InputError
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (80, 100, 3), np.uint8)
@@ -183,7 +183,7 @@ def test_reasons() -> None:
     del features["g.jpg"]
     pairs = {("a.jpg", "e.jpg"): 17}
     models = [["a.jpg"], ["f.jpg", "x.jpg"]]
-    said = [reason_of(photo, photos, features, pairs, models) for photo in photos[1:]]
+    said = [Reasons(photos, features, pairs, models).of(photo) for photo in photos[1:]]
     expected = (
         "hardly any texture, or is blurred: 20", "it is blurred", "no overlap", "at most 17", "another place",
         "could not read",

@@ -18,7 +18,7 @@ from .measuring import units_between
 from .photos import Photo, bring
 from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
-from .reasons import reason_of
+from .reasons import Reasons
 from .rescaling import STAYING, differs_in_scale, rescale, sources_key
 from .settings import KNOWN_DISTANCE, SCALE, CaptureSettings
 from .videos import is_video, take_frames, video_source
@@ -88,7 +88,8 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
         raise InputError(_nothing_fits(taken, posed))
     progress("world", 0, 1)
     model = posed.models[0]
-    by_file = {photo.file: photo for photo in taken if photo.file in model.files}
+    kept = set(model.files)
+    by_file = {photo.file: photo for photo in taken if photo.file in kept}
     names = capture_names(list(by_file.values()))
     world = _placed(model, by_file, names, work, settings)
     work.new.joinpath("images").mkdir(exist_ok=True)
@@ -189,22 +190,21 @@ def _moved(source: Path, target: Path) -> None:
 
 def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
     """Return why there is no model, with the photos that are most to blame."""
-    reasons = [f"{photo.name} ({_reason(photo, photos, posed)})" for photo in photos]
+    why = Reasons(photos, posed.features, posed.pairs, [])
+    reasons = [f"{photo.name} ({why.of(photo)})" for photo in photos]
     return (
         f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
         "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
     )
 
 
-def _reason(photo: Photo, photos: Sequence[Photo], posed: Posed) -> str:
-    return reason_of(photo, photos, posed.features, posed.pairs, [model.files for model in posed.models])
-
-
 def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:
     """Return what capture.json says."""
     model = posed.models[0]
     first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
-    out = [photo for photo in photos if photo.file not in model.files or first[photo.file] is not photo]
+    kept = set(model.files)
+    out = [photo for photo in photos if photo.file not in kept or first[photo.file] is not photo]
+    why = Reasons(photos, posed.features, posed.pairs, [one.files for one in posed.models])
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -219,7 +219,7 @@ def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: Captu
         "up_from": world.up_from,
         "georeferenced": world.georeference is not None,
         "gps_residual_m": world.residual_m,
-        "left_out": [{"name": photo.name, "reason": _reason(photo, photos, posed)} for photo in out],
+        "left_out": [{"name": photo.name, "reason": why.of(photo)} for photo in out],
         "scale_factor": world.scale_factor,
         "settings": asdict(settings),
         "made_by": {name: version(name) for name in ("drsplat", "pycolmap")},
