@@ -14,8 +14,10 @@ from ..formats.georeference import write_georeference
 from ..formats.photo_files import listed
 from ..formats.replacing import replacing
 from .finding import Source, find_photos
+from .masks import FOLDER as MASKS
+from .masks import SUFFIX as MASK_SUFFIX
 from .measuring import units_between
-from .photos import Photo, bring
+from .photos import Photo, bring, mask_path
 from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
 from .reasons import Reasons
@@ -79,7 +81,7 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
     if is_video(sources[0].path):
         film = take_frames(sources[0], work, progress)
         sources = find_photos(work.frames)
-    photos = _bring_all(sources, work, progress)
+    photos = _bring_all(sources, work, progress, settings.invert_masks)
     taken = list({photo.file: photo for photo in reversed(photos) if photo.fault is None}.values())[::-1]
     if len(taken) < FEWEST_PHOTOS:
         raise InputError(_too_few(photos, len(taken)))
@@ -95,6 +97,7 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
     work.new.joinpath("images").mkdir(exist_ok=True)
     for file, name in names.items():
         _moved(work.photos / file, work.new / "images" / name)
+        _moved(mask_path(work.photos, file), work.new / MASKS / (name + MASK_SUFFIX))
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
     record = _record(photos, posed, world, settings) | {"sources": key, "video": film}
@@ -102,16 +105,16 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
         written.write(json.dumps(record, indent=1).encode())
 
 
-def _bring_all(sources: Sequence[Source], work: Work, progress: Progress) -> list[Photo]:
+def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert_masks: bool = False) -> list[Photo]:
     """Return all photos, brought into the work folder; those that an earlier run has brought are not read again."""
     known = _records(work.record)
     photos = []
     with work.record.open("a", encoding="utf-8") as record:
         for done, one in enumerate(sources, 1):
-            key = f"{one.name} {one.num_bytes} {one.changed_ns}"
+            key = f"{one.name} {one.num_bytes} {one.changed_ns} {one.mask is not None and invert_masks}"
             photo = known.get(key)
             if photo is None or (photo.fault is None and not (work.photos / photo.file).is_file()):
-                photo = bring(one, work.photos)
+                photo = bring(one, work.photos, invert_masks)
                 record.write(json.dumps([key, photo.to_json()]) + "\n")
                 record.flush()
             photos.append(photo)
@@ -182,9 +185,9 @@ def _placed(
 
 
 def _moved(source: Path, target: Path) -> None:
-    """Rename a photo, unless an earlier run has."""
-    target.parent.mkdir(parents=True, exist_ok=True)
+    """Rename a photo or a mask, unless there is none, or an earlier run has."""
     if source.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
         source.replace(target)
 
 

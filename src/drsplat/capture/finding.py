@@ -8,10 +8,11 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..formats.photo_files import safe_name
+from .masks import FOLDER as MASKS
+from .masks import mask_folder, mask_of
 
 PHOTO_ENDS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif"}
 VIDEO_ENDS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
-MASK_FOLDER = "masks"
 MOST_PHOTOS = 50_000
 NUMBERED_SHARE = 0.8  # of the photos, for all of them to count as numbered
 MOST_STEP = 50  # between numbers of photos that follow each other: frames of a film are often thinned out
@@ -20,12 +21,16 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(frozen=True)
 class Source:
-    """A photo as it was found. name: relative to the folder, with forward slashes; num_bytes and changed_ns: of it."""
+    """A photo as it was found.
+
+    name: relative to the folder, with forward slashes. num_bytes and changed_ns: of its mask, too, where it has one.
+    """
 
     name: str
     path: Path
     num_bytes: int
     changed_ns: int
+    mask: Path | None = None
 
 
 def find_photos(folder: Path) -> list[Source]:
@@ -35,21 +40,27 @@ def find_photos(folder: Path) -> list[Source]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of photos or a video")
-    sources = []
+    sources, masks = [], mask_folder(folder)
     for parent, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != MASK_FOLDER)
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != MASKS)
         for file in files:
             path = Path(parent, file)
             if path.suffix.lower() in PHOTO_ENDS and not file.startswith(".") and path.is_file():
                 name = safe_name(path.relative_to(folder).as_posix(), str(folder))
-                found = path.stat()
-                sources.append(Source(name, path, found.st_size, found.st_mtime_ns))
+                sources.append(_source(name, path, mask_of(masks, name)))
         if len(sources) > MOST_PHOTOS:
             raise InputError(f"{folder}: expected at most {MOST_PHOTOS:,} photos, found more: capture a part at a time")
     if not sources:
         kinds = ", ".join(sorted(end[1:] for end in PHOTO_ENDS))
         raise InputError(f"{folder}: there is no photo in it: expected files that end in {kinds}")
+    if masks is not None and not any(source.mask for source in sources):
+        raise InputError(f"{masks}: no mask in it has a photo's name: expected NAME.jpg.png or NAME.png for NAME.jpg")
     return sorted(sources, key=lambda source: in_order(source.name))
+
+
+def _source(name: str, path: Path, mask: Path | None) -> Source:
+    found = [each.stat() for each in (path, mask) if each is not None]
+    return Source(name, path, sum(each.st_size for each in found), max(each.st_mtime_ns for each in found), mask)
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:

@@ -21,6 +21,9 @@ from ..scene.photos import PHOTO_FORMATS
 from ..scene.picture_costs import check_cost
 from .exif import ExifFacts, exif_facts
 from .finding import Source
+from .masks import FOLDER as MASKS
+from .masks import SUFFIX as MASK_SUFFIX
+from .masks import bring_mask
 
 Vector = tuple[float, float, float]
 
@@ -80,16 +83,20 @@ class _Decoded(NamedTuple):
     suffix: str
     sharpness: float
     exif: ExifFacts
+    orientation: int = 1
 
 
-def bring(source: Source, folder: Path) -> Photo:
+def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
     """Check a photo, write it upright into a folder under a name made of its digest, and return what it is.
 
-    Raises: InputError: it cannot be written. MissingExtraError: HEIC, and pi-heif is not installed.
+    Its mask comes to the folder `masks` beside it, and into its name.
+
+    Raises: InputError: it cannot be written. MismatchError, FormatError: of a mask. MissingExtraError: HEIC, and
+    pi-heif is not installed.
     """
     try:
         decoded = _decoded(source)
-        digest = hash_file(source.path)[:DIGEST_LETTERS]
+        digest = _digest(source, invert_masks)
     except UnreadablePhoto as error:
         return Photo(source.name, fault=str(error))
     path = folder / (digest + decoded.suffix)
@@ -100,7 +107,23 @@ def bring(source: Source, folder: Path) -> Photo:
             decoded.upright.save(output, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
         else:
             decoded.upright.save(output, format="PNG")
+    if source.mask is not None:
+        target = mask_path(folder, path.name)
+        bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert_masks)
     return Photo(source.name, path.name, decoded.width, decoded.height, decoded.sharpness, decoded.exif)
+
+
+def mask_path(folder: Path, file: str) -> Path:
+    """Return where the mask of a photo in the folder is, named as COLMAP expects it."""
+    return folder.parent / MASKS / (file + MASK_SUFFIX)
+
+
+def _digest(source: Source, invert_masks: bool) -> str:
+    """Return a name of the contents of a photo and its mask."""
+    photo = hash_file(source.path)
+    if source.mask is None:
+        return photo[:DIGEST_LETTERS]
+    return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert_masks else ''}"
 
 
 def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
@@ -148,7 +171,7 @@ def _from_coded(coded: Image.Image) -> _Decoded:
     upright = ImageOps.exif_transpose(as_rgb(coded))
     exif = replace(exif, down=turned_down(exif.down, orientation))
     upright.info.clear()
-    return _Decoded(upright, *upright.size, suffix, _sharpness_of(upright), exif)
+    return _Decoded(upright, *upright.size, suffix, _sharpness_of(upright), exif, orientation)
 
 
 def _orientation(coded: Image.Image) -> int:

@@ -91,7 +91,7 @@ class Posing:
             groups.setdefault(ids[camera_key(photo)], []).append(photo.file)
         listed = [{"camera_id": number, "names": names} for number, names in groups.items()]
         self._ask(
-            "extract", groups=listed, max_side=FEATURES_SIDE_PX, masks=None,
+            "extract", groups=listed, max_side=FEATURES_SIDE_PX, masks=str(self.work.masks),
             report=lambda done: self.progress("features", done, len(self.photos)),
         )  # fmt: skip
 

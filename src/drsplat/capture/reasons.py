@@ -43,7 +43,7 @@ class Reasons:
         matches = self._best_matches.get(photo.file, 0)
         if matches < FEW_MATCHES:
             return "no overlap: it shows nothing that another photo shows"
-        return f"too little overlap: at most {matches} places in common with another photo"
+        return f"too little overlap or movement: at most {matches} places in common with another photo"
 
     @cached_property
     def _first(self) -> dict[str, Photo]:

@@ -18,7 +18,7 @@ class CaptureSettings:
     """How photos become a capture.
 
     lens: of `LENSES`. scale: metres of a unit that the capture has without it. known_distance: between two places in
-    photos, in place of `scale`.
+    photos, in place of `scale`. invert_masks: black is kept, white left out.
 
     Raises: InputError: an unknown lens, a scale that is not above 0, or both.
     """
@@ -26,6 +26,7 @@ class CaptureSettings:
     lens: str = "radial"
     scale: float | None = None
     known_distance: KnownDistance | None = None
+    invert_masks: bool = False
 
     def __post_init__(self) -> None:
         if self.lens not in LENSES:

@@ -26,9 +26,11 @@ class Work:
 
     def __init__(self, output: Path) -> None:
         self.output, self.folder = output, output / WORK
-        self.photos, self.record, self.log = (self.folder / name for name in ("photos", "photos.jsonl", "colmap.log"))
+        self.photos, self.masks = self.folder / "photos", self.folder / "masks"
+        self.record, self.log = self.folder / "photos.jsonl", self.folder / "colmap.log"
         self.new, self.frames = self.folder / "new", self.folder / "frames"
         self.photos.mkdir(parents=True, exist_ok=True)
+        self.masks.mkdir(exist_ok=True)
 
     def remembered(self, name: str) -> Any:
         """Return a JSON document that `remember` wrote, None where there is none."""

@@ -40,8 +40,7 @@ def extract(request: dict[str, Any], line: TextIO) -> None:
     for group in request["groups"]:
         reader = pycolmap.ImageReaderOptions()
         reader.existing_camera_id = group["camera_id"]
-        if request["masks"]:
-            reader.mask_path = request["masks"]
+        reader.mask_path = request["masks"]
         for at in range(0, len(group["names"]), PHOTOS_AT_ONCE):
             names = group["names"][at : at + PHOTOS_AT_ONCE]
             pycolmap.extract_features(

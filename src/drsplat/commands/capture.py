@@ -34,6 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
     )  # fmt: skip
     add_overwrite(parser)
+    parser.add_argument(
+        "--invert-masks", action="store_true",
+        help="in masks/, keep what is black and leave out what is white (default: the other way round)",
+    )  # fmt: skip
     size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
     size.add_argument(
         "--known-distance", nargs=7, metavar=("PHOTO", "X", "Y", "PHOTO", "X", "Y", "METRES"),
@@ -74,7 +78,7 @@ def _settings(arguments: argparse.Namespace) -> CaptureSettings:
         except argparse.ArgumentTypeError as error:
             raise UsageError(f"--known-distance: {error}") from None
         known = KnownDistance(Place(one, *numbers[:2]), Place(other, *numbers[2:4]), numbers[4])
-    return CaptureSettings(arguments.lens, arguments.scale, known)
+    return CaptureSettings(arguments.lens, arguments.scale, known, arguments.invert_masks)
 
 
 class Stages:
