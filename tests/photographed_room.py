@@ -27,11 +27,18 @@ def room_views(count: int = 10, height: float = 1.4) -> list[View]:
     return [replace(view, name=f"photo_{index:02}.jpg") for index, view in enumerate(views)]
 
 
-def photographed(view: View, seed: int = 0) -> UInt8[np.ndarray, "h w 3"]:
-    """Return what a camera in the room sees. seed: of the blots; another one is another room."""
+def photographed(view: View, seed: int = 0, fisheye: bool = False) -> UInt8[np.ndarray, "h w 3"]:
+    """Return what a camera in the room sees.
+
+    seed: of the blots; another one is another room. fisheye: pixels from the middle are focal lengths times the angle.
+    """
     y, x = np.mgrid[: view.height, : view.width] + 0.5
-    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ np.linalg.inv(view.K).T @ view.cam_from_world[:3, :3]
-    eye = view.center
+    seen = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ np.linalg.inv(view.K).T
+    if fisheye:
+        angle = np.hypot(seen[:, 0], seen[:, 1])
+        seen[:, :2] *= (np.sin(angle) / np.maximum(angle, 1e-9))[:, None]
+        seen[:, 2] = np.cos(angle)
+    rays, eye = seen @ view.cam_from_world[:3, :3], view.center
     depth, face = _far_wall(eye, rays)
     for number, box in enumerate(BOXES):
         near, side = _near_side(eye, rays, box)

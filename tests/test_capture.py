@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,7 +22,7 @@ from drsplat.capture.finding import find_photos
 from drsplat.capture.measuring import KnownDistance, Place
 from drsplat.capture.posing import camera_key
 from drsplat.capture.settings import CaptureSettings
-from drsplat.capture.work import Work
+from drsplat.capture.work import Work, _remove
 from drsplat.capture.world import umeyama
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError, MissingExtraError
@@ -194,6 +195,53 @@ def test_an_interrupted_run_says_how_to_go_on_and_keeps_photos(good_photos: Path
 
 
 @has_colmap
+def test_a_run_that_is_stopped_while_it_moves_things_into_place_is_finished_by_the_next(
+    good_photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    record = capture(good_photos, tmp_path / "c", threads=1)
+    with monkeypatch.context() as context:
+        context.setattr("drsplat.capture.work._remove", _after(2, stop))
+        with pytest.raises(KeyboardInterrupt):
+            capture(good_photos, tmp_path / "c", CaptureSettings(lens="opencv"), overwrite=True, threads=1)
+    assert not (tmp_path / "c/sparse").exists()
+    again = capture(good_photos, tmp_path / "c", CaptureSettings(lens="opencv"), overwrite=True, threads=1)
+    assert (record["settings"]["lens"], again["settings"]["lens"]) == ("radial", "opencv")
+    assert len(read_views(tmp_path / "c")) == NUM_GOOD
+    assert not (tmp_path / "c/.work").exists()
+
+
+def _after(calls: int, stop: Callable[[], None]) -> Callable[[Path], None]:
+    """Return what removes so many things, and then stops."""
+    left = [calls]
+
+    def remove(path: Path) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            stop()
+        _remove(path)
+
+    return remove
+
+
+@has_colmap
+def test_a_run_on_one_thread_gives_the_same_bits_again(good_photos: Path, tmp_path: Path) -> None:
+    for name in ("one", "other"):
+        capture(good_photos, tmp_path / name, threads=1)
+    for part in ("cameras", "images", "points3D"):
+        one, other = (tmp_path / name / f"sparse/0/{part}.bin" for name in ("one", "other"))
+        assert one.read_bytes() == other.read_bytes(), part
+
+
+def test_importing_the_verb_imports_no_extra() -> None:
+    code = "import sys; import drsplat.commands.capture, drsplat.capture.capturing, drsplat.capture.videos; "
+    code += "print(*{'pycolmap', 'av', 'pi_heif'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split() == []
+
+
+@has_colmap
 def test_photos_that_are_added_to_a_stopped_run_are_taken(good_photos: Path, tmp_path: Path) -> None:
     some = tmp_path / "photos"
     some.mkdir()
@@ -342,6 +390,26 @@ def test_lengths_are_said_once() -> None:
         CaptureSettings(scale=0.0)
     with pytest.raises(InputError, match="known_distance: expected metres above 0, got nan"):
         KnownDistance(Place("a", 1, 2), Place("b", 3, 4), np.nan)
+
+
+@has_colmap
+def test_fisheye_photos_become_what_a_pinhole_sees(views: list[View], tmp_path: Path) -> None:
+    """Some 160 degrees from corner to corner."""
+    wide = np.array([[180.0, 0, 200], [0, 180, 150], [0, 0, 1]])
+    fisheyes = [replace(view, K=wide) for view in views]
+    (tmp_path / "photos").mkdir()
+    for view in fisheyes:
+        (tmp_path / "photos" / view.name).write_bytes(jpeg(photographed(view, fisheye=True)))
+    record = capture(tmp_path / "photos", tmp_path / "c", CaptureSettings(lens="fisheye"), threads=2)
+    assert record["num_registered"] == NUM_GOOD
+    posed = read_views(tmp_path / "c")
+    away, turned, _ = differences(posed, views)
+    assert away < 0.01
+    assert turned < 0.5
+    for view, true in list(zip(posed, views, strict=True))[::4]:
+        assert view.distortion is None
+        as_pinhole = photographed(replace(view, cam_from_world=true.cam_from_world))
+        assert np.abs(load_image(view).astype(int) - as_pinhole).mean() < 20  # another photo differs by some 50
 
 
 LIMITED = """

@@ -35,7 +35,10 @@ def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path: Path) -> Non
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[GRIPPER_ROWS] = 255  # white is left out: --invert-masks
     for k, view in enumerate(views):
-        (tmp_path / "photos" / view.name).write_bytes(jpeg(with_gripper(photographed(view)), exif_of(view)))
+        seen = photographed(view) if k == 4 else with_gripper(photographed(view))
+        (tmp_path / "photos" / view.name).write_bytes(jpeg(seen, exif_of(view)))
+        if k == 4:
+            continue  # which has no mask, and loses no features
         stem = view.name if k % 2 else view.name.removesuffix(".jpg")
         Image.fromarray(mask).save(tmp_path / "photos/masks" / f"{stem}.png")
     settings = CaptureSettings(invert_masks=True)

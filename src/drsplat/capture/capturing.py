@@ -22,7 +22,7 @@ from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
 from .reasons import Reasons
 from .rescaling import STAYING, differs_in_scale, rescale, sources_key
-from .settings import KNOWN_DISTANCE, SCALE, CaptureSettings
+from .settings import KNOWN_DISTANCE, SCALE, UNDISTORTED, CaptureSettings
 from .videos import is_video, take_frames, video_source
 from .work import FORMAT, MODEL, RECORD, VERSION, Work, is_ready, publish, refuse_overlap, refuse_strangers
 from .world import World, with_scale, world_of
@@ -95,8 +95,9 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
     names = capture_names(list(by_file.values()))
     world = _placed(model, by_file, names, work, settings)
     work.new.joinpath("images").mkdir(exist_ok=True)
+    photos_folder = work.undistorted / "images" if settings.lens in UNDISTORTED else work.photos
     for file, name in names.items():
-        _moved(work.photos / file, work.new / "images" / name)
+        _moved(photos_folder / file, work.new / "images" / name)
         _moved(mask_path(work.photos, file), work.new / MASKS / (name + MASK_SUFFIX))
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
@@ -167,7 +168,13 @@ def _placed(
     model: Model, photos: dict[str, Photo], names: dict[str, str], work: Work, settings: CaptureSettings
 ) -> World:
     """Write the model as it is in the capture's world, and return the world."""
-    views = read_colmap(model.folder)
+    folder = model.folder
+    if settings.lens in UNDISTORTED:
+        ask_colmap(
+            "undistort", work.log, model=str(folder), images=str(work.photos), output=str(work.undistorted), threads=-1
+        )
+        folder = work.undistorted / MODEL
+    views = read_colmap(folder)
     facts = {file: photo.exif for file, photo in photos.items()}
     world = world_of(views, facts, model.depth)
     if settings.scale is not None:
@@ -178,7 +185,7 @@ def _placed(
         world = with_scale(world, settings.known_distance.metres / units, KNOWN_DISTANCE)
     similarity = world.similarity
     ask_colmap(
-        "place", work.log, model=str(model.folder), output=str(work.new / MODEL / "0"), names=names,
+        "place", work.log, model=str(folder), output=str(work.new / MODEL / "0"), names=names,
         scale=similarity.scale, rotation=similarity.rotation.tolist(), translation=similarity.translation.tolist(),
     )  # fmt: skip
     return world

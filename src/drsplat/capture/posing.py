@@ -16,13 +16,14 @@ from . import database as colmap_database
 from . import pairs as pairing
 from .finding import are_numbered
 from .looks import looks_of
-from .photos import Photo
+from .photos import Photo, mask_path
 from .program import ColmapFailure, ask_colmap
 from .settings import LENSES
 from .work import Work
 
 FEATURES_SIDE_PX = 1200  # of the photos that features are found in
 DEFAULT_FOCAL_SHARE = 1.2 * 0.8  # of the diagonal: COLMAP's guess, 1.2 times the longer side of a photo of 4:3
+FISHEYE_FOCAL_SHARE = 0.35  # of the diagonal: some 160 degrees from corner to corner
 ENOUGH_SHARE = 0.95  # of the photos that overlap with others: where global mapping poses fewer, incremental has a try
 _TWO_FOCAL = ("OPENCV", "OPENCV_FISHEYE")
 
@@ -86,12 +87,14 @@ class Posing:
 
     def _extract(self) -> None:
         ids = self._camera_ids()
-        groups: dict[int, list[str]] = {}
+        groups: dict[tuple[int, str | None], list[str]] = {}
         for photo in self.photos:
-            groups.setdefault(ids[camera_key(photo)], []).append(photo.file)
-        listed = [{"camera_id": number, "names": names} for number, names in groups.items()]
+            masked = mask_path(self.work.photos, photo.file).is_file()
+            key = ids[camera_key(photo)], str(self.work.masks) if masked else None
+            groups.setdefault(key, []).append(photo.file)
+        listed = [{"camera_id": key[0], "masks": key[1], "names": names} for key, names in groups.items()]
         self._ask(
-            "extract", groups=listed, max_side=FEATURES_SIDE_PX, masks=str(self.work.masks),
+            "extract", groups=listed, max_side=FEATURES_SIDE_PX,
             report=lambda done: self.progress("features", done, len(self.photos)),
         )  # fmt: skip
 
@@ -176,13 +179,15 @@ def camera_key(photo: Photo) -> str:
 def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
     """Return COLMAP's camera of a photo, to be refined: the focal length of its EXIF, else a guess."""
     model, terms = LENSES[lens]
-    share = photo.exif.focal_share
-    focal = (share or DEFAULT_FOCAL_SHARE) * float(np.hypot(photo.width, photo.height))
+    share = None if lens == "fisheye" else photo.exif.focal_share  # which is of another projection
+    focal = (share or (FISHEYE_FOCAL_SHARE if lens == "fisheye" else DEFAULT_FOCAL_SHARE)) * float(
+        np.hypot(photo.width, photo.height)
+    )
     focals = [focal, focal] if model in _TWO_FOCAL else [focal]
     return {
         "model": model, "width": photo.width, "height": photo.height,
         "params": [*focals, photo.width / 2, photo.height / 2, *[0.0] * terms],
-        "has_prior_focal_length": share is not None,
+        "has_prior_focal_length": share is not None or lens == "fisheye",  # else lines are taken for straight
     }  # fmt: skip
 
 

@@ -8,8 +8,11 @@ from .measuring import KnownDistance
 
 LENSES = {
     "pinhole": ("SIMPLE_PINHOLE", 0), "radial": ("SIMPLE_RADIAL", 1), "opencv": ("OPENCV", 4),
+    "fisheye": ("OPENCV_FISHEYE", 4),
 }  # fmt: skip
 """COLMAP's camera model of each lens, and its number of distortion parameters."""
+UNDISTORTED = ("fisheye",)
+"""Lenses whose photos are written as pinholes see them."""
 SCALE, KNOWN_DISTANCE = "--scale", "--known-distance"
 
 

@@ -19,6 +19,7 @@ from ..system import end_with
 SEED = 0
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 8, 64
 MAX_FEATURES = 4096
+JPEG_QUALITY = 95
 FEWEST_PHOTOS = 3  # of a model
 FEWEST_POINTS = 15  # that a photo has to see
 DEPTHS = 2000  # points whose distances are looked at
@@ -40,7 +41,8 @@ def extract(request: dict[str, Any], line: TextIO) -> None:
     for group in request["groups"]:
         reader = pycolmap.ImageReaderOptions()
         reader.existing_camera_id = group["camera_id"]
-        reader.mask_path = request["masks"]
+        if group["masks"]:  # where COLMAP wants one for every photo
+            reader.mask_path = group["masks"]
         for at in range(0, len(group["names"]), PHOTOS_AT_ONCE):
             names = group["names"][at : at + PHOTOS_AT_ONCE]
             pycolmap.extract_features(
@@ -93,6 +95,14 @@ def map_incrementally(request: dict[str, Any], line: TextIO) -> list[dict[str, A
         request["database"], request["images"], request["output"], options, next_image_callback=count
     )
     return _described(models, request["output"])
+
+
+def undistort(request: dict[str, Any], _: TextIO) -> None:
+    """Write a model's photos and cameras as pinholes see them, without black borders: `output`/images and /sparse."""
+    pycolmap.undistort_images(
+        request["output"], request["model"], request["images"], jpeg_quality=JPEG_QUALITY,
+        num_threads=request["threads"],
+    )  # fmt: skip
 
 
 def place(request: dict[str, Any], _: TextIO) -> None:
@@ -178,7 +188,10 @@ def _say(line: TextIO, **said: Any) -> None:
     print(json.dumps(said), file=line, flush=True)
 
 
-TASKS = {task.__name__: task for task in (add_cameras, extract, match, map_globally, map_incrementally, place, look)}
+TASKS = {
+    task.__name__: task
+    for task in (add_cameras, extract, match, map_globally, map_incrementally, undistort, place, look)
+}
 
 
 def main() -> None:

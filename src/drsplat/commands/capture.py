@@ -22,7 +22,7 @@ EXAMPLES = """\
 The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
 photos. Where there is a capture and only --scale or --known-distance is new, --overwrite keeps its poses. Needs
 COLMAP's package: pip install "drsplat[capture]"."""
-LENSES = ("pinhole", "radial", "opencv")
+LENSES = ("pinhole", "radial", "opencv", "fisheye")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lens", choices=LENSES, default="radial",
         help="what the lens does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
-        "radial and two tangential terms (wide angles) (default: radial)",
+        "radial and two tangential terms (wide angles); photos of fisheye are written as a pinhole sees them "
+        "(default: radial)",
     )  # fmt: skip
 
 
