@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ..capture.settings import CaptureSettings
     from ..progress import Meter
 
-SUMMARY = "find where photos were taken (COLMAP): photos or a video to a capture that train and embed take"
+SUMMARY = "pose photos or a video (COLMAP): where each was taken, as a capture that train and embed take"
 EXAMPLES = """\
   drsplat capture photos --output capture
   drsplat capture walk.mp4 --output capture
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     parser.add_argument(
         "--invert-masks", action="store_true",
-        help="in masks/, keep what is black and leave out what is white (default: the other way round)",
+        help="keep what is black in masks/, and mask what is white out (default: the other way round)",
     )  # fmt: skip
     size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
     size.add_argument(
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--lens", choices=LENSES, default="radial",
-        help="what the lens does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
+        help="lens, by what it does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
         "radial and two tangential terms (wide angles); photos of fisheye are written as a pinhole sees them "
         "(default: radial)",
     )  # fmt: skip

@@ -29,7 +29,7 @@ PACKAGES = {
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
-    "find where photos were taken (drsplat capture)": ("capture", ("pycolmap", "pi_heif", "av")),
+    "pose photos and videos (drsplat capture)": ("capture", ("pycolmap", "pi_heif", "av")),
     "search many scenes at once (drsplat catalogue)": ("catalogue", ("lancedb", "pyarrow")),
     "show and search scenes in a browser (drsplat view)": ("viewer", ("viser", "msgspec", "websockets")),
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
