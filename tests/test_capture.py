@@ -123,6 +123,17 @@ def test_the_room_is_posed(mixed: tuple[Path, dict[str, Any]], views: list[View]
 
 
 @has_colmap
+def test_inspect_and_train_take_the_capture(
+    mixed: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["inspect", str(mixed[0]), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["num_photos"] == NUM_GOOD
+    line = ["train", str(mixed[0]), "-o", str(tmp_path / "model"), "--iterations", "2", "--resolution", "64", "--json"]
+    assert main(line) == 0
+    assert json.loads(capsys.readouterr().out)["start"]["given"] == mixed[1]["num_points"]
+
+
+@has_colmap
 def test_a_world_of_unknown_size_is_in_units(mixed: tuple[Path, dict[str, Any]]) -> None:
     _, record = mixed
     assert (record["unit"], record["scale_from"], record["up"], record["up_from"]) == ("units", "", "+z", "horizons")
