@@ -89,6 +89,7 @@ ORDER = (
     "viewing",
     "triangulation",
     "training",
+    "capture",
     "evaluation",
     "demo",
     "commands",

@@ -53,12 +53,12 @@ TRAIN = ("--output-dir", "model")
 REGISTER = ("--features", "capture/language_features", "--output", "new.field")
 MISTAKES: list[tuple[tuple[str, ...], tuple[str, ...]]] = [
     # what is no capture
-    (("train", "photos", *TRAIN), ("photos without poses", "COLMAP", "pycolmap", "from_a_phone.md")),
-    (("train", "video.mp4", *TRAIN), ("got a video", "ffmpeg", "poses")),
-    (("embed", "unnamed"), ("got a video", "ffmpeg")),
-    (("embed", "clips"), ("got a video", "ffmpeg")),
-    (("train", "heic", *TRAIN), ("HEIC", "convert them to JPEG", "poses")),
-    (("train", "live", *TRAIN), ("HEIC", "convert them to JPEG")),
+    (("train", "photos", *TRAIN), ("photos without poses", "drsplat capture PHOTOS", "COLMAP", "from_a_phone.md")),
+    (("train", "video.mp4", *TRAIN), ("got a video", "drsplat capture VIDEO", "poses")),
+    (("embed", "unnamed"), ("got a video", "drsplat capture VIDEO")),
+    (("embed", "clips"), ("got a video", "drsplat capture VIDEO")),
+    (("train", "heic", *TRAIN), ("HEIC", "drsplat capture PHOTOS", "poses")),
+    (("train", "live", *TRAIN), ("HEIC", "drsplat capture PHOTOS")),
     (("train", "capture.zip", *TRAIN), ("got an archive", "unpack it")),
     (("train", "empty", *TRAIN), ("got an empty folder", "COLMAP model")),
     (("train", "colmap", *TRAIN), ("COLMAP's database", "mapper")),

@@ -129,6 +129,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--max-gaussians",
             "50",
         ],
+        "capture": [str(room / "frames"), "-o", str(out / "capture")],  # no photos: refused at once
         "inspect": [capture],
         "embed": [capture, "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", str(out / "lf")],
         "codebook": ["train", str(out / "none.npy"), "--encoder-name", "x", "-o", str(out / "b.safetensors")],

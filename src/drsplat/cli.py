@@ -28,7 +28,7 @@ from .system import can_be_a_path
 from .terminal import plain, plainly, quoted
 
 GROUPS = {
-    "make a scene": ("train", "tile", "motion"),
+    "make a scene": ("capture", "train", "tile", "motion"),
     "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
     "ask": ("locate", "select", "segment", "when", "catalogue"),
     "look and change": ("view", "render", "edit"),

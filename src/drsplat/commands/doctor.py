@@ -25,10 +25,11 @@ PACKAGES = {
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1", "torchvision": "not needed",
     "gsplat": "cuda", "viser": "viewer", "msgspec": "viewer", "websockets": "viewer",
     "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve", "mcp": "mcp", "faiss-cpu": "not needed",
-    "lancedb": "catalogue", "pyarrow": "catalogue",
+    "lancedb": "catalogue", "pyarrow": "catalogue", "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
+    "pose photos and videos (drsplat capture)": ("capture", ("pycolmap", "pi_heif", "av")),
     "search many scenes at once (drsplat catalogue)": ("catalogue", ("lancedb", "pyarrow")),
     "show and search scenes in a browser (drsplat view)": ("viewer", ("viser", "msgspec", "websockets")),
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),

@@ -1,5 +1,6 @@
 """Where on the Earth a scene lies: georeference.json beside it."""
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from jaxtyping import Float64
 from ..errors import FormatError
 from ..scene.geodesy import geodetic
 from .json_files import as_matrix, as_number, read_json
+from .replacing import replacing
 
 NAME = "georeference.json"
 FORMAT, VERSION = "drsplat georeference", 1
@@ -42,6 +44,18 @@ def read_georeference(*folders: str | os.PathLike[str] | None) -> Georeference |
     """
     paths = (Path(folder) / NAME for folder in folders if folder is not None)
     return next((_read(path) for path in paths if path.is_file()), None)
+
+
+def write_georeference(folder: Path, georeference: Georeference) -> None:
+    """Write a folder's georeference.json anew. Raises: InputError: it cannot be written."""
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        **{name: getattr(georeference, name) for name in ("longitude", "latitude", "height", "scale")},
+        "enu_from_world": georeference.enu_from_world.tolist(),
+    }
+    with replacing(folder / NAME, overwrite=True) as file:
+        file.write(json.dumps(document, indent=1).encode())
 
 
 def _read(path: Path) -> Georeference:

@@ -32,16 +32,15 @@ class Kind(Enum):
     FEATURES = "features of photos", "pass them as `--features` to `drsplat register SCENE CAPTURE`"
     PHOTOS = (
         "photos without poses",
-        f"find the poses first, with COLMAP (`colmap automatic_reconstructor`) or pycolmap; {_TUTORIAL}",
+        f"find the poses first: `drsplat capture PHOTOS --output capture`, or COLMAP's own program; {_TUTORIAL}",
     )
     UNREAD_PHOTOS = (
         "photos that cannot be read as they are (HEIC, AVIF or raw)",
-        f"convert them to JPEG (`magick mogrify -format jpg *.HEIC`), then find their poses; {_TUTORIAL}",
+        f"`drsplat capture PHOTOS --output capture` finds poses and reads HEIC; convert others to JPEG; {_TUTORIAL}",
     )
     VIDEO = (
         "a video",
-        "take two or three pictures of each second (`ffmpeg -i VIDEO -vf fps=2 -qscale:v 2 DIR/images/%04d.jpg`), then "
-        f"find their poses; {_TUTORIAL}",
+        f"`drsplat capture VIDEO --output capture` takes sharp pictures of it and finds their poses; {_TUTORIAL}",
     )
     PHOTO = "a single photo", "name the folder that holds the photos and their poses"
     ARCHIVE = "an archive", "unpack it and name the folder"

@@ -16,11 +16,15 @@ def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]
 
     origin: its longitude, latitude and height.
     """
+    return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ _axes(origin))
+
+
+def _axes(origin: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
+    """Return rows east, north and up of an origin, in geocentric axes."""
     longitude, latitude = np.radians(origin[:2])
     sin_l, cos_l, sin_p, cos_p = np.sin(longitude), np.cos(longitude), np.sin(latitude), np.cos(latitude)
     east, north = (-sin_l, cos_l, 0.0), (-sin_p * cos_l, -sin_p * sin_l, cos_p)
-    up = (cos_p * cos_l, cos_p * sin_l, sin_p)
-    return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ np.array([east, north, up]))
+    return np.array([east, north, (cos_p * cos_l, cos_p * sin_l, sin_p)])
 
 
 def geocentric(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -44,3 +48,10 @@ def _from_geocentric(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, 
     # of the two ways to the height the one that is sound also at the poles
     height = around * np.cos(latitude) + z * np.sin(latitude) - RADIUS**2 / normal
     return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(latitude), height], axis=1)
+
+
+def local_offsets(
+    origin: tuple[float, float, float], positions: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Metres east, north and up of an origin, of longitudes and latitudes in degrees and heights; see `geodetic`."""
+    return np.asarray((geocentric(positions) - geocentric(np.array([origin]))[0]) @ _axes(origin).T)

@@ -1,0 +1,236 @@
+"""A folder of photos or a video -> a capture: posed photos in COLMAP's layout, in a world that stands upright."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from ..errors import InputError
+from ..formats.claiming import claimed_folder
+from ..formats.colmap import read_colmap
+from ..formats.georeference import write_georeference
+from ..formats.photo_files import listed
+from ..formats.replacing import replacing
+from .finding import Source, find_photos
+from .masks import FOLDER as MASKS
+from .masks import SUFFIX as MASK_SUFFIX
+from .measuring import units_between
+from .photos import Photo, bring, mask_path
+from .posing import Model, Posed, Posing, Progress
+from .program import ask_colmap, require_colmap
+from .reasons import Reasons
+from .rescaling import STAYING, differs_in_scale, rescale, sources_key
+from .settings import KNOWN_DISTANCE, SCALE, UNDISTORTED, CaptureSettings
+from .videos import is_video, take_frames, video_source
+from .work import FORMAT, MODEL, RECORD, VERSION, Work, is_ready, publish, refuse_overlap, refuse_strangers
+from .world import World, with_scale, world_of
+
+FEWEST_PHOTOS = 3
+
+
+def capture(
+    photos: str | Path,
+    output: str | Path,
+    settings: CaptureSettings | None = None,
+    *,
+    overwrite: bool = False,
+    threads: int = 0,
+    progress: Progress = lambda stage, done, total: None,
+) -> dict[str, Any]:
+    """Find where photos were taken, write the capture as a folder, and return its record (capture.json).
+
+    Photos are only read. A stopped run goes on where it was when it is called again. The random seed of COLMAP is
+    fixed.
+
+    Args:
+        photos: folder of JPEG, PNG, HEIC, WebP, TIFF or BMP files, also in folders below it; or a video.
+        output: folder to write: images/, sparse/0, capture.json and, where photos have GPS, georeference.json.
+        overwrite: replace a capture that is there; it stays until the new one is complete. Where only `scale` or
+            `known_distance` are others than before, poses stay, and lengths alone are made anew.
+        threads: of COLMAP, 0 for all cores.
+        progress: told of each stage.
+
+    Raises:
+        InputError: no photos, too few that overlap, an output that is in the way, a full disk.
+        MissingExtraError: pycolmap is not installed, or pi-heif for HEIC photos.
+    """
+    require_colmap()
+    source, target, settings = Path(photos), Path(output), settings or CaptureSettings()
+    refuse_overlap(source, target)
+    with claimed_folder(target):
+        refuse_strangers(target, overwrite)
+        kept: tuple[str, ...] = ()
+        if not is_ready(target):
+            sources = [video_source(source)] if is_video(source) else find_photos(source)
+            if differs_in_scale(sources, target, settings):
+                rescale(sources, target, settings)
+                kept = STAYING
+            else:
+                _make(sources, target, settings, threads, progress)
+        publish(target, kept)
+    record: dict[str, Any] = json.loads((target / RECORD).read_text(encoding="utf-8"))
+    return record
+
+
+def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
+    """Bring everything to where `publish` finds it."""
+    work, film = Work(output), None
+    key = sources_key(sources)
+    if is_video(sources[0].path):
+        film = take_frames(sources[0], work, progress)
+        sources = find_photos(work.frames)
+    photos = _bring_all(sources, work, progress, settings.invert_masks)
+    taken = list({photo.file: photo for photo in reversed(photos) if photo.fault is None}.values())[::-1]
+    if len(taken) < FEWEST_PHOTOS:
+        raise InputError(_too_few(photos, len(taken)))
+    posed = Posing(work, taken, settings.lens, threads, progress).run()
+    if not posed.models:
+        raise InputError(_nothing_fits(taken, posed))
+    progress("world", 0, 1)
+    model = posed.models[0]
+    kept = set(model.files)
+    by_file = {photo.file: photo for photo in taken if photo.file in kept}
+    names = capture_names(list(by_file.values()))
+    world = _placed(model, by_file, names, work, settings)
+    work.new.joinpath("images").mkdir(exist_ok=True)
+    photos_folder = work.undistorted / "images" if settings.lens in UNDISTORTED else work.photos
+    for file, name in names.items():
+        _moved(photos_folder / file, work.new / "images" / name)
+        _moved(mask_path(work.photos, file), work.new / MASKS / (name + MASK_SUFFIX))
+    if world.georeference is not None:
+        write_georeference(work.new, world.georeference)
+    record = _record(photos, posed, world, settings) | {"sources": key, "video": film}
+    with replacing(work.new / RECORD, overwrite=True) as written:
+        written.write(json.dumps(record, indent=1).encode())
+
+
+def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert_masks: bool = False) -> list[Photo]:
+    """Return all photos, brought into the work folder; those that an earlier run has brought are not read again."""
+    known = _records(work.record)
+    photos = []
+    with work.record.open("a", encoding="utf-8") as record:
+        for done, one in enumerate(sources, 1):
+            key = f"{one.name} {one.num_bytes} {one.changed_ns} {one.mask is not None and invert_masks}"
+            photo = known.get(key)
+            if photo is None or (photo.fault is None and not (work.photos / photo.file).is_file()):
+                photo = bring(one, work.photos, invert_masks)
+                record.write(json.dumps([key, photo.to_json()]) + "\n")
+                record.flush()
+            photos.append(photo)
+            progress("photos", done, len(sources))
+    return photos
+
+
+def _records(path: Path) -> dict[str, Photo]:
+    """Return the photos that an earlier run has brought; a line that was cut off ends them."""
+    photos: dict[str, Photo] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
+        try:
+            key, document = json.loads(line)
+            photos[key] = Photo.from_json(document)
+        except (ValueError, TypeError, KeyError):
+            continue
+    return photos
+
+
+def _too_few(photos: Sequence[Photo], num_taken: int) -> str:
+    faults = [f"{photo.name} ({photo.fault})" for photo in photos if photo.fault is not None]
+    twins = len(photos) - num_taken - len(faults)
+    why = [f"{len(faults)} cannot be used: {listed(faults, 3)}"] if faults else []
+    why += [f"{twins} are copies of others"] if twins else []
+    because = f"; {'; '.join(why)}" if why else ""
+    return f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}"
+
+
+def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
+    """Return the name in the capture of each photo's file: as it was found, with the suffix that it has now.
+
+    Features are found by names without suffix, so two photos whose names differ in nothing else get their suffix
+    into the name.
+    """
+    names: dict[str, str] = {}
+    stems: set[str] = set()
+    for photo in photos:
+        path = PurePosixPath(photo.name)
+        given, suffix = path.suffix[1:], PurePosixPath(photo.file).suffix
+        same_kind = {"jpeg": "jpg"}.get(given.lower(), given.lower()) == suffix[1:]
+        stem = str(path.with_suffix(""))
+        while stem.lower() in stems:
+            stem += f"_{given}"
+        stems.add(stem.lower())
+        names[photo.file] = stem + (path.suffix if same_kind else suffix)
+    return names
+
+
+def _placed(
+    model: Model, photos: dict[str, Photo], names: dict[str, str], work: Work, settings: CaptureSettings
+) -> World:
+    """Write the model as it is in the capture's world, and return the world."""
+    folder = model.folder
+    if settings.lens in UNDISTORTED:
+        ask_colmap(
+            "undistort", work.log, model=str(folder), images=str(work.photos), output=str(work.undistorted), threads=-1
+        )
+        folder = work.undistorted / MODEL
+    views = read_colmap(folder)
+    facts = {file: photo.exif for file, photo in photos.items()}
+    world = world_of(views, facts, model.depth)
+    if settings.scale is not None:
+        world = with_scale(world, settings.scale, SCALE)
+    elif settings.known_distance is not None:
+        by_name = {photo.name: photo.file for photo in photos.values()}
+        units = world.similarity.scale * units_between(settings.known_distance, model.folder, work.log, by_name)
+        world = with_scale(world, settings.known_distance.metres / units, KNOWN_DISTANCE)
+    similarity = world.similarity
+    ask_colmap(
+        "place", work.log, model=str(folder), output=str(work.new / MODEL / "0"), names=names,
+        scale=similarity.scale, rotation=similarity.rotation.tolist(), translation=similarity.translation.tolist(),
+    )  # fmt: skip
+    return world
+
+
+def _moved(source: Path, target: Path) -> None:
+    """Rename a photo or a mask, unless there is none, or an earlier run has."""
+    if source.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source.replace(target)
+
+
+def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
+    """Return why there is no model, with the photos that are most to blame."""
+    why = Reasons(photos, posed.features, posed.pairs, [])
+    reasons = [f"{photo.name} ({why.of(photo)})" for photo in photos]
+    return (
+        f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
+        "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
+    )
+
+
+def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:
+    """Return what capture.json says."""
+    model = posed.models[0]
+    first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
+    kept = set(model.files)
+    out = [photo for photo in photos if photo.file not in kept or first[photo.file] is not photo]
+    why = Reasons(photos, posed.features, posed.pairs, [one.files for one in posed.models])
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "num_photos": len(photos),
+        "num_registered": len(model.files),
+        "num_points": model.num_points,
+        "reprojection_error_px": model.error_px,
+        "mapper": model.mapper,
+        "unit": world.unit,
+        "scale_from": world.scale_from,
+        "up": "+z" if world.up_from else None,
+        "up_from": world.up_from,
+        "georeferenced": world.georeference is not None,
+        "gps_residual_m": world.residual_m,
+        "left_out": [{"name": photo.name, "reason": why.of(photo)} for photo in out],
+        "scale_factor": world.scale_factor,
+        "settings": asdict(settings),
+        "made_by": {name: version(name) for name in ("drsplat", "pycolmap")},
+    }

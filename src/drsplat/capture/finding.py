@@ -1,0 +1,81 @@
+"""The photos below a folder, in the order in which people number them."""
+
+import os
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from ..errors import InputError
+from ..formats.photo_files import safe_name
+from .masks import FOLDER as MASKS
+from .masks import mask_folder, mask_of
+
+PHOTO_ENDS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif"}
+VIDEO_ENDS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
+MOST_PHOTOS = 50_000
+NUMBERED_SHARE = 0.8  # of the photos, for all of them to count as numbered
+MOST_STEP = 50  # between numbers of photos that follow each other: frames of a film are often thinned out
+_DIGITS = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A photo as it was found.
+
+    name: relative to the folder, with forward slashes. num_bytes and changed_ns: of its mask, too, where it has one.
+    """
+
+    name: str
+    path: Path
+    num_bytes: int
+    changed_ns: int
+    mask: Path | None = None
+
+
+def find_photos(folder: Path) -> list[Source]:
+    """Return the photos of a folder and its subfolders; hidden ones and a folder of masks are passed over.
+
+    Raises: InputError: no folder, no photo in it, or more than `MOST_PHOTOS`.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of photos or a video")
+    sources, masks = [], mask_folder(folder)
+    for parent, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != MASKS)
+        for file in files:
+            path = Path(parent, file)
+            if path.suffix.lower() in PHOTO_ENDS and not file.startswith(".") and path.is_file():
+                name = safe_name(path.relative_to(folder).as_posix(), str(folder))
+                sources.append(_source(name, path, mask_of(masks, name)))
+        if len(sources) > MOST_PHOTOS:
+            raise InputError(f"{folder}: expected at most {MOST_PHOTOS:,} photos, found more: capture a part at a time")
+    if not sources:
+        kinds = ", ".join(sorted(end[1:] for end in PHOTO_ENDS))
+        raise InputError(f"{folder}: there is no photo in it: expected files that end in {kinds}")
+    if masks is not None and not any(source.mask for source in sources):
+        raise InputError(f"{masks}: no mask in it has a photo's name: expected NAME.jpg.png or NAME.png for NAME.jpg")
+    return sorted(sources, key=lambda source: in_order(source.name))
+
+
+def _source(name: str, path: Path, mask: Path | None) -> Source:
+    found = [each.stat() for each in (path, mask) if each is not None]
+    return Source(name, path, sum(each.st_size for each in found), max(each.st_mtime_ns for each in found), mask)
+
+
+def in_order(name: str) -> list[tuple[int, int, str]]:
+    """Return a key that sorts numbers in names by their value: photo_2 before photo_10."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part.lower()) for part in _DIGITS.split(name)]
+
+
+def are_numbered(names: list[str]) -> bool:
+    """Return whether photos look like a walk in order: most names differ from the one before by a number, going up."""
+    if len(names) < 2:
+        return False
+    steps = 0
+    for one, other in pairwise(names):
+        parts, others = _DIGITS.split(one), _DIGITS.split(other)
+        differing = [k for k in range(min(len(parts), len(others))) if parts[k] != others[k]]
+        if len(parts) == len(others) and len(differing) == 1 and parts[differing[0]].isdecimal():
+            steps += 0 < int(others[differing[0]]) - int(parts[differing[0]]) <= MOST_STEP
+    return steps >= NUMBERED_SHARE * (len(names) - 1)

@@ -1,0 +1,219 @@
+"""Each photo checked and brought into the capture: upright, of a kind that every reader takes, with what it says.
+
+The photos' own folder is only read. A photo that is upright already and a plain JPEG or PNG is copied byte for byte.
+"""
+
+import json
+import shutil
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ..contents import open_file
+from ..errors import MissingExtraError
+from ..formats.checksums import hash_file
+from ..formats.replacing import replacing
+from ..scene.photos import PHOTO_FORMATS
+from ..scene.picture_costs import check_cost
+from .exif import ExifFacts, exif_facts
+from .finding import Source
+from .masks import FOLDER as MASKS
+from .masks import SUFFIX as MASK_SUFFIX
+from .masks import bring_mask
+
+Vector = tuple[float, float, float]
+
+HEIF_ENDS = {".heic", ".heif"}
+INSTALL = 'pip install "drsplat[capture]"'
+MOST_PIXELS = 200_000_000
+FEWEST_SIDE_PX = 64
+JPEG_QUALITY = 95
+LOOK_SIDE_PX = 512  # of the small picture whose sharpness is measured
+ORIENTATION = 0x0112
+DIGEST_LETTERS = 24
+_BLOCK = 1 << 20
+# per EXIF orientation, right and down of the upright photo in (right, down) of the stored one
+_TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: ((0, 1), (-1, 0))}
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo in the capture, or why it could not be taken (`fault`).
+
+    name: as it was found. file: its name while the capture is made, of its contents: the same photo twice is the same
+    file. width, height: upright, in pixels. sharpness: standard deviation of the Laplacian of a small copy, in grey
+    levels.
+    """
+
+    name: str
+    file: str = ""
+    width: int = 0
+    height: int = 0
+    sharpness: float = 0.0
+    exif: ExifFacts = field(default_factory=ExifFacts)
+    fault: str | None = None
+
+    def to_json(self) -> str:
+        """Return the record as a line of JSON; `from_json` reads it."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> "Photo":
+        """Raises: ValueError, TypeError: the line is no such record, or was cut off."""
+        document = json.loads(line)
+        exif: dict[str, Any] = document.pop("exif")
+        exif = {key: tuple(part) if isinstance(part, list) else part for key, part in exif.items()}
+        return cls(**document, exif=ExifFacts(**exif))
+
+
+class UnreadablePhoto(Exception):
+    """Why a single photo is left out, in words for people."""
+
+
+class _Decoded(NamedTuple):
+    """upright: the whole picture where it has to be written anew, None where the file is taken as it is."""
+
+    upright: Image.Image | None
+    width: int
+    height: int
+    suffix: str
+    sharpness: float
+    exif: ExifFacts
+    orientation: int = 1
+
+
+def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
+    """Check a photo, write it upright into a folder under a name made of its digest, and return what it is.
+
+    Its mask comes to the folder `masks` beside it, and into its name.
+
+    Raises: InputError: it cannot be written. MismatchError, FormatError: of a mask. MissingExtraError: HEIC, and
+    pi-heif is not installed.
+    """
+    try:
+        decoded = _decoded(source)
+        digest = _digest(source, invert_masks)
+    except UnreadablePhoto as error:
+        return Photo(source.name, fault=str(error))
+    path = folder / (digest + decoded.suffix)
+    with open_file(source.path) as file, replacing(path, overwrite=True) as output:
+        if decoded.upright is None:
+            shutil.copyfileobj(file, output, _BLOCK)
+        elif decoded.suffix == ".jpg":
+            decoded.upright.save(output, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
+        else:
+            decoded.upright.save(output, format="PNG")
+    if source.mask is not None:
+        target = mask_path(folder, path.name)
+        bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert_masks)
+    return Photo(source.name, path.name, decoded.width, decoded.height, decoded.sharpness, decoded.exif)
+
+
+def mask_path(folder: Path, file: str) -> Path:
+    """Return where the mask of a photo in the folder is, named as COLMAP expects it."""
+    return folder.parent / MASKS / (file + MASK_SUFFIX)
+
+
+def _digest(source: Source, invert_masks: bool) -> str:
+    """Return a name of the contents of a photo and its mask."""
+    photo = hash_file(source.path)
+    if source.mask is None:
+        return photo[:DIGEST_LETTERS]
+    return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert_masks else ''}"
+
+
+def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
+    """Return the standard deviation of the Laplacian of a picture of some 512 pixels, in grey levels."""
+    values = grey.astype(np.float32)
+    middle = values[1:-1, 1:-1]
+    laplacian = values[:-2, 1:-1] + values[2:, 1:-1] + values[1:-1, :-2] + values[1:-1, 2:] - 4 * middle
+    return float(laplacian.std()) if laplacian.size else 0.0
+
+
+def _decoded(source: Source) -> _Decoded:
+    """Decode a photo, whatever it is. Raises: UnreadablePhoto, MissingExtraError."""
+    if source.num_bytes == 0:
+        raise UnreadablePhoto("the file is empty")
+    formats: tuple[str, ...] = PHOTO_FORMATS
+    if source.path.suffix.lower() in HEIF_ENDS:
+        add_heif()
+        formats = (*formats, "HEIF")
+    try:
+        with open_file(source.path) as file, Image.open(file, formats=formats) as coded:
+            check_cost(coded, file, MOST_PIXELS)
+            return _from_coded(coded)
+    except UnreadablePhoto:
+        raise
+    except UnidentifiedImageError:
+        raise UnreadablePhoto("it is no photo, or damaged at its beginning") from None
+    except Exception as error:  # decoders of damaged files raise anything
+        raise UnreadablePhoto(f"it is damaged ({error or type(error).__name__})") from error
+
+
+def _from_coded(coded: Image.Image) -> _Decoded:
+    if min(coded.size) < FEWEST_SIDE_PX:
+        raise UnreadablePhoto(f"{coded.width}x{coded.height} pixels are too few")
+    if coded.mode in ("I", "F"):
+        raise UnreadablePhoto(f"its pixels are of mode {coded.mode}: save it with 8 or 16 bits a channel")
+    exif = exif_facts(coded)
+    orientation = _orientation(coded)
+    is_jpeg = coded.format in ("JPEG", "MPO")
+    plain = coded.mode in ("RGB", "L") and "transparency" not in coded.info
+    suffix = ".jpg" if is_jpeg or coded.format == "HEIF" else ".png"
+    if orientation == 1 and plain and (is_jpeg or coded.format == "PNG"):
+        width, height = coded.size
+        coded.draft("L", (LOOK_SIDE_PX, LOOK_SIDE_PX))
+        return _Decoded(None, width, height, suffix, _sharpness_of(coded), exif)
+    upright = ImageOps.exif_transpose(as_rgb(coded))
+    exif = replace(exif, down=turned_down(exif.down, orientation))
+    upright.info.clear()
+    return _Decoded(upright, *upright.size, suffix, _sharpness_of(upright), exif, orientation)
+
+
+def _orientation(coded: Image.Image) -> int:
+    """Return the EXIF orientation; 1 (upright) where it is missing or none."""
+    try:
+        value = coded.getexif().get(ORIENTATION, 1)
+    except Exception:  # parsers of damaged blocks raise anything
+        return 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def as_rgb(coded: Image.Image) -> Image.Image:
+    """Return the picture in 8 bits a channel, transparency on black; it keeps its EXIF orientation."""
+    if coded.mode.startswith("I;16"):
+        rgb = Image.fromarray((np.asarray(coded) >> 8).astype(np.uint8)).convert("RGB")
+    elif "A" in coded.getbands() or "transparency" in coded.info:
+        rgba = coded.convert("RGBA")
+        rgb = Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
+    else:
+        rgb = coded.convert("RGB")
+    rgb.getexif()[ORIENTATION] = _orientation(coded)
+    return rgb
+
+
+def _sharpness_of(picture: Image.Image) -> float:
+    grey = picture.convert("L")
+    grey.thumbnail((LOOK_SIDE_PX, LOOK_SIDE_PX), Image.Resampling.BOX)
+    return sharpness(np.asarray(grey))
+
+
+def turned_down(down: Vector | None, orientation: int) -> Vector | None:
+    """Return gravity in the axes of the upright photo; None where the photo is mirrored, which no camera does."""
+    if down is None or orientation not in _TURNS:
+        return None
+    right, below = _TURNS[orientation]
+    return right[0] * down[0] + right[1] * down[1], below[0] * down[0] + below[1] * down[1], down[2]
+
+
+def add_heif() -> None:
+    """Teach Pillow to read HEIC. Raises: MissingExtraError: pi-heif is not installed."""
+    try:
+        from pi_heif import register_heif_opener
+    except ImportError:
+        raise MissingExtraError(f"HEIC photos need pi-heif: {INSTALL}") from None
+    register_heif_opener()
