@@ -371,7 +371,7 @@ def test_a_known_distance_gives_metres_and_keeps_the_poses(
     known = [part for view, point in places for part in (view.name, *map(str, pixel_of(view, point)))]
     assert main([*line, "--known-distance", *known, "0.8", "--overwrite"]) == 0
     record = json.loads((tmp_path / "c/capture.json").read_text())
-    assert (record["unit"], record["scale_from"]) == ("m", "--known-distance")
+    assert (record["unit"], record["scale_from"]) == ("m", "known distance")
     after = read_views(tmp_path / "c")
     here, there = (np.array([view.center for view in each]) for each in (after, views))
     assert umeyama(here, there).scale == pytest.approx(1, abs=0.02)

@@ -134,8 +134,8 @@ def look(eye: np.ndarray, turn: float) -> np.ndarray:
 
 def test_a_known_scale_makes_metres() -> None:
     found = world(ring(3.0), depth=0.9)
-    scaled = with_scale(found, 0.5, "--scale")
-    assert (scaled.unit, scaled.scale_from) == ("m", "--scale")
+    scaled = with_scale(found, 0.5, "scale")
+    assert (scaled.unit, scaled.scale_from) == ("m", "scale")
     points = np.random.default_rng(1).normal(size=(5, 3))
     np.testing.assert_allclose(scaled.similarity.positions(points), 0.5 * found.similarity.positions(points))
 

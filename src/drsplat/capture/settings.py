@@ -13,7 +13,7 @@ LENSES = {
 """COLMAP's camera model of each lens, and its number of distortion parameters."""
 UNDISTORTED = ("fisheye",)
 """Lenses whose photos are written as pinholes see them."""
-SCALE, KNOWN_DISTANCE = "--scale", "--known-distance"
+SCALE, KNOWN_DISTANCE = "scale", "known distance"
 
 
 @dataclass(frozen=True)

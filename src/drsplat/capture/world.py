@@ -33,8 +33,8 @@ Rotation = Float64[np.ndarray, "3 3"]
 class World:
     """How COLMAP's world is brought to the capture's: `similarity`, and what is known then.
 
-    unit: "m" or "units". up_from: "GPS", "gravity", "horizons" or "" (unknown). scale_from: "GPS", "--scale",
-    "--known-distance" or "". georeference: where its zero is on the Earth. residual_m: median distance of the cameras
+    unit: "m" or "units". up_from: "GPS", "gravity", "horizons" or "" (unknown). scale_from: "GPS", "scale",
+    "known distance" or "". georeference: where its zero is on the Earth. residual_m: median distance of the cameras
     from their GPS positions, None without. scale_factor: what people made lengths longer by.
     """
 
