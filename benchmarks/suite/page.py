@@ -54,7 +54,7 @@ place is on the thing. *Classes*: IoU of classes of Gaussians, by volume. *Fitte
 _WORDS = """\
 **Words in real captures and rooms.** Things of the captures were outlined by hand in some photos, or came with labels;
 photos are looked at {side} pixels wide. These things, and those of rooms, are called by words whose vectors are genuine
-CLIP's, and the masks are given genuine vectors of pictures that fit these words; in turns {wrong} % of the masks have a
+CLIP's, and the masks are given genuine vectors of pictures that fit these words; {wrong} % of the masks have a
 wrong one. IoU is over Gaussians, by the weight that photos give them. Masks are found by the segmenter that ships
 (`graph`), *true*, or *simulated*: masks of whole things, as SAM makes them, their borders up to three pixels off."""
 _METHODS = """\
@@ -152,7 +152,7 @@ def _folded(summary: str, sections: Sequence[str] | Iterator[str]) -> Iterator[s
 def _what_is_measured(results: Results, answers: Answers | None) -> Iterator[str]:
     yield "## What is measured"
     if answers:
-        yield _WORDS.format(side=SIDE, wrong=", ".join(f"{share}" for share in answers["wrong"]))
+        yield _WORDS.format(side=SIDE, wrong=" or ".join(map(str, answers["wrong"])))
     yield _METHODS
     yield (
         f"{len(results['scenes'])} scenes of the [household world](../world/README.md), held out from all that was "
