@@ -16,6 +16,8 @@ from drsplat.capture.exif import APPLE, ExifFacts, exif_facts
 from drsplat.capture.finding import are_numbered, find_photos, in_order
 from drsplat.capture.photos import Photo, bring, sharpness, turned_down
 from drsplat.capture.reasons import Reasons
+from drsplat.capture.settings import LENSES
+from drsplat.commands.capture import LENSES as LENSES_OF_THE_VERB
 from drsplat.errors import InputError
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (80, 100, 3), np.uint8)
@@ -190,3 +192,8 @@ def test_reasons() -> None:
     )  # fmt: skip
     for reason, words in zip(said, expected, strict=True):
         assert words in reason
+
+
+def test_the_command_line_offers_the_lenses_that_there_are() -> None:
+    """It names them itself, because help has to come without NumPy."""
+    assert set(LENSES_OF_THE_VERB) == set(LENSES)

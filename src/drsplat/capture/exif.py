@@ -24,7 +24,7 @@ MOST_ENTRIES = 200  # of a maker note
 
 @dataclass(frozen=True)
 class ExifFacts:
-    """What is known of a photo; None where nothing is said, or nothing sensible.
+    """Facts that a photo states; None where it states nothing, or nothing sensible.
 
     camera: make, model and lens, as one text; photos with the same one share intrinsics. focal_share: focal length
     as a share of the photo's diagonal. position: longitude and latitude in degrees, height in metres (None: not

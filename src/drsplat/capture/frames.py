@@ -19,7 +19,7 @@ BLOCKS_ACROSS = 4
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What was measured of each frame. sharpness: see `photos.sharpness`. moved: shares of the width since the last."""
+    """Measurements of each frame. sharpness: see `photos.sharpness`. moved: shares of the width since the last."""
 
     sharpness: Float64[np.ndarray, " n"]
     moved: Float64[np.ndarray, " n"]

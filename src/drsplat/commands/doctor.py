@@ -103,7 +103,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def abilities(facts: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """What can run: ready, else the reason, and what to do about it.
+    """Return what can run: ready, else the reason, and what to do about it.
 
     facts: as `probe` gives them; empty where torch is not installed.
     """
@@ -152,7 +152,7 @@ def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
 
 
 def probe() -> dict[str, Any]:
-    """What only importing torch can tell."""
+    """Return what only importing torch can tell."""
     from ..models.probing import torch_facts
 
     facts = torch_facts()

@@ -38,7 +38,7 @@ class Georeference:
 
 
 def read_georeference(*folders: str | os.PathLike[str] | None) -> Georeference | None:
-    """Of the first folder that has one, None where none has.
+    """Return the georeference of the first folder that has one, None where none has.
 
     Raises: FormatError: damaged, no rotation, a place that is not on the Earth.
     """

@@ -33,7 +33,7 @@ CHUNK = 8  # words scored at once
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """What the words of a list reach at each row of a field.
+    """Scores that the words of a list reach at each row of a field.
 
     vectors: their unit embeddings. usual: the mean picture, times TILT, or 0 for words of one kind. spread: standard
     deviation of cosines of words with pictures once the means of both are taken off: the unit of margins. scores,
@@ -72,7 +72,7 @@ class Contrast:
         return np.asarray(1 / (1 + np.exp(-np.clip(margins, -50, 50))), np.float32)
 
     def speaks(self, query: Float32[np.ndarray, " D"]) -> bool:
-        """Whether a vector lies with the words rather than with the pictures."""
+        """Return whether a vector lies with the words rather than with the pictures."""
         sides = np.stack([self.vectors.mean(0), self.usual]).astype(np.float64)
         to_words, to_pictures = sides / np.linalg.norm(sides, axis=1, keepdims=True) @ query
         return bool(to_words > to_pictures)
@@ -210,7 +210,7 @@ def _sigmoid(margin: float) -> float:
 
 
 def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) -> float:
-    """Of what is left of cosines without the means of words and pictures."""
+    """Return the standard deviation of what is left of cosines without the means of words and pictures."""
     left = cosines - cosines.mean(0)
     if left.shape[1] > 1:
         left = left - left.mean(1, keepdims=True)
