@@ -14,6 +14,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
@@ -327,11 +328,15 @@ def device_run(views, points, s: ds.TrainingSettings, engine):
 
 
 @needs_torch
+@pytest.mark.parametrize("masked", [False, True], ids=["unmasked", "masked"])
 @pytest.mark.parametrize("distortion", [None, (0.3, 0.0, 0.0, 0.0)], ids=["whole", "with-edges"])
-def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion):
-    """Same photos, backgrounds, rates and edges: the same losses, step for step."""
+def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion, masked, tmp_path):
+    """Same photos, backgrounds, rates, edges and masks: the same losses, step for step."""
     quiet = replace(BUSY, refine_until=0)
     views = [replace(view, distortion=distortion) for view in views]
+    if masked:
+        Image.fromarray(np.repeat(np.uint8([[255] * 30 + [0] * 18]), 36, axis=0)).save(tmp_path / "mask.png")
+        views = [replace(view, mask_path=tmp_path / "mask.png") for view in views]
     there, here = (device_run(views, points, quiet, engine_of()), fresh_run(Run, views, points, quiet))
     if distortion is not None:
         assert len(here.photos[0].outside) > 10

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
 import pycolmap
 
 from ..system import end_with
@@ -20,6 +21,7 @@ SEED = 0
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 8, 64
 MAX_FEATURES = 4096
 JPEG_QUALITY = 95
+MASK_SUFFIX, MASK_KEPT_FROM = ".png", 128
 FEWEST_PHOTOS = 3  # of a model
 FEWEST_POINTS = 15  # that a photo has to see
 DEPTHS = 2000  # points whose distances are looked at
@@ -103,6 +105,19 @@ def undistort(request: dict[str, Any], _: TextIO) -> None:
         request["output"], request["model"], request["images"], jpeg_quality=JPEG_QUALITY,
         num_threads=request["threads"],
     )  # fmt: skip
+
+
+def undistort_masks(request: dict[str, Any], _: TextIO) -> None:
+    """Write the masks of a model's photos as pinholes see them, as `undistort` does their photos; to `output`."""
+    model = pycolmap.Reconstruction(request["model"])
+    for image in model.images.values():
+        mask = Path(request["masks"], image.name + MASK_SUFFIX)
+        picture = pycolmap.Bitmap.read(str(mask), as_rgb=False) if image.has_pose and mask.is_file() else None
+        if picture is None:
+            continue
+        warped = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), picture, model.cameras[image.camera_id])[0]
+        white = np.where(warped.to_array() >= MASK_KEPT_FROM, np.uint8(255), np.uint8(0))
+        pycolmap.Bitmap.from_array(white).write(str(Path(request["output"], mask.name)))
 
 
 def place(request: dict[str, Any], _: TextIO) -> None:
@@ -190,7 +205,7 @@ def _say(line: TextIO, **said: Any) -> None:
 
 TASKS = {
     task.__name__: task
-    for task in (add_cameras, extract, match, map_globally, map_incrementally, undistort, place, look)
+    for task in (add_cameras, extract, match, map_globally, map_incrementally, undistort, undistort_masks, place, look)
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, finite, length
+from .options import add_invert_masks, add_overwrite, finite, length
 
 if TYPE_CHECKING:
     from ..capture.settings import CaptureSettings
@@ -34,10 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
     )  # fmt: skip
     add_overwrite(parser)
-    parser.add_argument(
-        "--invert-masks", action="store_true",
-        help="keep what is black in masks/, and mask what is white out (default: the other way round)",
-    )  # fmt: skip
+    add_invert_masks(parser)
     size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
     size.add_argument(
         "--known-distance", nargs=7, metavar=("PHOTO", "X", "Y", "PHOTO", "X", "Y", "METRES"),
