@@ -19,7 +19,8 @@ from PIL import Image
 from drsplat.capture import program
 from drsplat.capture.capturing import _bring_all, capture
 from drsplat.capture.finding import find_photos
-from drsplat.capture.measuring import KnownDistance, Place
+from drsplat.capture.measuring import KnownDistance, _meeting
+from drsplat.capture.places import Place, read_places
 from drsplat.capture.posing import camera_key
 from drsplat.capture.settings import CaptureSettings
 from drsplat.capture.work import Work, _remove
@@ -391,6 +392,66 @@ def test_a_known_distance_gives_metres_and_keeps_the_poses(
         assert words in capsys.readouterr().out
     assert main([*line, "--known-distance", *known, "x", "--overwrite"]) == 2
     assert len(read_views(tmp_path / "c")) == NUM_GOOD
+
+
+@has_colmap
+def test_named_places_are_where_their_rays_meet(
+    good_photos: Path, views: list[View], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A marker in the air, where no point is, and one on a box that a single photo shows; in metres of the room."""
+    line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "2", "--json"]
+    assert main(line) == 0
+    air, box = (0.9, 0.6, 1.3), (0.4, -0.48, 0.6)
+    rows = [("air", view, air) for view in views[1:8:3]] + [("box", views[2], box)]
+    rows += [("flat", view, air) for view in views[1:3]] + [
+        ("torn", views[1], air),
+        ("torn", views[7], (0.0, 1.0, 1.3)),
+    ]
+    table = [f"{name},{view.name},{','.join(map(str, pixel_of(view, point)))}" for name, view, point in rows]
+    table += ["air,unposed.jpg,3,4", "lost,unposed.jpg,3,4", "lost,another.jpg,3,4"]
+    (tmp_path / "places.csv").write_text("\n".join(["name,photo,x,y", *table]))
+    named = [*line, "--overwrite", "--places", str(tmp_path / "places.csv")]
+    metres = str(np.linalg.norm(np.subtract(air, box)))
+    assert main([*named, "--known-distance", "air", "box", metres]) == 0
+    record = json.loads((tmp_path / "c/capture.json").read_text())
+    assert record["scale_from"] == "known distance"
+    here, there = (np.array([view.center for view in each]) for each in (read_views(tmp_path / "c"), views))
+    assert umeyama(here, there).scale == pytest.approx(1, abs=0.02)
+    capsys.readouterr()
+    for known, words in (
+        (("air", "boxs"), "the table of places has no 'boxs': it has air, box, flat, lost, torn. Did you mean 'box'?"),
+        (("torn", "box"), "the pixels of 'torn' are not of one place"),
+        (("lost", "box"), "none of the photos 'unposed.jpg', 'another.jpg' has a pose"),
+    ):
+        assert main([*named, "--known-distance", *known, "1"]) == 1
+        assert words in json.loads(capsys.readouterr().out)["error"]
+    assert main([*line, "--overwrite", "--places", "places.csv"]) == 2
+    assert main([*line, "--overwrite", "--known-distance", "air", "box", "1"]) == 2
+    assert "or --places FILE.csv with NAME NAME METRES; got 3 values" in capsys.readouterr().err
+
+
+def test_rays_of_one_direction_tell_no_depth() -> None:
+    looks = [{"center": [x, 0.0, 0.0], "ray": [(2 - x) / 100, 0.0, 1.0]} for x in (0.0, 1.0)]
+    with pytest.raises(InputError, match="from nearly one direction"):
+        _meeting("'corner'", looks)
+    looks = [{"center": [x, 0.0, 0.0], "ray": [(2 - x) / 4, 0.5, 1.0]} for x in (0.0, 1.0, 5.0)]
+    assert _meeting("'corner'", looks) == pytest.approx([2, 2, 4])
+    behind = [{"center": one["center"], "ray": [-part for part in one["ray"]]} for one in looks]
+    with pytest.raises(InputError, match="are not of one place"):
+        _meeting("'corner'", behind)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "name,x,y,photo\n", "name,photo,x,y\na,b,1\n", "name,photo,x,y\na,b,1,nan\n", "name,photo,x,y\n,b,1,2\n",
+     "name,photo,x,y\na,b,1,2\na,b,3,4\n", "\xff"],
+)  # fmt: skip
+def test_damaged_tables_of_places_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "places.csv").write_text(text, encoding="latin-1")
+    with pytest.raises(FormatError, match=r"places\.csv"):
+        read_places(tmp_path / "places.csv")
+    with pytest.raises(InputError, match="no such file"):
+        read_places(tmp_path / "none.csv")
 
 
 def test_lengths_are_said_once() -> None:

@@ -134,17 +134,24 @@ def place(request: dict[str, Any], _: TextIO) -> None:
     model.write_binary(request["output"])
 
 
-def look(request: dict[str, Any], _: TextIO) -> dict[str, Any]:
-    """Return where a photo was taken, the ray of a pixel (of depth 1), and the pixels and depths of its points."""
+def look(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
+    """Return what `_looked` says of each place, a photo's name and a pixel."""
     model = pycolmap.Reconstruction(request["model"])
-    image = next(image for image in model.images.values() if image.name == request["name"])
+    images = {image.name: image for image in model.images.values()}
+    return [_looked(model, images[name], pixel) for name, pixel in request["places"]]
+
+
+def _looked(model: pycolmap.Reconstruction, image: pycolmap.Image, pixel: list[float]) -> dict[str, Any]:
+    """Return where a photo was taken, the ray of a pixel (of depth 1), and the pixels and depths of its points."""
     camera, pose = model.cameras[image.camera_id], image.cam_from_world()
     seen = [point for point in image.points2D if point.has_point3D()]
-    across, down = camera.cam_from_img(request["pixel"])
+    slopes = camera.cam_from_img(pixel)
+    if slopes is None:
+        raise ValueError(f"no ray of the lens leads to the pixel {pixel}")
     return {
         "size": [camera.width, camera.height],
         "center": image.projection_center().tolist(),
-        "ray": (pose.rotation.inverse() * [across, down, 1.0]).tolist(),
+        "ray": (pose.rotation.inverse() * [*slopes, 1.0]).tolist(),
         "pixels": [point.xy.tolist() for point in seen],
         "depths": [float((pose * model.points3D[point.point3D_id].xyz)[2]) for point in seen],
     }
