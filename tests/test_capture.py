@@ -331,8 +331,42 @@ def test_photos_without_texture_are_an_error_that_names_them(tmp_path: Path) -> 
     (tmp_path / "photos").mkdir()
     for k in range(4):
         (tmp_path / f"photos/{k}.jpg").write_bytes(jpeg(np.full((300, 400, 3), 100 + k, np.uint8)))
-    with pytest.raises(InputError, match="no two photos overlap"):
+    with pytest.raises(InputError, match=r"no two photos overlap: 0\.jpg \(it shows hardly any texture"):
         capture(tmp_path / "photos", tmp_path / "capture")
+
+
+@has_colmap
+def test_a_camera_that_never_moved_is_an_error_that_says_so(views: list[View], tmp_path: Path) -> None:
+    """The same photo saved again and again: other bytes, the same place."""
+    (tmp_path / "photos").mkdir()
+    for k in range(4):
+        Image.fromarray(photographed(views[0])).save(tmp_path / f"photos/{k}.jpg", quality=85 + k)
+    with pytest.raises(InputError, match=r"0\.jpg \(too little movement: [\d,]+ places in common with another photo"):
+        capture(tmp_path / "photos", tmp_path / "capture", threads=2)
+
+
+@has_colmap
+def test_a_blank_wall_with_noise_is_an_error_that_names_its_photos(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    (tmp_path / "photos").mkdir()
+    for k in range(4):
+        wall = np.clip(rng.normal(200, 2, (300, 400, 3)), 0, 255).astype(np.uint8)
+        (tmp_path / f"photos/{k}.jpg").write_bytes(jpeg(wall))
+    with pytest.raises(InputError, match=r"no two photos overlap: 0\.jpg .* Walk round what you take"):
+        capture(tmp_path / "photos", tmp_path / "capture", threads=2)
+
+
+@has_colmap
+def test_portrait_and_landscape_are_posed_together(views: list[View], tmp_path: Path) -> None:
+    upright = np.array([[views[0].K[0, 0], 0, 150], [0, views[0].K[1, 1], 200], [0, 0, 1.0]])
+    taken = [replace(view, K=upright, width=300, height=400) if k % 3 == 1 else view for k, view in enumerate(views)]
+    (tmp_path / "photos").mkdir()
+    for view in taken:
+        (tmp_path / "photos" / view.name).write_bytes(jpeg(photographed(view), exif_of(view)))
+    assert capture(tmp_path / "photos", tmp_path / "c", threads=2)["num_registered"] == len(views)
+    posed = read_views(tmp_path / "c")
+    assert [(view.width, view.height) for view in posed] == [(view.width, view.height) for view in taken]
+    assert differences(posed, taken)[0] < 0.01
 
 
 @has_colmap

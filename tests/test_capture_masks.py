@@ -52,7 +52,7 @@ def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path: Path) -> Non
     assert turned < 0.5
     with Image.open(tmp_path / "capture/masks/photo_03.jpg.png") as kept:
         assert np.array_equal(np.asarray(kept), 255 - mask)
-    with pytest.raises(InputError, match="too little overlap or movement"):  # of what is held alone
+    with pytest.raises(InputError, match="too little movement"):  # of what is held alone
         capture(tmp_path / "photos", tmp_path / "other", CaptureSettings(), threads=2)
 
 

@@ -142,7 +142,10 @@ def _too_few(photos: Sequence[Photo], num_taken: int) -> str:
     why = [f"{len(faults)} cannot be used: {listed(faults, 3)}"] if faults else []
     why += [f"{twins} are copies of others"] if twins else []
     because = f"; {'; '.join(why)}" if why else ""
-    return f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}"
+    return (
+        f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}. Take 20 or "
+        "more from different places, each a step to the side"
+    )
 
 
 def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
@@ -207,8 +210,9 @@ def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
     """Return why there is no model, with the photos that are most to blame."""
     why = Reasons(photos, posed.features, posed.pairs, [])
     reasons = [f"{photo.name} ({why.of(photo)})" for photo in photos]
+    fitting = f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together" if posed.pairs else "no two photos overlap"
     return (
-        f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
+        f"{fitting}: {listed(reasons, 3)}. Walk round what you "
         "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
     )
 

@@ -39,7 +39,9 @@ def find_photos(folder: Path) -> list[Source]:
     Raises: InputError: no folder, no photo in it, or more than `MOST_PHOTOS`.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder of photos or a video")
+        missing = "" if folder.exists() else "there is no such file or folder; "
+        ends = ", ".join(sorted(end[1:] for end in VIDEO_ENDS))
+        raise InputError(f"{folder}: {missing}expected a folder of photos or a video ({ends})")
     sources, masks = [], mask_folder(folder)
     for parent, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != MASKS)
