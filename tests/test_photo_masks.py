@@ -1,6 +1,7 @@
 """Masks of photos in a capture: what they leave out takes no part in training, embedding and registering."""
 
 import json
+import shutil
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -301,6 +302,16 @@ def test_the_record_of_a_training_counts_masked_photos(
         assert main(line) == 0
     assert json.loads(capsys.readouterr().out)["num_masked_views"] == 14
     assert json.loads((tmp_path / "m/results.json").read_text())["num_masked_views"] == 14
+
+
+def test_training_names_a_damaged_mask(
+    crowded: tuple[Path, list[ds.View], ds.Gaussians], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(crowded[0], tmp_path / "c")
+    damaged = tmp_path / "c/masks/photo_03.png"
+    damaged.write_bytes(damaged.read_bytes()[:60])
+    assert main(["train", str(tmp_path / "c"), "-o", str(tmp_path / "m"), "--iterations", "2", "--json"]) == 1
+    assert f"{damaged}: cannot be read as a mask" in json.loads(capsys.readouterr().out)["error"]
 
 
 # --- registering ---
