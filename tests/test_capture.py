@@ -19,7 +19,8 @@ from PIL import Image
 from drsplat.capture import program
 from drsplat.capture.capturing import _bring_all, capture
 from drsplat.capture.finding import find_photos
-from drsplat.capture.measuring import KnownDistance, Place
+from drsplat.capture.measuring import KnownDistance, _meeting
+from drsplat.capture.places import Place, read_places
 from drsplat.capture.posing import camera_key
 from drsplat.capture.settings import CaptureSettings
 from drsplat.capture.work import Work, _remove
@@ -330,8 +331,42 @@ def test_photos_without_texture_are_an_error_that_names_them(tmp_path: Path) -> 
     (tmp_path / "photos").mkdir()
     for k in range(4):
         (tmp_path / f"photos/{k}.jpg").write_bytes(jpeg(np.full((300, 400, 3), 100 + k, np.uint8)))
-    with pytest.raises(InputError, match="no two photos overlap"):
+    with pytest.raises(InputError, match=r"no two photos overlap: 0\.jpg \(it shows hardly any texture"):
         capture(tmp_path / "photos", tmp_path / "capture")
+
+
+@has_colmap
+def test_a_camera_that_never_moved_is_an_error_that_says_so(views: list[View], tmp_path: Path) -> None:
+    """The same photo saved again and again: other bytes, the same place."""
+    (tmp_path / "photos").mkdir()
+    for k in range(4):
+        Image.fromarray(photographed(views[0])).save(tmp_path / f"photos/{k}.jpg", quality=85 + k)
+    with pytest.raises(InputError, match=r"0\.jpg \(too little movement: [\d,]+ places in common with another photo"):
+        capture(tmp_path / "photos", tmp_path / "capture", threads=2)
+
+
+@has_colmap
+def test_a_blank_wall_with_noise_is_an_error_that_names_its_photos(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    (tmp_path / "photos").mkdir()
+    for k in range(4):
+        wall = np.clip(rng.normal(200, 2, (300, 400, 3)), 0, 255).astype(np.uint8)
+        (tmp_path / f"photos/{k}.jpg").write_bytes(jpeg(wall))
+    with pytest.raises(InputError, match=r"no two photos overlap: 0\.jpg .* Walk round what you take"):
+        capture(tmp_path / "photos", tmp_path / "capture", threads=2)
+
+
+@has_colmap
+def test_portrait_and_landscape_are_posed_together(views: list[View], tmp_path: Path) -> None:
+    upright = np.array([[views[0].K[0, 0], 0, 150], [0, views[0].K[1, 1], 200], [0, 0, 1.0]])
+    taken = [replace(view, K=upright, width=300, height=400) if k % 3 == 1 else view for k, view in enumerate(views)]
+    (tmp_path / "photos").mkdir()
+    for view in taken:
+        (tmp_path / "photos" / view.name).write_bytes(jpeg(photographed(view), exif_of(view)))
+    assert capture(tmp_path / "photos", tmp_path / "c", threads=2)["num_registered"] == len(views)
+    posed = read_views(tmp_path / "c")
+    assert [(view.width, view.height) for view in posed] == [(view.width, view.height) for view in taken]
+    assert differences(posed, taken)[0] < 0.01
 
 
 @has_colmap
@@ -391,6 +426,66 @@ def test_a_known_distance_gives_metres_and_keeps_the_poses(
         assert words in capsys.readouterr().out
     assert main([*line, "--known-distance", *known, "x", "--overwrite"]) == 2
     assert len(read_views(tmp_path / "c")) == NUM_GOOD
+
+
+@has_colmap
+def test_named_places_are_where_their_rays_meet(
+    good_photos: Path, views: list[View], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A marker in the air, where no point is, and one on a box that a single photo shows; in metres of the room."""
+    line = ["capture", str(good_photos), "--output", str(tmp_path / "c"), "--threads", "2", "--json"]
+    assert main(line) == 0
+    air, box = (0.9, 0.6, 1.3), (0.4, -0.48, 0.6)
+    rows = [("air", view, air) for view in views[1:8:3]] + [("box", views[2], box)]
+    rows += [("flat", view, air) for view in views[1:3]] + [
+        ("torn", views[1], air),
+        ("torn", views[7], (0.0, 1.0, 1.3)),
+    ]
+    table = [f"{name},{view.name},{','.join(map(str, pixel_of(view, point)))}" for name, view, point in rows]
+    table += ["air,unposed.jpg,3,4", "lost,unposed.jpg,3,4", "lost,another.jpg,3,4"]
+    (tmp_path / "places.csv").write_text("\n".join(["name,photo,x,y", *table]))
+    named = [*line, "--overwrite", "--places", str(tmp_path / "places.csv")]
+    metres = str(np.linalg.norm(np.subtract(air, box)))
+    assert main([*named, "--known-distance", "air", "box", metres]) == 0
+    record = json.loads((tmp_path / "c/capture.json").read_text())
+    assert record["scale_from"] == "known distance"
+    here, there = (np.array([view.center for view in each]) for each in (read_views(tmp_path / "c"), views))
+    assert umeyama(here, there).scale == pytest.approx(1, abs=0.02)
+    capsys.readouterr()
+    for known, words in (
+        (("air", "boxs"), "the table of places has no 'boxs': it has air, box, flat, lost, torn. Did you mean 'box'?"),
+        (("torn", "box"), "the pixels of 'torn' are not of one place"),
+        (("lost", "box"), "none of the photos 'unposed.jpg', 'another.jpg' has a pose"),
+    ):
+        assert main([*named, "--known-distance", *known, "1"]) == 1
+        assert words in json.loads(capsys.readouterr().out)["error"]
+    assert main([*line, "--overwrite", "--places", "places.csv"]) == 2
+    assert main([*line, "--overwrite", "--known-distance", "air", "box", "1"]) == 2
+    assert "or --places FILE.csv with NAME NAME METRES; got 3 values" in capsys.readouterr().err
+
+
+def test_rays_of_one_direction_tell_no_depth() -> None:
+    looks = [{"center": [x, 0.0, 0.0], "ray": [(2 - x) / 100, 0.0, 1.0]} for x in (0.0, 1.0)]
+    with pytest.raises(InputError, match="from nearly one direction"):
+        _meeting("'corner'", looks)
+    looks = [{"center": [x, 0.0, 0.0], "ray": [(2 - x) / 4, 0.5, 1.0]} for x in (0.0, 1.0, 5.0)]
+    assert _meeting("'corner'", looks) == pytest.approx([2, 2, 4])
+    behind = [{"center": one["center"], "ray": [-part for part in one["ray"]]} for one in looks]
+    with pytest.raises(InputError, match="are not of one place"):
+        _meeting("'corner'", behind)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "name,x,y,photo\n", "name,photo,x,y\na,b,1\n", "name,photo,x,y\na,b,1,nan\n", "name,photo,x,y\n,b,1,2\n",
+     "name,photo,x,y\na,b,1,2\na,b,3,4\n", "\xff"],
+)  # fmt: skip
+def test_damaged_tables_of_places_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "places.csv").write_text(text, encoding="latin-1")
+    with pytest.raises(FormatError, match=r"places\.csv"):
+        read_places(tmp_path / "places.csv")
+    with pytest.raises(InputError, match="no such file"):
+        read_places(tmp_path / "none.csv")
 
 
 def test_lengths_are_said_once() -> None:

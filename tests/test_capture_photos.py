@@ -140,7 +140,7 @@ def test_photos_are_found_in_the_order_of_their_numbers(tmp_path: Path) -> None:
 def test_folders_without_photos_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no photo in it"):
         find_photos(tmp_path)
-    with pytest.raises(InputError, match="expected a folder of photos"):
+    with pytest.raises(InputError, match="there is no such file or folder; expected a folder of photos or a video"):
         find_photos(tmp_path / "none")
 
 
@@ -183,12 +183,14 @@ def test_reasons() -> None:
     photos[2] = replace(photos[2], sharpness=1.0)
     features = {photo.file: 1000 for photo in photos} | {"b.jpg": 20}
     del features["g.jpg"]
-    pairs = {("a.jpg", "e.jpg"): 17}
+    photos.append(replace(sharp, name="h", file="h.jpg"))
+    features["h.jpg"] = 1000
+    pairs = {("a.jpg", "e.jpg"): 17, ("a.jpg", "h.jpg"): 1234}
     models = [["a.jpg"], ["f.jpg", "x.jpg"]]
     said = [Reasons(photos, features, pairs, models).of(photo) for photo in photos[1:]]
     expected = (
         "hardly any texture, or is blurred: 20", "it is blurred", "no overlap", "at most 17", "another place",
-        "could not read",
+        "could not read", "too little movement: 1,234 places",
     )  # fmt: skip
     for reason, words in zip(said, expected, strict=True):
         assert words in reason

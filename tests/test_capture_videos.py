@@ -129,5 +129,20 @@ def test_films_that_show_nothing_are_errors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot be read as a video|no picture|hardly moves"):
         capture(tmp_path / "cut.mp4", tmp_path / "c")
     (tmp_path / "empty.mp4").touch()
-    with pytest.raises(InputError, match="cannot be read as a video"):
+    with pytest.raises(InputError, match="cannot be read as a video: it is empty, damaged or cut off"):
         capture(tmp_path / "empty.mp4", tmp_path / "c")
+
+
+@has_colmap
+@has_av
+def test_a_film_of_sound_alone_is_an_error(tmp_path: Path) -> None:
+    import av
+
+    with av.open(str(tmp_path / "sound.mp4"), "w") as container:
+        stream = container.add_stream("aac", rate=44100)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 44100), np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 44100
+        for packet in [*stream.encode(frame), *stream.encode()]:
+            container.mux(packet)
+    with pytest.raises(InputError, match="there are no pictures in it, sound alone"):
+        capture(tmp_path / "sound.mp4", tmp_path / "c")

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
 
 import drsplat as ds
 from drsplat.cli import main
@@ -280,6 +281,25 @@ def counted(*given: object, **more: object) -> tuple[ds.Registration, Work]:
 def saved(field: ds.LanguageField, path: Path) -> dict[str, bytes]:
     field.save(path)
     return {file.name: file.read_bytes() for file in sorted(path.iterdir())}
+
+
+def test_masks_of_photos_leave_out_of_tiles_what_they_leave_out_of_the_whole(toy, tmp_path):
+    mask = np.zeros((72, 96), np.uint8)
+    mask[:, 50:] = 255
+    Image.fromarray(mask).save(tmp_path / "half.png")
+    Image.fromarray(0 * mask).save(tmp_path / "black.png")
+    tiles, (views, features) = read_tiles(toy / "scene.tiles"), inputs(toy)
+    masked = [
+        replace(view, mask_path=tmp_path / name)
+        for view, name in zip(views[:2], ("half.png", "black.png"), strict=True)
+    ]
+    with pytest.warns(ds.DrSplatWarning, match="1 of 4 photos are not used"):
+        made = register_tiles(tiles, masked + views[2:], features, parts=tmp_path / "parts", threads=1)
+    with pytest.warns(ds.DrSplatWarning, match="1 of 4 photos are not used"):
+        at_once = ds.register(tiles.gaussians(), masked + views[2:], features)
+    assert len(made.masks.view_names) == 3
+    assert_array_equal(made.weights.data, at_once.weights.data)
+    assert made.weights.nnz < ds.register(tiles.gaussians(), [views[0], *views[2:]], features).weights.nnz
 
 
 @pytest.mark.parametrize("launcher", [Here(), Processes(2)], ids=["here", "processes"])

@@ -14,6 +14,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
@@ -327,11 +328,33 @@ def device_run(views, points, s: ds.TrainingSettings, engine):
 
 
 @needs_torch
+def test_on_a_device_left_out_pixels_see_no_gaussian_either(views, points, tmp_path):
+    """The counts of density control are those of the CPU, but for Gaussians at the edge of what is seen."""
+    Image.fromarray(np.repeat(np.uint8([[255] * 10 + [0] * 38]), 36, axis=0)).save(tmp_path / "mask.png")
+    masked = [replace(view, mask_path=tmp_path / "mask.png") for view in views]
+    quiet = replace(BUSY, refine_from=100)
+    counts = []
+    for some in (views, masked):
+        there, here = device_run(some, points, quiet, engine_of()), fresh_run(Run, some, points, quiet)
+        for _ in range(6):
+            there.step()
+            here.step()
+        there.state()
+        counts.append(there.density.times_seen.sum())
+        assert counts[-1] == pytest.approx(here.density.times_seen.sum(), rel=0.05)
+    assert counts[1] < 0.9 * counts[0]
+
+
+@needs_torch
+@pytest.mark.parametrize("masked", [False, True], ids=["unmasked", "masked"])
 @pytest.mark.parametrize("distortion", [None, (0.3, 0.0, 0.0, 0.0)], ids=["whole", "with-edges"])
-def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion):
-    """Same photos, backgrounds, rates and edges: the same losses, step for step."""
+def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion, masked, tmp_path):
+    """Same photos, backgrounds, rates, edges and masks: the same losses, step for step."""
     quiet = replace(BUSY, refine_until=0)
     views = [replace(view, distortion=distortion) for view in views]
+    if masked:
+        Image.fromarray(np.repeat(np.uint8([[255] * 30 + [0] * 18]), 36, axis=0)).save(tmp_path / "mask.png")
+        views = [replace(view, mask_path=tmp_path / "mask.png") for view in views]
     there, here = (device_run(views, points, quiet, engine_of()), fresh_run(Run, views, points, quiet))
     if distortion is not None:
         assert len(here.photos[0].outside) > 10

@@ -47,6 +47,16 @@ def median_off(surface: cKDTree, positions: np.ndarray) -> float:
     return float(np.median(surface.query(positions)[0]))
 
 
+def test_what_masks_leave_out_has_no_keypoints(views: list[ds.View], tmp_path: Path) -> None:
+    mask = np.zeros((views[0].height, views[0].width), np.uint8)
+    mask[:, views[0].width // 2 :] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    middle = views[0].width // 2
+    whole, half = keypoints(views[0]), keypoints(replace(views[0], mask_path=tmp_path / "mask.png"))
+    assert (half.pixels[:, 0] >= middle).all()
+    assert_array_equal(half.pixels, whole.pixels[whole.pixels[:, 0] >= middle])
+
+
 def bent(views: list[ds.View], folder: Path) -> list[ds.View]:
     """The photos as a lens would have taken them."""
     made = []

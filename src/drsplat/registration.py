@@ -32,6 +32,7 @@ from .masks.masks import LEVELS
 from .scene.boxes import camera_axes
 from .scene.gaussians import Gaussians
 from .scene.moving import Moving
+from .scene.photo_masks import keeps_nothing, views_with_something
 from .scene.units import doubts
 from .scene.views import View
 from .terminal import counted, facts_html
@@ -275,7 +276,8 @@ def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Float64[np.nda
 def with_features(views: Sequence[View], features: Collection[str]) -> list[tuple[View, str]]:
     """The views that have features, by name, and the names of these. features: the names that there are.
 
-    Raises: InputError: no view has any, or two have the same.
+    Warns: DrSplatWarning: photos whose masks leave all of them out are none of these.
+    Raises: InputError: no view has any, or two have the same. FormatError, MismatchError: as `load_mask`.
     """
     chosen = []
     keys = set(features)  # not `in features`: a folder of them finds one key by several names
@@ -292,12 +294,15 @@ def with_features(views: Sequence[View], features: Collection[str]) -> list[tupl
             f"no view has features: views are named like '{given}', features like '{example}', so they belong to "
             "other photos: make the features of these with `drsplat embed CAPTURE`"
         )
-    return chosen
+    kept = {view.name for view in views_with_something([view for view, _ in chosen])}
+    if not kept:
+        raise InputError("the masks of all photos leave all of them out: white is kept, and black is left out")
+    return [(view, key) for view, key in chosen if view.name in kept]
 
 
 def tell_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> None:
     found = {view.name for view, _ in chosen}
-    missing = sorted(view.name for view in views if view.name not in found)
+    missing = sorted(view.name for view in views if view.name not in found and not keeps_nothing(view))
     if missing:
         warn(
             f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}",

@@ -11,13 +11,13 @@ from ..errors import InputError
 from ..formats.claiming import claimed_folder
 from ..formats.colmap import read_colmap
 from ..formats.georeference import write_georeference
+from ..formats.mask_files import FOLDER as MASKS
+from ..formats.mask_files import SUFFIX as MASK_SUFFIX
 from ..formats.photo_files import listed
 from ..formats.replacing import replacing
 from .finding import Source, find_photos
-from .masks import FOLDER as MASKS
-from .masks import SUFFIX as MASK_SUFFIX
 from .measuring import units_between
-from .photos import Photo, bring, mask_path
+from .photos import Photo, bring
 from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
 from .reasons import Reasons
@@ -96,9 +96,10 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
     world = _placed(model, by_file, names, work, settings)
     work.new.joinpath("images").mkdir(exist_ok=True)
     photos_folder = work.undistorted / "images" if settings.lens in UNDISTORTED else work.photos
+    masks_folder = work.undistorted_masks if settings.lens in UNDISTORTED else work.masks
     for file, name in names.items():
         _moved(photos_folder / file, work.new / "images" / name)
-        _moved(mask_path(work.photos, file), work.new / MASKS / (name + MASK_SUFFIX))
+        _moved(masks_folder / (file + MASK_SUFFIX), work.new / MASKS / (name + MASK_SUFFIX))
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
     record = _record(photos, posed, world, settings) | {"sources": key, "video": film}
@@ -141,7 +142,10 @@ def _too_few(photos: Sequence[Photo], num_taken: int) -> str:
     why = [f"{len(faults)} cannot be used: {listed(faults, 3)}"] if faults else []
     why += [f"{twins} are copies of others"] if twins else []
     because = f"; {'; '.join(why)}" if why else ""
-    return f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}"
+    return (
+        f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}. Take 20 or "
+        "more from different places, each a step to the side"
+    )
 
 
 def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
@@ -173,6 +177,10 @@ def _placed(
         ask_colmap(
             "undistort", work.log, model=str(folder), images=str(work.photos), output=str(work.undistorted), threads=-1
         )
+        work.undistorted_masks.mkdir(parents=True, exist_ok=True)
+        ask_colmap(
+            "undistort_masks", work.log, model=str(folder), masks=str(work.masks), output=str(work.undistorted_masks)
+        )
         folder = work.undistorted / MODEL
     views = read_colmap(folder)
     facts = {file: photo.exif for file, photo in photos.items()}
@@ -202,8 +210,9 @@ def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
     """Return why there is no model, with the photos that are most to blame."""
     why = Reasons(photos, posed.features, posed.pairs, [])
     reasons = [f"{photo.name} ({why.of(photo)})" for photo in photos]
+    fitting = f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together" if posed.pairs else "no two photos overlap"
     return (
-        f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together: {listed(reasons, 3)}. Walk round what you "
+        f"{fitting}: {listed(reasons, 3)}. Walk round what you "
         "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
     )
 

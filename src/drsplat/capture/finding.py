@@ -7,9 +7,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..errors import InputError
+from ..formats.mask_files import FOLDER as MASKS
+from ..formats.mask_files import NO_NAME, mask_folder, mask_of
 from ..formats.photo_files import safe_name
-from .masks import FOLDER as MASKS
-from .masks import mask_folder, mask_of
 
 PHOTO_ENDS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif"}
 VIDEO_ENDS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
@@ -39,7 +39,9 @@ def find_photos(folder: Path) -> list[Source]:
     Raises: InputError: no folder, no photo in it, or more than `MOST_PHOTOS`.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder of photos or a video")
+        missing = "" if folder.exists() else "there is no such file or folder; "
+        ends = ", ".join(sorted(end[1:] for end in VIDEO_ENDS))
+        raise InputError(f"{folder}: {missing}expected a folder of photos or a video ({ends})")
     sources, masks = [], mask_folder(folder)
     for parent, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != MASKS)
@@ -54,7 +56,7 @@ def find_photos(folder: Path) -> list[Source]:
         kinds = ", ".join(sorted(end[1:] for end in PHOTO_ENDS))
         raise InputError(f"{folder}: there is no photo in it: expected files that end in {kinds}")
     if masks is not None and not any(source.mask for source in sources):
-        raise InputError(f"{masks}: no mask in it has a photo's name: expected NAME.jpg.png or NAME.png for NAME.jpg")
+        raise InputError(f"{masks}: {NO_NAME}")
     return sorted(sources, key=lambda source: in_order(source.name))
 
 

@@ -1,28 +1,27 @@
 """How long a metre is, told by people: a factor, or a distance between two places that they see in photos."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from ..errors import InputError
+from ..formats.photo_files import listed
+from .places import Marker, Place
 from .program import ask_colmap
+
+Position = Float64[np.ndarray, " 3"]
 
 NEAR_SHARE = 0.05  # of the photo's diagonal: points further from the pixel say nothing about it
 NEAREST = 12  # points whose surface is the place's
 FEWEST_OF_A_PLANE = 5
 GAP_SHARE = 0.05  # of the depth: what lies further behind is another surface
 FEWEST_IN_FRONT = 2
-
-
-class Place(NamedTuple):
-    """A pixel (x right, y down, from the upper left corner) of an upright photo in its full size."""
-
-    photo: str
-    x: float
-    y: float
+LEAST_ANGLE_DEGREES = 2.0  # between two rays of a marker
+MOST_OFF_DEGREES = 1.0  # of a marker's pixel from where its place would be seen
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,8 @@ class KnownDistance:
     Raises: InputError: a distance that is not above 0.
     """
 
-    one: Place
-    other: Place
+    one: Place | Marker
+    other: Place | Marker
     metres: float
 
     def __post_init__(self) -> None:
@@ -46,7 +45,8 @@ def units_between(known: KnownDistance, model: Path, log: Path, names: dict[str,
 
     names: in the model, by the names of photos that people use.
 
-    Raises: InputError: a photo without a pose, a pixel that is not on it or near no point, or a distance of 0.
+    Raises: InputError: a photo without a pose, a pixel that is not on it or near no point, pixels of a marker that are
+    not of one place, or a distance of 0.
     """
     one, other = (_position(place, model, log, names) for place in (known.one, known.other))
     units = float(np.linalg.norm(one - other))
@@ -55,27 +55,71 @@ def units_between(known: KnownDistance, model: Path, log: Path, names: dict[str,
     return units
 
 
-def _position(place: Place, model: Path, log: Path, names: dict[str, str]) -> Float64[np.ndarray, " 3"]:
-    """Return the world position of what a pixel shows: on its ray, as far away as the points around it."""
-    if place.photo not in names:
-        raise InputError(f"known_distance: the photo '{place.photo}' has no pose: name one that has")
-    seen = ask_colmap("look", log, model=str(model), name=names[place.photo], pixel=[place.x, place.y])
-    width, height = seen["size"]
-    if not (0 <= place.x <= width and 0 <= place.y <= height):
+def _position(place: Place | Marker, model: Path, log: Path, names: dict[str, str]) -> Position:
+    """Return the world position of a place: where its rays meet; of a single one, as far away as the points around."""
+    given = place.seen if isinstance(place, Marker) else (place,)
+    places = [one for one in given if one.photo in names]
+    if not places:
+        photos = listed([f"'{one.photo}'" for one in given], 3)
+        which = f"the photo {photos} has no pose" if len(given) == 1 else f"none of the photos {photos} has a pose"
+        raise InputError(f"known_distance: {which}: name one that has")
+    asked = [[names[one.photo], [one.x, one.y]] for one in places]
+    looks = ask_colmap("look", log, model=str(model), places=asked)
+    for one, look in zip(places, looks, strict=True):
+        width, height = look["size"]
+        if not (0 <= one.x <= width and 0 <= one.y <= height):
+            raise InputError(
+                f"known_distance: ({one.x:g}, {one.y:g}) is not on {one.photo}, which is {width}x{height} upright"
+            )
+    if len(places) == 1:
+        return _on_surface(places[0], looks[0])
+    return _meeting(_name(place), looks)
+
+
+def _name(place: Place | Marker) -> str:
+    return f"'{place.name}'" if isinstance(place, Marker) else place.photo
+
+
+def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Position:
+    """Return the place that is nearest to all rays.
+
+    Raises: InputError: they are nearly parallel, or pass each other by.
+    """
+    centers = np.array([look["center"] for look in looks])
+    rays = np.array([look["ray"] for look in looks])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    if float(np.linalg.eigvalsh(across.sum(axis=0))[0]) < len(looks) * np.radians(LEAST_ANGLE_DEGREES) ** 2 / 4:
         raise InputError(
-            f"known_distance: ({place.x:g}, {place.y:g}) is not on {place.photo}, which is {width}x{height} upright"
+            f"known_distance: the photos of {name} were taken from nearly one direction, which tells no depth: give "
+            "its pixel in a photo from the side, or in a single one"
         )
-    pixels = np.array(seen["pixels"], np.float64).reshape(-1, 2)
+    place: Position = np.linalg.solve(across.sum(axis=0), (across @ centers[..., None]).sum(axis=0))[:, 0]
+    apart = place - centers
+    distances = np.linalg.norm(apart, axis=1)
+    along = (apart * rays).sum(axis=1)
+    off = np.degrees(np.arctan2(np.linalg.norm(np.cross(rays, apart), axis=1), along))
+    if off.max() > MOST_OFF_DEGREES or not distances.min() > 0:
+        raise InputError(
+            f"known_distance: the pixels of {name} are not of one place: their rays pass it by {off.max():.1f} degrees "
+            f"(at most {MOST_OFF_DEGREES:g} are taken): look at them again"
+        )
+    return place
+
+
+def _on_surface(place: Place, look: dict[str, Any]) -> Position:
+    """Return the position of what a pixel shows: on its ray, as far away as the points around it."""
+    pixels = np.array(look["pixels"], np.float64).reshape(-1, 2)
     away = np.linalg.norm(pixels - (place.x, place.y), axis=1)
     near = np.argsort(away, kind="stable")[:NEAREST]
-    near = near[away[near] <= NEAR_SHARE * np.hypot(width, height)]
+    near = near[away[near] <= NEAR_SHARE * np.hypot(*look["size"])]
     if not len(near):
         raise InputError(
             f"known_distance: no point of the capture is near ({place.x:g}, {place.y:g}) of {place.photo}: choose a "
-            "place with texture"
+            "place with texture, or give its pixels in two photos (--places)"
         )
-    depth = _depth(pixels[near] - (place.x, place.y), np.array(seen["depths"])[near])
-    return np.array(seen["center"]) + depth * np.array(seen["ray"])
+    depth = _depth(pixels[near] - (place.x, place.y), np.array(look["depths"])[near])
+    return np.array(look["center"]) + depth * np.array(look["ray"])
 
 
 def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"]) -> float:

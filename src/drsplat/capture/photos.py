@@ -16,13 +16,13 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from ..contents import open_file
 from ..errors import MissingExtraError
 from ..formats.checksums import hash_file
+from ..formats.mask_files import FOLDER as MASKS
+from ..formats.mask_files import SUFFIX as MASK_SUFFIX
 from ..formats.replacing import replacing
 from ..scene.photos import PHOTO_FORMATS
 from ..scene.picture_costs import check_cost
 from .exif import ExifFacts, exif_facts
 from .finding import Source
-from .masks import FOLDER as MASKS
-from .masks import SUFFIX as MASK_SUFFIX
 from .masks import bring_mask
 
 Vector = tuple[float, float, float]
@@ -32,6 +32,7 @@ INSTALL = 'pip install "drsplat[capture]"'
 MOST_PIXELS = 200_000_000
 FEWEST_SIDE_PX = 64
 JPEG_QUALITY = 95
+ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (--invert-masks turns that round)"
 LOOK_SIDE_PX = 512  # of the small picture whose sharpness is measured
 ORIENTATION = 0x0112
 DIGEST_LETTERS = 24
@@ -109,7 +110,10 @@ def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
             decoded.upright.save(output, format="PNG")
     if source.mask is not None:
         target = mask_path(folder, path.name)
-        bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert_masks)
+        if not bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert_masks):
+            path.unlink()
+            target.unlink()
+            return Photo(source.name, fault=ALL_LEFT_OUT)
     return Photo(source.name, path.name, decoded.width, decoded.height, decoded.sharpness, decoded.exif)
 
 

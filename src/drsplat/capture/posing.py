@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from ..errors import InputError
 from ..formats.replacing import replacing
 from ..scene.geodesy import geocentric
 from . import database as colmap_database
@@ -63,7 +62,7 @@ class Posing:
     progress: Progress
 
     def run(self) -> Posed:
-        """Raises: InputError: no two photos overlap enough, or the disk is full. ColmapFailure: COLMAP failed."""
+        """Raises: InputError: the disk is full. ColmapFailure: COLMAP failed."""
         self._extract()
         with colmap_database.reading(self._database) as database:
             features = colmap_database.num_features(database)
@@ -138,6 +137,8 @@ class Posing:
 
     def _map(self, pairs: dict[tuple[str, str], int]) -> list[Model]:
         most = len(_largest_group(pairs))
+        if not most:
+            return []
         models = self._mapped("global", "map_globally", pairs)
         if not models or len(models[0].files) < ENOUGH_SHARE * most:
             models = max(
@@ -199,13 +200,13 @@ def places_of(photos: Sequence[Photo]) -> Float64[np.ndarray, "n 3"]:
 
 
 def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
-    """Return the files of the largest group whose members overlap, one with another."""
+    """Return the files of the largest group whose members overlap, one with another; none where no two do."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     files = sorted({file for pair in pairs for file in pair})
     if not files:
-        raise InputError("no two photos overlap: take them so that each shows most of what the one before shows")
+        return set()
     index = {file: k for k, file in enumerate(files)}
     rows, columns = np.array([[index[one], index[other]] for one, other in pairs]).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(files), len(files)))

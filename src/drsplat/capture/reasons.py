@@ -10,6 +10,7 @@ from .photos import Photo
 BLURRED_SHARE = 0.35  # of the median sharpness
 FEW_FEATURES = 150
 FEW_MATCHES = 15  # which COLMAP asks of a pair
+MANY_MATCHES = 300  # with which a photo has a pose, unless its camera has not moved
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,9 @@ class Reasons:
         matches = self._best_matches.get(photo.file, 0)
         if matches < FEW_MATCHES:
             return "no overlap: it shows nothing that another photo shows"
-        return f"too little overlap or movement: at most {matches} places in common with another photo"
+        if matches < MANY_MATCHES:
+            return f"too little overlap or movement: at most {matches} places in common with another photo"
+        return f"too little movement: {matches:,} places in common with another photo, and no depth comes of them"
 
     @cached_property
     def _first(self) -> dict[str, Photo]:

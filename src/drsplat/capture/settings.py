@@ -21,7 +21,7 @@ class CaptureSettings:
     """How photos become a capture.
 
     lens: of `LENSES`. scale: metres of a unit that the capture has without it. known_distance: between two places in
-    photos, in place of `scale`. invert_masks: black is kept, white left out.
+    photos or two markers, in place of `scale`. invert_masks: black is kept, white left out.
 
     Raises: InputError: an unknown lens, a scale that is not above 0, or both.
     """

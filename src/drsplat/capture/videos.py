@@ -115,14 +115,17 @@ def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
     try:
         with av.open(str(video)) as container:
             if not container.streams.video:
-                raise InputError(f"{video}: there are no pictures in it")
+                raise InputError(f"{video}: there are no pictures in it, sound alone: name a film")
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             if stream.width * stream.height > MOST_PIXELS:
                 raise InputError(f"{video}: its frames of {stream.width}x{stream.height} pixels are too large")
             yield container, stream
     except av.FFmpegError as error:
-        raise InputError(f"{video}: cannot be read as a video ({error.strerror or error})") from error
+        raise InputError(
+            f"{video}: cannot be read as a video: it is empty, damaged or cut off, or of another kind "
+            f"({error.strerror or error})"
+        ) from error
 
 
 def _decoded(container: Any, stream: Any, video: Path) -> Iterator[Any]:

@@ -30,6 +30,7 @@ class Work:
         self.record, self.log = self.folder / "photos.jsonl", self.folder / "colmap.log"
         self.new, self.frames = self.folder / "new", self.folder / "frames"
         self.undistorted = self.folder / "undistorted"
+        self.undistorted_masks = self.undistorted / "masks"
         shutil.rmtree(self.new, ignore_errors=True)  # of a run that was stopped before it was ready
         self.photos.mkdir(parents=True, exist_ok=True)
         self.masks.mkdir(exist_ok=True)

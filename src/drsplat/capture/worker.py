@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
 import pycolmap
 
 from ..system import end_with
@@ -20,6 +21,7 @@ SEED = 0
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 8, 64
 MAX_FEATURES = 4096
 JPEG_QUALITY = 95
+MASK_SUFFIX, MASK_KEPT_FROM = ".png", 128
 FEWEST_PHOTOS = 3  # of a model
 FEWEST_POINTS = 15  # that a photo has to see
 DEPTHS = 2000  # points whose distances are looked at
@@ -105,6 +107,19 @@ def undistort(request: dict[str, Any], _: TextIO) -> None:
     )  # fmt: skip
 
 
+def undistort_masks(request: dict[str, Any], _: TextIO) -> None:
+    """Write the masks of a model's photos as pinholes see them, as `undistort` does their photos; to `output`."""
+    model = pycolmap.Reconstruction(request["model"])
+    for image in model.images.values():
+        mask = Path(request["masks"], image.name + MASK_SUFFIX)
+        picture = pycolmap.Bitmap.read(str(mask), as_rgb=False) if image.has_pose and mask.is_file() else None
+        if picture is None:
+            continue
+        warped = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), picture, model.cameras[image.camera_id])[0]
+        white = np.where(warped.to_array() >= MASK_KEPT_FROM, np.uint8(255), np.uint8(0))
+        pycolmap.Bitmap.from_array(white).write(str(Path(request["output"], mask.name)))
+
+
 def place(request: dict[str, Any], _: TextIO) -> None:
     """Write a model after a similarity of its world (scale, rotation by rows, translation), its photos renamed."""
     model = pycolmap.Reconstruction(request["model"])
@@ -119,17 +134,24 @@ def place(request: dict[str, Any], _: TextIO) -> None:
     model.write_binary(request["output"])
 
 
-def look(request: dict[str, Any], _: TextIO) -> dict[str, Any]:
-    """Return where a photo was taken, the ray of a pixel (of depth 1), and the pixels and depths of its points."""
+def look(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
+    """Return what `_looked` says of each place, a photo's name and a pixel."""
     model = pycolmap.Reconstruction(request["model"])
-    image = next(image for image in model.images.values() if image.name == request["name"])
+    images = {image.name: image for image in model.images.values()}
+    return [_looked(model, images[name], pixel) for name, pixel in request["places"]]
+
+
+def _looked(model: pycolmap.Reconstruction, image: pycolmap.Image, pixel: list[float]) -> dict[str, Any]:
+    """Return where a photo was taken, the ray of a pixel (of depth 1), and the pixels and depths of its points."""
     camera, pose = model.cameras[image.camera_id], image.cam_from_world()
     seen = [point for point in image.points2D if point.has_point3D()]
-    across, down = camera.cam_from_img(request["pixel"])
+    slopes = camera.cam_from_img(pixel)
+    if slopes is None:
+        raise ValueError(f"no ray of the lens leads to the pixel {pixel}")
     return {
         "size": [camera.width, camera.height],
         "center": image.projection_center().tolist(),
-        "ray": (pose.rotation.inverse() * [across, down, 1.0]).tolist(),
+        "ray": (pose.rotation.inverse() * [*slopes, 1.0]).tolist(),
         "pixels": [point.xy.tolist() for point in seen],
         "depths": [float((pose * model.points3D[point.point3D_id].xyz)[2]) for point in seen],
     }
@@ -190,7 +212,7 @@ def _say(line: TextIO, **said: Any) -> None:
 
 TASKS = {
     task.__name__: task
-    for task in (add_cameras, extract, match, map_globally, map_incrementally, undistort, place, look)
+    for task in (add_cameras, extract, match, map_globally, map_incrementally, undistort, undistort_masks, place, look)
 }
 
 

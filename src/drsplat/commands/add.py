@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .changes import add_field_options, answer_of, field_and_scene, show_change
-from .options import add_capture_options, add_features, finite, tracker, views_of, words
+from .options import add_capture_options, add_features, add_invert_masks, finite, tracker, views_of, words
 
 if TYPE_CHECKING:
     from ..field import LanguageField
@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--idle", type=finite, metavar="SECONDS", help="with --watch: end when nothing has come for so long"
     )
     add_capture_options(parser)
+    add_invert_masks(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:

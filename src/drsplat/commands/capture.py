@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, finite, length
+from .options import add_invert_masks, add_overwrite, finite, length
 
 if TYPE_CHECKING:
+    from ..capture.measuring import KnownDistance
     from ..capture.settings import CaptureSettings
     from ..progress import Meter
 
@@ -17,6 +19,7 @@ EXAMPLES = """\
   drsplat capture walk.mp4 --output capture
   drsplat capture photos --output capture --lens opencv --json
   drsplat capture photos --output capture --known-distance a.jpg 310 540 b.jpg 1200 610 0.9 --overwrite
+  drsplat capture photos --output capture --places places.csv --known-distance corner door 2.4 --overwrite
   drsplat train capture --output-dir model --iterations 7000
 
 The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
@@ -34,14 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
     )  # fmt: skip
     add_overwrite(parser)
-    parser.add_argument(
-        "--invert-masks", action="store_true",
-        help="keep what is black in masks/, and mask what is white out (default: the other way round)",
-    )  # fmt: skip
+    add_invert_masks(parser)
     size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
     size.add_argument(
-        "--known-distance", nargs=7, metavar=("PHOTO", "X", "Y", "PHOTO", "X", "Y", "METRES"),
-        help="metres between two places, each by a pixel (x right, y down) of an upright photo in its full size",
+        "--known-distance", nargs="+", metavar="PLACE",
+        help="metres between two places: PHOTO X Y PHOTO X Y METRES, each by a pixel (x right, y down) of an upright "
+        "photo in its full size, or with --places NAME NAME METRES",
+    )  # fmt: skip
+    size.add_argument(
+        "--places", metavar="FILE.csv",
+        help="table of named places for --known-distance: the line name,photo,x,y first, then a pixel in each; a place "
+        "that is given in two photos or more is where their rays meet",
     )  # fmt: skip
     size.add_argument(
         "--scale", type=length, metavar="FACTOR", help="metres of a unit that the capture has without this option"
@@ -67,19 +73,34 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _settings(arguments: argparse.Namespace) -> CaptureSettings:
-    from ..capture.measuring import KnownDistance, Place
     from ..capture.settings import CaptureSettings
+
+    return CaptureSettings(arguments.lens, arguments.scale, _known_distance(arguments), arguments.invert_masks)
+
+
+def _known_distance(arguments: argparse.Namespace) -> KnownDistance | None:
+    from ..capture.measuring import KnownDistance
+    from ..capture.places import Place, marker_named, read_places
     from .parsing import UsageError
 
-    known = None
-    if arguments.known_distance is not None:
-        one, x1, y1, other, x2, y2, metres = arguments.known_distance
-        try:
-            numbers = [finite(text) for text in (x1, y1, x2, y2, metres)]
-        except argparse.ArgumentTypeError as error:
-            raise UsageError(f"--known-distance: {error}") from None
-        known = KnownDistance(Place(one, *numbers[:2]), Place(other, *numbers[2:4]), numbers[4])
-    return CaptureSettings(arguments.lens, arguments.scale, known, arguments.invert_masks)
+    given = arguments.known_distance
+    if given is None:
+        if arguments.places is not None:
+            raise UsageError("--places names places for --known-distance NAME NAME METRES: give that, too")
+        return None
+    expected = 7 if arguments.places is None else 3
+    if len(given) != expected:
+        form = "PHOTO X Y PHOTO X Y METRES" if expected == 7 else "NAME NAME METRES, for --places is given"
+        more = ", or --places FILE.csv with NAME NAME METRES" if len(given) == 3 else ""
+        raise UsageError(f"--known-distance: expected {form}{more}; got {len(given)} values")
+    try:
+        if arguments.places is not None:
+            markers, metres = read_places(Path(arguments.places)), finite(given[2])
+            return KnownDistance(marker_named(given[0], markers), marker_named(given[1], markers), metres)
+        x1, y1, x2, y2, metres = (finite(given[index]) for index in (1, 2, 4, 5, 6))
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"--known-distance: {error}") from None
+    return KnownDistance(Place(given[0], x1, y1), Place(given[3], x2, y2), metres)
 
 
 class Stages:

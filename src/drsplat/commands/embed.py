@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .leaving_out import add_without, left_out
-from .options import add_capture_options, add_overwrite, count, tracker, up_to, views_of, words
+from .options import add_capture_options, add_invert_masks, add_overwrite, count, tracker, up_to, views_of, words
 
 if TYPE_CHECKING:
     from ..encoders import ImageEncoder
@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_device(models)
     _add_method(parser.add_argument_group("method"))
     add_capture_options(parser)
+    add_invert_masks(parser)
     add_without(parser)
 
 

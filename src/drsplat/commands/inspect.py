@@ -87,6 +87,7 @@ def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "num_views": len(views),
         "num_photos": sum(view.image_path is not None for view in views),
+        "num_masked": sum(view.mask_path is not None for view in views),
         "sizes": sorted({f"{view.width}x{view.height}" for view in views}),
         "lenses": lenses,
         "focal_px": sorted({round(float(view.K[0, 0]), 2) for view in views}),

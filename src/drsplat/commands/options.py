@@ -115,6 +115,14 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_invert_masks(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--invert-masks", action="store_true",
+        help="use pixels that are black in the photos' masks (masks/ beside images/), not white ones (default: white "
+        "ones are used)",
+    )  # fmt: skip
+
+
 def add_features(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
     parser.add_argument(
@@ -126,7 +134,8 @@ def add_features(parser: argparse.ArgumentParser) -> None:
 def views_of(arguments: argparse.Namespace, capture: str) -> list[View]:
     from .. import read_views
 
-    return read_views(capture, **{name: getattr(arguments, name) for name in CAPTURE_OPTIONS})
+    given = {name: getattr(arguments, name) for name in CAPTURE_OPTIONS}
+    return read_views(capture, **given, invert_masks=getattr(arguments, "invert_masks", False))
 
 
 def add_query_encoders(parser: argparse.ArgumentParser) -> None:

@@ -13,6 +13,7 @@ from .options import (
     LEVEL_HELP,
     add_capture_options,
     add_features,
+    add_invert_masks,
     add_near,
     add_overwrite,
     count,
@@ -87,6 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_workers(parser.add_argument_group("tiles"))
     add_capture_options(parser)
+    add_invert_masks(parser)
     add_without(parser)
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from .options import add_overwrite, count, views_of, whole
+from .options import add_invert_masks, add_overwrite, count, views_of, whole
 
 if TYPE_CHECKING:
     from ..formats.captures import SparsePoints
@@ -64,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--dataparser-transforms", metavar="FILE",
         help="nerfstudio's dataparser_transforms.json, to train in its frame (default: the one in CAPTURE)",
     )  # fmt: skip
+    add_invert_masks(group)
     parser.set_defaults(max_side=None, times=None)
 
 
@@ -167,7 +168,8 @@ def show(answer: dict[str, Any]) -> None:
             "trained on": f"PSNR {answer['psnr_train']:.2f} dB",
             "Gaussians": said(answer["num_gaussians"]),
             "started from": " and ".join(f"{n:,} {STARTS[kind]} points" for kind, n in answer["start"].items() if n),
-            "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}",
+            "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}"
+            + (f", {answer['num_masked_views']} with masks" if answer["num_masked_views"] else ""),
             "time": f"{seconds:.1f} s on {answer['device']}, {1000 * seconds / count:.1f} ms an iteration",
             "stages, ms": ", ".join(f"{name} {1000 * spent / count:.1f}" for name, spent in stages),
             "peak memory": size_said(answer["peak_memory_bytes"]),

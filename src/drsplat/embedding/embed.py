@@ -24,10 +24,12 @@ from ..formats.langsplat import FeatureFolder, stored_features, write_features
 from ..formats.photo_files import listed
 from ..formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ..masks.crops import crops
+from ..masks.keeping_out import kept_masks
 from ..masks.masks import LEVELS, Masks, Segmenter
 from ..masks.selection import MaskMaps, mask_maps
 from ..query.nouns import broad_list
 from ..query.word_list import known_words
+from ..scene.photo_masks import load_mask, views_with_something
 from ..scene.photos import load_image
 from ..scene.views import View
 from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
@@ -66,9 +68,10 @@ def embed(
 ) -> EmbeddingReport:
     """Write `<photo>.features.safetensors` of every view, or LangSplat's files.
 
-    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps
-    to lie. Finished photos are not touched: a run that was killed loses at most the photo it was at.
-    Where a setting differs from the folder's, everything is made anew, each file replaced when its
+    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps to lie. What the
+    masks of photos leave out is in no mask: one that lies mostly there is dropped, others lose those pixels, and photos
+    that are left out as a whole get no files. Finished photos are not touched: a run that was killed loses at most the
+    photo it was at. Where a setting differs from the folder's, everything is made anew, each file replaced when its
     successor is complete. Memory holds one photo at a time.
     form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; what is finished in the other form
     is rewritten, not made anew.
@@ -77,7 +80,8 @@ def embed(
     max_height: photos that are taller are scaled to it, in pixels; None takes them as they are.
     overwrite: makes everything anew, also over features that others made.
 
-    Warns: DrSplatWarning: views without photo, changed settings, files left from other settings.
+    Warns: DrSplatWarning: views without photo, or whose mask leaves all out, changed settings, files left from other
+    settings.
     Raises: InputError: no photo, photos that would share a file, features of others in the folder, another
     process that embeds into it.
     FormatError: a damaged photo or embedding.json.
@@ -85,7 +89,7 @@ def embed(
     """
     if max_height is not None and max_height < 1:
         raise InputError(f"max_height: expected at least 1 pixel, got {max_height}")
-    rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views).items()}
+    rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views_with_something(views)).items()}
     if isinstance(segmenter, FeatureFolder):
         rasters, max_height = _with_masks(rasters, segmenter), None
     settings = {
@@ -100,6 +104,8 @@ def embed(
         photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
         if isinstance(segmenter, FeatureFolder):
             photos = {stem: f"{photo} {masks_hash(segmenter, stem)}" for stem, photo in photos.items()}
+        else:
+            photos = {stem: photo + _mask_identity(rasters[stem]) for stem, photo in photos.items()}
         pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
         redone = sum(record.has_files(stem) for stem in pending)
         for stem in sorted(photos.keys() - pending):
@@ -176,6 +182,13 @@ def _photo_identity(view: View) -> str:
     return f"{hash_file(view.image_path)} {view.width}x{view.height}"
 
 
+def _mask_identity(view: View) -> str:
+    """Of the bytes of a photo's mask, with a space before them; empty where it has none."""
+    if view.mask_path is None:
+        return ""
+    return f" {hash_file(view.mask_path)}{' inverted' if view.mask_inverted else ''}"
+
+
 class _Embedded(NamedTuple):
     """One photo's masks and their embeddings. counts: of masks by level. empty: left out."""
 
@@ -206,6 +219,9 @@ def _embedded(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
         return _Embedded(mask_ids, embedded_again(mask_ids, seen, encoder), level_counts(mask_ids), 0)
     image = load_image(view)
     levels = segmenter.segment(image)
+    kept = load_mask(view)
+    if kept is not None:
+        levels = kept_masks(levels, kept)
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
     return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)

@@ -17,6 +17,7 @@ from ..kernels import SplatArrays, Triples, default_isa, splat_arrays
 from ..masks.features import ViewFeatures
 from ..scene.gaussians import Gaussians, ShapesDigest
 from ..scene.moving import Moving
+from ..scene.photo_masks import load_mask
 from ..scene.photos import undistort_ids
 from ..scene.views import View, same_aspect
 from .aggregation import Sampling
@@ -169,14 +170,16 @@ class ColumnMaker:
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
-    """On the view's raster, its lens undone."""
+    """On the view's raster, its lens undone; -1 also where the photo's mask leaves a pixel out."""
     height, width = features.mask_ids.shape
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
             f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
             "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
         )
-    return undistort_ids(view, features.resized(view.width, view.height).mask_ids)
+    mask_ids = undistort_ids(view, features.resized(view.width, view.height).mask_ids)
+    kept = load_mask(view)
+    return mask_ids if kept is None else np.where(kept, mask_ids, np.int32(-1))
 
 
 def part_name(view_name: str) -> str:

@@ -16,6 +16,7 @@ from .colmap import find_model, has_points, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
+from .mask_files import with_masks
 from .photo_files import find_photo, image_folder, listed, on_photo
 from .point_ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
@@ -48,6 +49,7 @@ def read_views(
     dataparser_transforms: str | Path | None = None,
     max_side: int | None = None,
     times: str | Path | None = None,
+    invert_masks: bool = False,
 ) -> list[View]:
     """The posed photos of a capture, sorted by name.
 
@@ -64,11 +66,13 @@ def read_views(
     max_side: photos with a longer side, in pixels, are scaled down to it.
     times: when the photos were taken, see `view_times.with_times`; None: what a transforms.json says (`time`), if it
     does.
+    invert_masks: in the masks of the photos (masks/ beside images/, see `mask_files`) black is kept, not white.
 
     Warns: DrSplatWarning: several camera files (which one was read); photos that are missing
-    (COLMAP, cameras.json: the views stay, without image_path; transforms.json: they are left out).
-    Raises: InputError: nothing to read, no such folder. FormatError: a damaged file, a name that leaves the image
-    folder or occurs twice, an unsupported lens. MismatchError: photos of another shape.
+    (COLMAP, cameras.json: the views stay, without image_path; transforms.json: they are left out); masks of other names
+    than the photos'.
+    Raises: InputError: nothing to read, no such folder, or no masks to invert. FormatError: a damaged file, a name that
+    leaves the image folder or occurs twice, an unsupported lens. MismatchError: photos of another shape.
     """
     if max_side is not None and max_side < 1:
         raise InputError(f"max_side: expected at least 1 pixel, got {max_side}")
@@ -77,7 +81,7 @@ def read_views(
     frame = _scene_frame(source, Path(capture), dataparser_transforms)
     if frame is not None:
         views = [frame.view(view) for view in views]
-    views = [view.limited(max_side) for view in _sorted(views, source.path)]
+    views = with_masks([view.limited(max_side) for view in _sorted(views, source.path)], invert_masks)
     return views if times is None else with_times(views, times)
 
 

@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 import warnings
 from collections import ChainMap
 from collections.abc import Mapping
@@ -17,12 +16,12 @@ from ..scene.photos import photo_size
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
 from .json_files import as_count, as_matrix, as_number, read_json, shown
+from .mask_files import IMAGE_FOLDER
 from .photo_files import find_photo, listed, on_photo, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
 
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 _MAX_PATH = 1024  # characters
-IMAGE_FOLDER = re.compile(r"images(_\d+)?")
 
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes: y up and z backward become y down and z forward
 
@@ -37,10 +36,11 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     time, of the frame alone, is when its photo was taken. file_path is relative to the file, with or without suffix;
     with `images` it is looked for there, less a leading "images/". Names of views are less that folder, too.
     Absolute paths are taken as they are; where nothing is there any more, as paths below the folder that all share.
+    mask_path, of the frame alone, is its photo's mask, as nerfstudio has it: relative to the file, or absolute.
 
     Warns: DrSplatWarning: frames without photo are left out; the warning names them.
     Raises: FormatError: a damaged file, a pose that is not rigid, a lens that no pinhole stands
-    for. InputError: no photo at all.
+    for. InputError: no photo at all, or a mask that is missing.
     """
     document = _document(path)
     views, missing = [], []
@@ -54,7 +54,8 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
         if photo is None:
             missing.append(name)
         else:
-            views.append(_view(ChainMap(frame, of_all), _name(name, photo), photo, where))
+            view = _view(ChainMap(frame, of_all), _name(name, photo), photo, where)
+            views.append(replace(view, mask_path=_mask(frame, path.parent, where)))
     _report(path, missing, len(views))
     return views
 
@@ -191,6 +192,18 @@ def _find(base: Path, images: Path | None, name: str, given: Path | None) -> Pat
     if given is not None and _is_absolute(str(given)) and (there := find_photo(given.parent, given.name)):
         return there
     return find_photo(base, name) or find_photo(base / "images", name)
+
+
+def _mask(frame: Mapping[str, object], base: Path, where: str) -> Path | None:
+    named = frame.get("mask_path")
+    if named is None:
+        return None
+    if not isinstance(named, str):
+        raise FormatError(f"{where}: mask_path: expected a file's name, got {shown(named)}")
+    mask = Path(named) if _is_absolute(named) else base / safe_name(named, f"{where}: mask_path")
+    if not mask.is_file():
+        raise InputError(f"{where}: its mask_path, {mask}, is missing: put the mask there, or take the name out")
+    return mask
 
 
 def _name(file_path: str, photo: Path) -> str:

@@ -20,6 +20,7 @@ class View:
     image_path: the photo, or None where it is not at hand.
     distortion: OpenCV coefficients (k1, k2, p1, p2) of the *photo on disk*, or None. K and every
     kernel are of the undistorted pinhole; `load_image` undoes the distortion.
+    mask_path: picture of which pixels of the photo are used: white ones, with mask_inverted black ones; None: all.
     time: when the photo was taken, in the unit of a moving scene's times; None: unknown, or all stands still.
 
     Raises: InputError: a singular K, a pose that is no rigid motion, an empty raster, or a time that is not finite.
@@ -33,6 +34,8 @@ class View:
     image_path: Path | None = None
     distortion: tuple[float, float, float, float] | None = None
     time: float | None = None
+    mask_path: Path | None = None
+    mask_inverted: bool = False
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:

@@ -32,29 +32,32 @@ TEXTS = ("iteration", "iterations", "rng", "seconds", "stage_seconds", "history"
 
 
 def capture_fingerprint(views: Sequence[View], points: SparsePoints | None) -> str:
-    """JSON of hashes: poses and cameras by name, the photos' files, and the points that were given.
+    """JSON of hashes: poses and cameras by name, the photos' files, the points that were given, and masks if any.
 
     Raises: InputError: a photo cannot be read.
     """
-    poses, photos, start = (hashlib.blake2b(digest_size=16) for _ in range(3))
+    poses, photos, start, masks = (hashlib.blake2b(digest_size=16) for _ in range(4))
     for view in views:
         poses.update(f"{view.name}\0{view.width}x{view.height} {view.distortion}\0".encode())
         poses.update(view.K.tobytes() + view.cam_from_world.tobytes())
-        photos.update(_photo_hash(view))
+        photos.update(_file_hash(view.image_path))
+        masks.update(f"{view.name}\0{view.mask_inverted}".encode() + _file_hash(view.mask_path))
     if points is not None:
         start.update(np.ascontiguousarray(points.positions).tobytes())
         start.update(np.ascontiguousarray(points.colors).tobytes())
     named = {"poses": poses, "photos": photos, "points": start}
+    if any(view.mask_path is not None for view in views):
+        named["masks"] = masks
     return json.dumps({name: digest.hexdigest() for name, digest in named.items()})
 
 
-def _photo_hash(view: View) -> bytes:
-    if view.image_path is None:
+def _file_hash(path: Path | None) -> bytes:
+    if path is None:
         return b""
     try:
-        return bytes.fromhex(hash_file(view.image_path))
+        return bytes.fromhex(hash_file(path))
     except OSError as error:
-        raise InputError(f"{view.image_path}: cannot be read: {error.strerror}") from error
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def save_checkpoint(path: Path, run: Run, capture: str) -> None:
@@ -101,7 +104,7 @@ def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
         return names
     try:
         before, now = json.loads(texts["capture"]), json.loads(capture)
-        return names + [name for name in now if before.get(name) != now[name]]
+        return names + [name for name in now | before if before.get(name) != now.get(name)]
     except (ValueError, AttributeError):
         return [*names, "inputs"]
 

@@ -20,7 +20,7 @@ ERROR_GAIN = 4.0
 
 @dataclass(frozen=True)
 class ViewScore:
-    """psnr in dB; both over the pixels that the photo covers."""
+    """psnr in dB; both over the pixels that the photo covers and its mask, where it has one, keeps."""
 
     name: str
     psnr: float
@@ -82,14 +82,18 @@ def rendered(
 
 
 def _score(name: str, image: Float32[np.ndarray, "h w 3"], photo: Photo) -> ViewScore:
+    """What a mask leaves out is not compared, nor do the windows of SSIM beside it see it."""
     colors = photo.colors()
-    return ViewScore(name, psnr(image, colors, photo.outside), ssim(image, colors, photo.outside))
+    if photo.left_out is not None:
+        colors[photo.left_out] = image[photo.left_out]
+    unused = photo.unused
+    return ViewScore(name, psnr(image, colors, unused), ssim(image, colors, unused))
 
 
 def side_by_side(image: Float32[np.ndarray, "h w 3"], photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
     """Photo, rendering, and four times their difference."""
     error = np.abs(image - photo.colors()) * np.float32(ERROR_GAIN)
-    error.reshape(-1, 3)[photo.outside] = 0
+    error.reshape(-1, 3)[photo.unused] = 0
     return np.concatenate([photo.pixels, as_pixels(image), as_pixels(error)], axis=1)
 
 

@@ -78,6 +78,7 @@ class DeviceRun(Run):
         target, outside = self.targets[index]
         self._lap("photo")
         image, seen = self._rendered(index)
+        seen["masked"] = self.views[index].mask_path is not None
         self._lap("forward")
         outcome = self._compared(image, target, outside, seen)
         self._lap("backward")

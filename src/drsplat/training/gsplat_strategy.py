@@ -107,7 +107,10 @@ class DefaultControl:
         slopes = seen["means2d"].grad[0]
         pull = torch.hypot(slopes[:, 0] * (seen["width"] / 2), slopes[:, 1] * (seen["height"] / 2))
         self.state["grad2d"] += pull  # 0 of those not seen
-        self.state["count"] += (seen["radii"][0] > 0).all(-1)
+        visible = (seen["radii"][0] > 0).all(-1)
+        if seen.get("masked"):  # those that only left-out pixels show are not seen
+            visible &= pull > 0
+        self.state["count"] += visible
 
     def _threshold(self) -> float:
         """As the settings say, or so high that no more grow than the budget has room for."""

@@ -150,6 +150,7 @@ class Keeper:
         train = self._psnr_train(min(max(len(self.split.test), 1), MOST_TRAIN_SCORED))
         training = Training(
             gaussians, run.settings, evaluation, run.seconds, run.stage_seconds, run.history, train, run.start,
+            sum(view.mask_path is not None for view in [*self.split.train, *self.split.test]),
         )  # fmt: skip
         _tell_of_fog(training)
         if folder is not None:

@@ -3,20 +3,20 @@
 import math
 
 import numpy as np
-from jaxtyping import Float32, Float64, Integer
+from jaxtyping import Bool, Float32, Float64, Integer
 from scipy.ndimage import gaussian_filter
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 Image = Float32[np.ndarray, "h w 3"]
-Flat = Integer[np.ndarray, " m"]
+Flat = Integer[np.ndarray, " m"] | Bool[np.ndarray, " hw"]
 
 
 def psnr(image: Image, photo: Image, outside: Flat | None = None) -> float:
     """Peak signal-to-noise ratio in dB, peak 1; infinite for equal pictures.
 
-    outside: flat indices of pixels that do not count.
+    outside: flat indices of pixels that do not count, or a mark for each pixel.
     """
     error = (image.astype(np.float64) - photo) ** 2
     mean = float(_inside(error.mean(axis=2), outside).mean())

@@ -27,6 +27,7 @@ from ..errors import InputError
 from ..formats.cameras_json import write_cameras_json
 from ..formats.captures import SparsePoints
 from ..formats.claiming import LOCK, claimed_folder
+from ..formats.mask_files import photo_folder
 from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
 from ..formats.scenes import write_gaussians
@@ -132,10 +133,7 @@ class ModelFolder:
 
 def _source_and_images(view: View) -> tuple[Path, str]:
     """The capture's folder and that of its photos in it, by where a view's photo is."""
-    path = view.image_path or Path(view.name)
-    folder = path.parent
-    if path.parts[-len(Path(view.name).parts) :] == Path(view.name).parts:
-        folder = path.parents[len(Path(view.name).parts) - 1]
+    folder = photo_folder(view)
     if folder.name.startswith("images"):
         return folder.parent, folder.name
     return folder, "."

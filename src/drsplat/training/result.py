@@ -15,7 +15,8 @@ class Training:
 
     evaluation: of the held-out photos; None when there are none. psnr_train: mean over as many of the photos that
     it was trained on, in dB. seconds: of optimisation, over all sittings. stage_seconds: the same by stage.
-    history: evaluations on the way. start: points that it started from, by where they came from.
+    history: evaluations on the way. start: points that it started from, by where they came from. num_masked: photos,
+    trained on or held out, of which masks leave pixels out: these take no part, in measures neither.
     """
 
     gaussians: Gaussians
@@ -26,6 +27,7 @@ class Training:
     history: list[dict[str, object]]
     psnr_train: float
     start: dict[str, int]
+    num_masked: int = 0
 
     @property
     def held_out_far_below(self) -> bool:
@@ -44,6 +46,7 @@ class Training:
             "iterations": self.settings.iterations,
             "seconds": self.seconds,
             "num_test_views": len(self.evaluation.views) if self.evaluation else 0,
+            "num_masked_views": self.num_masked,
             "stage_seconds": self.stage_seconds,
             "start": self.start,
         }

@@ -72,9 +72,11 @@ class Run:
         drawn = self._drawn(self.views[index], threads)
         loss = self._loss(drawn, target, photo, threads)
         gradients = drawn.backward(loss.gradient)
+        if photo.left_out is not None:
+            gradients = _of_used_pixels(gradients)
         self._lap("backward")
         self._learn(gradients, threads)
-        return Outcome(loss.value, partial(_psnr, drawn.image, target))
+        return Outcome(loss.value, partial(_psnr, drawn.image, target, photo))
 
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)
@@ -89,13 +91,14 @@ class Run:
 
     def _loss(self, drawn: TrainingView, target: Float32[np.ndarray, "h w 3"], photo: Photo, threads: int) -> Loss:
         """Where the photo says nothing, the rendering is its own target and learns nothing."""
-        if len(photo.outside):
-            target.reshape(-1, 3)[photo.outside] = drawn.image.reshape(-1, 3)[photo.outside]
+        unused = photo.unused
+        if len(unused):
+            target.reshape(-1, 3)[unused] = drawn.image.reshape(-1, 3)[unused]
         loss = photometric_loss(drawn.image, target, self.settings.dssim_weight, threads=threads)
         if not math.isfinite(loss.value):
             raise self._diverged()
-        if len(photo.outside):
-            loss.gradient.reshape(-1, 3)[photo.outside] = 0
+        if len(unused):
+            loss.gradient.reshape(-1, 3)[unused] = 0
         self._lap("loss")
         return loss
 
@@ -160,5 +163,10 @@ class Run:
 R = TypeVar("R", bound=Run)
 
 
-def _psnr(image: Float32[np.ndarray, "h w 3"], target: Float32[np.ndarray, "h w 3"]) -> float:
-    return min(psnr(np.clip(image, 0, 1), target), 99.0)
+def _of_used_pixels(gradients: Gradients) -> Gradients:
+    """Return the gradients with Gaussians unseen that only left-out pixels show: density control counts who is seen."""
+    return gradients._replace(radii=np.where(gradients.screen > 0, gradients.radii, np.float32(0)))
+
+
+def _psnr(image: Float32[np.ndarray, "h w 3"], target: Float32[np.ndarray, "h w 3"], photo: Photo) -> float:
+    return min(psnr(np.clip(image, 0, 1), target, photo.unused), 99.0)

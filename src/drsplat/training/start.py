@@ -13,6 +13,7 @@ from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS
+from ..scene.photo_masks import views_with_something
 from ..scene.placing import local_origin, size_of
 from ..scene.views import View
 from .metrics import WINDOW
@@ -36,11 +37,13 @@ class Split(NamedTuple):
 def split_views(views: Sequence[View], test_every: int) -> Split:
     """Check the views and hold every `test_every`-th out, from the first on; 0 holds none out.
 
+    Warns: DrSplatWarning: photos whose masks leave all of them out have no part.
     Raises: InputError: views without photos, a name that occurs twice, fewer than two views to
     train on, or all of them in one place.
     """
     ordered = sorted(views, key=lambda view: view.name)
     _require_photos(ordered)
+    ordered = views_with_something(ordered)
     held_out = [test_every > 0 and index % test_every == 0 for index in range(len(ordered))]
     split = Split(
         [view for view, out in zip(ordered, held_out, strict=True) if not out],

@@ -1,5 +1,6 @@
 """The photos of a run on the device, sent once."""
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
@@ -35,8 +36,10 @@ class DevicePhotos:
 
 def _on_device(photo: Photo, device: str) -> tuple[UInt8[Tensor, "h w 3"], Outside]:
     pixels = torch.tensor(photo.pixels, device=device)
-    if not len(photo.outside):
+    unused = photo.unused
+    if not len(unused):
         return pixels, None
     outside = torch.zeros((*pixels.shape[:2], 1), dtype=torch.bool, device=device)
-    outside.view(-1)[torch.tensor(photo.outside, device=device).long()] = True
+    places = np.flatnonzero(unused) if photo.left_out is not None else unused
+    outside.view(-1)[torch.tensor(places, device=device).long()] = True
     return pixels, outside

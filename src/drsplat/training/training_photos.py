@@ -4,17 +4,37 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt8
+from jaxtyping import Bool, Float32, Integer, UInt8
 
+from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
 from ..scene.views import View
 
 
 class Photo(NamedTuple):
-    """outside: flat indices of the pixels that no photo covers once its lens is undone."""
+    """The pixels of a photo, and which of them say nothing.
+
+    outside: flat indices of the pixels that no photo covers once its lens is undone. left_out: True where the photo's
+    mask leaves a pixel out; None where it has no mask.
+    """
 
     pixels: UInt8[np.ndarray, "h w 3"]
     outside: Integer[np.ndarray, " m"]
+    left_out: Bool[np.ndarray, "h w"] | None = None
+
+    @property
+    def unused(self) -> Integer[np.ndarray, " m"] | Bool[np.ndarray, " hw"]:
+        """The flat pixels that take no part: their indices or, where there is a mask, a mark for each pixel."""
+        if self.left_out is None:
+            return self.outside
+        marks = self.left_out.reshape(-1).copy()
+        marks[self.outside] = True
+        return marks
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory that is this photo's own."""
+        return self.pixels.nbytes + (0 if self.left_out is None else self.left_out.nbytes)
 
     def colors(self) -> Float32[np.ndarray, "h w 3"]:
         """In [0, 1]."""
@@ -39,10 +59,11 @@ class TrainingPhotos:
         if index in self._kept:
             return self._kept[index]
         view = self._views[index]
-        photo = Photo(load_image(view), self._outside_of(view))
-        if photo.pixels.nbytes <= self._room:
+        kept = load_mask(view)
+        photo = Photo(load_image(view), self._outside_of(view), None if kept is None else ~kept)
+        if photo.num_bytes <= self._room:
             self._kept[index] = photo
-            self._room -= photo.pixels.nbytes
+            self._room -= photo.num_bytes
         return photo
 
     def _outside_of(self, view: View) -> Integer[np.ndarray, " m"]:

@@ -4,12 +4,13 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
 from ..errors import InputError
 from ..scene.lens import undistort_points
+from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_size
 from ..scene.views import View
 
@@ -53,8 +54,18 @@ def located(view: View, stored: View, found: Detection) -> Keypoints:
     """What was found on the photo of a view, on its pinhole. stored: `as_stored` of it."""
     scale = (view.width / stored.width, view.height / stored.height)
     pixels = undistort_points(view, found.pixels * scale)
-    kept = _largest(found.sigmas, np.isfinite(pixels).all(axis=1))
+    kept = _largest(found.sigmas, np.isfinite(pixels).all(axis=1) & _kept(stored, found.pixels))
     return Keypoints(pixels[kept], found.colors[kept], found.descriptors[kept])
+
+
+def _kept(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    """Return which pixels of a photo as stored its mask keeps."""
+    mask = load_mask(stored)
+    if mask is None:
+        return np.ones(len(pixels), bool)
+    x, y = np.clip(pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
+    kept: Bool[np.ndarray, " n"] = mask[y, x]
+    return kept
 
 
 def detect(stored: View) -> Detection:

@@ -1,0 +1,69 @@
+"""Places that people point at in photos: a pixel, or a marker that has a name and is seen in some photos."""
+
+import csv
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from ..contents import file_text
+from ..errors import FormatError, InputError, did_you_mean
+from ..formats.photo_files import listed
+
+HEADER = ("name", "photo", "x", "y")
+MOST_ROWS = 100_000
+
+
+class Place(NamedTuple):
+    """A pixel (x right, y down, from the upper left corner) of an upright photo in its full size."""
+
+    photo: str
+    x: float
+    y: float
+
+
+class Marker(NamedTuple):
+    """A place with a name, by its pixels in one photo or more."""
+
+    name: str
+    seen: tuple[Place, ...]
+
+
+def read_places(path: Path) -> dict[str, Marker]:
+    """Read a table of markers: the line "name,photo,x,y", then a line for each photo that a marker is seen in.
+
+    Raises: InputError: there is no such file. FormatError: another table, or a marker twice in a photo.
+    """
+    try:
+        rows = list(csv.reader(file_text(path).splitlines(), strict=True))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FormatError(f"{path}: expected a table in UTF-8: {error}") from None
+    if not rows or tuple(cell.strip() for cell in rows[0]) != HEADER or len(rows) > MOST_ROWS:
+        raise FormatError(f"{path}: expected the line '{','.join(HEADER)}', and then a marker's pixel in each")
+    seen: dict[str, dict[str, Place]] = {}
+    for number, row in enumerate(rows[1:], 2):
+        name, place = _row(row, f"{path}, line {number}")
+        if place.photo in seen.setdefault(name, {}):
+            raise FormatError(f"{path}, line {number}: '{name}' is in {place.photo} twice")
+        seen[name][place.photo] = place
+    return {name: Marker(name, tuple(places.values())) for name, places in seen.items()}
+
+
+def marker_named(name: str, markers: dict[str, Marker]) -> Marker:
+    """Return a marker. Raises: InputError: there is none of that name."""
+    if name not in markers:
+        near = did_you_mean(name, markers)
+        raise InputError(f"the table of places has no '{name}': it has {listed(sorted(markers)) or 'no place'}.{near}")
+    return markers[name]
+
+
+def _row(row: list[str], where: str) -> tuple[str, Place]:
+    try:
+        name, photo, x, y = (cell.strip() for cell in row)
+        place = Place(photo, float(x), float(y))
+        if name and photo and math.isfinite(place.x) and math.isfinite(place.y):
+            return name, place
+    except ValueError:
+        pass
+    raise FormatError(f"{where}: expected a name, a photo and two numbers, got {ascii(','.join(row))[:80]}")
