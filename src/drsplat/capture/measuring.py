@@ -116,7 +116,7 @@ def _on_surface(place: Place, look: dict[str, Any]) -> Position:
     if not len(near):
         raise InputError(
             f"known_distance: no point of the capture is near ({place.x:g}, {place.y:g}) of {place.photo}: choose a "
-            "place with texture, or give its pixels in two photos (--places)"
+            "place with texture, or give its pixels in two photos (places=FILE)"
         )
     depth = _depth(pixels[near] - (place.x, place.y), np.array(look["depths"])[near])
     return np.array(look["center"]) + depth * np.array(look["ray"])

@@ -32,7 +32,7 @@ INSTALL = 'pip install "drsplat[capture]"'
 MOST_PIXELS = 200_000_000
 FEWEST_SIDE_PX = 64
 JPEG_QUALITY = 95
-ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (--invert-masks turns that round)"
+ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (invert_masks=True turns that round)"
 LOOK_SIDE_PX = 512  # of the small picture whose sharpness is measured
 ORIENTATION = 0x0112
 DIGEST_LETTERS = 24

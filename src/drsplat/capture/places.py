@@ -1,16 +1,14 @@
 """Places that people point at in photos: a pixel, or a marker that has a name and is seen in some photos."""
 
-import csv
 import math
 from pathlib import Path
 from typing import NamedTuple
 
-from ..contents import file_text
 from ..errors import FormatError, InputError, did_you_mean
+from ..formats.csv_tables import read_rows
 from ..formats.photo_files import listed
 
 HEADER = ("name", "photo", "x", "y")
-MOST_ROWS = 100_000
 
 
 class Place(NamedTuple):
@@ -33,16 +31,8 @@ def read_places(path: Path) -> dict[str, Marker]:
 
     Raises: InputError: there is no such file. FormatError: another table, or a marker twice in a photo.
     """
-    try:
-        rows = list(csv.reader(file_text(path).splitlines(), strict=True))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FormatError(f"{path}: expected a table in UTF-8: {error}") from None
-    if not rows or tuple(cell.strip() for cell in rows[0]) != HEADER or len(rows) > MOST_ROWS:
-        raise FormatError(f"{path}: expected the line '{','.join(HEADER)}', and then a marker's pixel in each")
     seen: dict[str, dict[str, Place]] = {}
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in enumerate(read_rows(path, HEADER, "a marker's pixel"), 2):
         name, place = _row(row, f"{path}, line {number}")
         if place.photo in seen.setdefault(name, {}):
             raise FormatError(f"{path}, line {number}: '{name}' is in {place.photo} twice")

@@ -96,7 +96,7 @@ def _wanted(arguments: argparse.Namespace, views: Sequence[View], features: Feat
 
 
 def _features(arguments: argparse.Namespace, path: Path) -> FeatureFolder:
-    """Of the level and by the encoder that the field says."""
+    """Return the features of the level and by the encoder that the field says."""
     from .. import load_field, read_features
 
     field = load_field(path)

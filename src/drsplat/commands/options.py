@@ -47,7 +47,7 @@ def count_or_all(text: str) -> int | None:
 
 
 def up_to(most: int) -> Callable[[str], int]:
-    """Of an option's positive whole number that is no larger."""
+    """Return the parser of an option's positive whole number that is no larger."""
     return partial(whole, least=1, most=most)
 
 

@@ -126,7 +126,7 @@ def _add_method(method: argparse._ArgumentGroup) -> None:
 
 
 def _add_code(method: argparse._ArgumentGroup) -> None:
-    """What a feature is kept as."""
+    """Add the options of the code that features are kept in."""
     method.add_argument(
         "--code", choices=("auto", "pq", "mixture"), default="auto",
         help="pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "

@@ -133,7 +133,7 @@ def _record_words(folder: Path, encoder: ImageEncoder) -> None:
 
 
 def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
-    """Who made the embeddings of a folder that `embed` wrote; None where others wrote it.
+    """Return the encoder of a folder that `embed` wrote; None where others wrote it.
 
     Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are in it.
     """
@@ -176,14 +176,14 @@ def _raster(view: View, max_height: int | None) -> View:
 
 
 def _photo_identity(view: View) -> str:
-    """Of a photo's bytes and the raster it is read to."""
+    """Return a hash of a photo's bytes, with the raster it is read to."""
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo")
     return f"{hash_file(view.image_path)} {view.width}x{view.height}"
 
 
 def _mask_identity(view: View) -> str:
-    """Of the bytes of a photo's mask, with a space before them; empty where it has none."""
+    """Return a hash of the bytes of a photo's mask, after a space; empty where it has none."""
     if view.mask_path is None:
         return ""
     return f" {hash_file(view.mask_path)}{' inverted' if view.mask_inverted else ''}"

@@ -183,7 +183,7 @@ def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
 
 
 def part_name(view_name: str) -> str:
-    """Of the file of a view's columns."""
+    """Return the name of the file of a view's columns."""
     digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
     return f"{digest}.columns.safetensors"
 
@@ -197,7 +197,7 @@ def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
 
 
 def _marks(key: bytes) -> dict[str, str]:
-    """Of a finished part: another instruction set changes the last bits."""
+    """Return the marks of a finished part: another instruction set changes the last bits."""
     return {"key": key.hex(), "isa": default_isa()}
 
 

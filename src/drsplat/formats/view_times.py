@@ -1,20 +1,18 @@
 """When photos were taken: by a pattern of their names, or a table."""
 
-import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..contents import file_text
 from ..errors import FormatError, InputError
 from ..scene.views import View
+from .csv_tables import read_rows
 from .photo_files import listed
 
 HOLE = "{time}"
 _NUMBER = r"([0-9]{1,15}(?:\.[0-9]{1,15})?)"
-MOST_ROWS = 1_000_000
 
 
 def with_times(views: Sequence[View], times: str | Path) -> list[View]:
@@ -45,16 +43,8 @@ def read_times(path: Path) -> dict[str, float]:
 
     Raises: InputError: there is no such file. FormatError: not a table of names and finite numbers, or a name twice.
     """
-    try:
-        rows = list(csv.reader(file_text(path).splitlines(), strict=True))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FormatError(f"{path}: expected a table in UTF-8: {error}") from None
-    if not rows or [cell.strip() for cell in rows[0]] != ["name", "time"] or len(rows) > MOST_ROWS:
-        raise FormatError(f"{path}: expected the line 'name,time', and then a name and a number in each")
     found: dict[str, float] = {}
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in enumerate(read_rows(path, ("name", "time"), "a name and a number"), 2):
         name, time = _row(row, f"{path}, line {number}")
         if name in found:
             raise FormatError(f"{path}, line {number}: '{name}' is there twice")
