@@ -14,6 +14,7 @@ from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
 from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken
+from ..formats.scan_record import MODEL, read_scan_record
 from ..formats.scenes import was_edited
 from ..formats.tiles import TILES
 from ..models.loading import load_encoder
@@ -41,9 +42,10 @@ class SceneFiles:
 
 
 def find_scene(folder: str | PathLike[str]) -> SceneFiles:
-    """The files of a folder such as `drsplat demo` writes: one *.field, a scene, and if there is one a capture.
+    """The files of a folder such as `drsplat demo` or `drsplat scan` writes: one *.field, a scene, and if there is one
+    a capture.
 
-    Raises: InputError: no such folder, not exactly one field, no scene.
+    Raises: InputError: no such folder, not exactly one field, no scene. FormatError: a damaged record of a scan.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -54,6 +56,11 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
         raise mistaken(folder, Kind.FIELD)
     if len(fields) > 1:
         raise InputError(f"{folder}: expected one field, got {', '.join(map(str, fields))}: name the one that you mean")
+    scan = read_scan_record(folder)
+    name = folder.resolve().name
+    if scan is not None:
+        capture = folder / scan["capture"]
+        return SceneFiles(name, fields[0], (folder / MODEL,), capture if capture.is_dir() else None)
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
     scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
@@ -64,8 +71,7 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     if not scenes:
         kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
         raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")
-    has_capture = any((folder / name).exists() for name in CAMERAS)
-    name = folder.resolve().name
+    has_capture = any((folder / camera).exists() for camera in CAMERAS)
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
 
 
