@@ -46,7 +46,8 @@ def export_page(
     words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
     held. max_gaussians: the most significant ones are shown, 200,000 at most. path_name: of the film that it plays, as
     `filming.planning.path_named` has it. plays: plays it when it is opened. title: the scene's name if
-    empty. edits: "kept" shows the scene with the edits kept beside it, `num_edits` of the page; "none" as its file has it.
+    empty. edits: "kept" shows the scene with the edits kept beside it, `num_edits` of the page; "none" as its file has
+    it.
 
     Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
     that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
