@@ -1,289 +1,271 @@
-"""`drsplat scan` on photos of a made-up room: what it makes, how it goes on, and what it says of bad input."""
+"""The scan kernels: closed forms, the float64 twin, every instruction set, any shape, any thread."""
 
-import json
-import os
-import shutil
-import signal
-import subprocess
-import sys
-import time
-from importlib.util import find_spec
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
-from command_line import Capture, answer_of, error_of, text_of
-from drsplat import load_field, open_scene, read_views
-from drsplat.cli import main
-from drsplat.formats.cameras_json import write_cameras_json
-from drsplat.formats.scan_record import read_scan_record
-from drsplat.scanning import choosing
-from drsplat.scanning.display import Display
-from photographed_room import room_views, write_room
-
-has_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason='needs pip install "drsplat[capture]"')
-NUM_PHOTOS = 9
-STAGES = ["train", "embed", "register", "objects", "view"]
-MODELS = ["--segmenter", "graph", "--encoder", "drsplat-mini"]
-QUICK = ["--iterations", "40", "--threads", "1", *MODELS]
-
-
-@pytest.fixture(scope="module")
-def capture_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("given") / "capture"
-    views = [view.resized(200, 150) for view in room_views(NUM_PHOTOS)]
-    write_cameras_json(folder / "cameras.json", write_room(folder / "images", views))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def scanned(capture_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("whole") / "room"
-    assert (
-        main(["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; xyzzy", "--json"]) == 0
-    )
-    return folder
-
-
-@pytest.fixture
-def copy(scanned: Path, tmp_path: Path) -> Path:
-    """The scanned folder, to be changed."""
-    return Path(shutil.copytree(scanned, tmp_path / "room"))
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    """All files of the scene, the features, the field and the page but for what tells times."""
-    files = [folder / "index.html"]
-    files += [file for part in ("scene.field", "model/point_cloud", "features") for file in (folder / part).rglob("*")]
-    return {str(file.relative_to(folder)): file.read_bytes() for file in files if file.is_file()}
-
-
-def test_a_scan_of_a_capture_says_what_it_made(scanned: Path, capture_folder: Path, capsys: Capture) -> None:
-    line = ["scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red", "--ask", "xyzzy"]
-    answer = answer_of(capsys, *line)
-    assert (answer["num_photos"], answer["num_registered"], answer["left_out"]) == (NUM_PHOTOS, NUM_PHOTOS, [])
-    assert answer["psnr_test"] > 10
-    assert answer["num_gaussians"] == load_field(answer["field"]).num_gaussians > 100
-    assert answer["num_masks"] > 0
-    assert answer["num_objects"] >= 0
-    assert list(answer["stage_seconds"]) == list(answer["stage_cpu_seconds"]) == STAGES
-    assert [one["query"] for one in answer["answers"]] == ["something red", "xyzzy"]
-    assert "not taught 'xyzzy'" in answer["answers"][1]["fault"]
-    assert answer["view"] == f"drsplat view {scanned}"
-    assert Path(answer["page"]).read_text().count("something red") > 0
-    assert any("has poses" in note for note in answer["notes"])
-    assert any("drsplat-mini" in note and "colours" in note for note in answer["notes"])
-
-
-def test_verbs_take_the_folder_by_its_name(scanned: Path, capsys: Capture) -> None:
-    assert answer_of(capsys, "objects", scanned)["num_objects"] >= 0
-    assert answer_of(capsys, "locate", scanned, "something red")["num_registered"] > 0
-    assert answer_of(capsys, "view", scanned, "--export", scanned.parent / "p.html", "--ask", "something red")["bytes"]
-    assert len(open_scene(scanned).views) == NUM_PHOTOS
-
-
-def test_the_page_turns_when_it_is_opened_and_needs_nothing_else(scanned: Path) -> None:
-    text = (scanned / "index.html").read_text()
-    assert '"plays": true' in text
-    assert "default-src 'none'" in text
-
-
-def test_a_finished_scan_is_not_made_again(scanned: Path, capture_folder: Path, capsys: Capture) -> None:
-    before = {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
-    text = text_of(capsys, "scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red; xyzzy")
-    assert f"Open {scanned / 'index.html'} in a browser" in text
-    assert before == {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
-
-
-def test_other_queries_make_only_the_page_anew(copy: Path, capture_folder: Path, capsys: Capture) -> None:
-    before = results(copy)
-    answer = answer_of(capsys, "scan", capture_folder, "-o", copy, *QUICK, "--ask", "something blue")
-    assert [one["query"] for one in answer["answers"]] == ["something blue"]
-    after = results(copy)
-    assert {name for name in after if after[name] != before[name]} == {"index.html"}
-
-
-def test_other_options_are_refused_and_made_with_overwrite(copy: Path, capture_folder: Path, capsys: Capture) -> None:
-    line = ["scan", capture_folder, "-o", copy, "--iterations", "50", "--threads", "1", *MODELS]
-    error = error_of(capsys, *line)
-    assert "iterations was 40, now 50" in error
-    assert "--overwrite" in error
-    features = (copy / "features/embedding.json").stat().st_mtime_ns
-    answer = answer_of(capsys, *line, "--overwrite")
-    assert answer["num_gaussians"] > 0
-    assert list((copy / "model/point_cloud").iterdir()) == [copy / "model/point_cloud/iteration_50"]
-    record = read_scan_record(copy)
-    assert record is not None
-    assert record["stages"]["train"]["options"]["iterations"] == [["50"]]
-    assert (copy / "features/embedding.json").stat().st_mtime_ns != features
-
-
-def test_other_photos_are_refused(copy: Path, capture_folder: Path, tmp_path: Path, capsys: Capture) -> None:
-    other = Path(shutil.copytree(capture_folder, tmp_path / "other"))
-    photo = next((other / "images").iterdir())
-    photo.write_bytes(photo.read_bytes() + b"\0")
-    assert "photos have changed" in error_of(capsys, "scan", other, "-o", copy, *QUICK)
-
-
-def test_a_file_of_options_has_a_table_for_each_verb(
-    capture_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:  # fmt: skip
-    config = tmp_path / "scan.toml"
-    lines = '[scan]\niterations = 30\n[train]\nsh-degree = 1\n[embed]\nsegmenter = "graph"\nencoder = "drsplat-mini"\n'
-    config.write_text(lines)
-    answer_of(capsys, "scan", capture_folder, "-o", tmp_path / "room", "--config", config)
-    record = read_scan_record(tmp_path / "room")
-    assert record is not None
-    assert record["stages"]["train"]["options"]["sh-degree"] == [["1"]]
-    assert record["stages"]["train"]["options"]["iterations"] == [["30"]]
-    assert record["models"]["segmenter"] == "graph"
-    assert (tmp_path / "room/model/point_cloud/iteration_30").is_dir()
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[train]\nresolutoin = 3", "train has no option 'resolutoin'; did you mean resolution?"),
-        ("[trian]\nresolution = 3", "there is no verb trian; did you mean train?"),
-        ("[register]\noutput = 'x.field'", "[register] output is settled by drsplat scan"),
-        ("[train]\niterations = 'many'", "expected a whole number"),
-        ("[embed]\npoints = 16", "leave out --points"),
-    ],
+from drsplat.errors import InputError
+from drsplat.kernels import (
+    GroupedRows,
+    QueryTables,
+    Scanning,
+    available_isas,
+    group_codes,
+    lookup_tables,
+    rows_of_groups,
+    scan_above,
+    scan_best,
+    scan_scores,
+    scan_top,
 )
-def test_a_file_of_options_with_a_slip_is_refused_before_any_work(
-    text: str, said: str, capture_folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    (tmp_path / "scan.toml").write_text(text)
-    line = ["scan", capture_folder, "-o", tmp_path / "room", *MODELS, "--config", tmp_path / "scan.toml"]
-    assert said in error_of(capsys, *line)
-    assert not (tmp_path / "room/model").exists()
+from drsplat.reference import scan as reference_scan
+
+every_isa = pytest.mark.parametrize("isa", available_isas())
+HYBRID = Scanning(error=2e-3, wide=16)
 
 
-def started(line: list[str]) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-m", "drsplat", *line]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+def drawn(seed: int, count: int, subvectors: int, queries: int = 1, coarse: int = 0) -> tuple[GroupedRows, QueryTables]:
+    """Rows and tables of cosines: a table's range falls with the number of sub-vectors."""
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(0, 256, (count, subvectors), np.uint8)
+    norms = rng.uniform(0.5, 1.0, count).astype(np.float32)
+    luts = rng.normal(size=(queries, subvectors, 256)) / max(subvectors, 4)
+    luts *= rng.gamma(2.0, 0.5, (queries, subvectors, 1))
+    ids = rng.integers(0, coarse, count).astype(np.uint16) if coarse else None
+    terms = rng.normal(size=(queries, coarse)).astype(np.float32) if coarse else None
+    return (GroupedRows(group_codes(codes), norms, ids), QueryTables(luts.astype(np.float32), terms))
 
 
-def test_a_scan_that_is_killed_in_each_stage_ends_with_the_same_bytes(
-    scanned: Path, capture_folder: Path, tmp_path: Path
-) -> None:
-    folder = tmp_path / "room"
-    line = ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; xyzzy"]
-    for verb in STAGES:
-        process = started(line)
-        while process.poll() is None and f'"{verb}"' not in _record_text(folder):
-            time.sleep(0.005)
-        process.kill()
-        process.communicate()
-    assert main([*line, "--json"]) == 0
-    assert results(folder) == results(scanned)
+def test_groups_hold_the_rows_and_zeros_after_them() -> None:
+    codes = np.arange(300 * 3, dtype=np.uint32).astype(np.uint8).reshape(300, 3) + np.uint8(1)
+    grouped = group_codes(codes)
+    assert grouped.shape == (2, 3, 256)
+    assert grouped[1, 2, 7] == codes[263, 2]
+    assert not grouped[1, :, 44:].any()
+    rows = np.array([0, 299, 255, 256, 3])
+    assert_array_equal(rows_of_groups(grouped, rows), codes[rows])
+    assert group_codes(codes[:0]).shape == (0, 3, 256)
 
 
-def _record_text(folder: Path) -> str:
-    record = folder / "scan.json"
-    return record.read_text() if record.is_file() else ""
+@every_isa
+def test_a_closed_form(isa: str) -> None:
+    """lut[m, c] = c + 1000 m: a sum is that of the bytes, plus a constant."""
+    rng = np.random.default_rng(0)
+    codes = rng.integers(0, 256, (777, 5), np.uint8)
+    lut = (np.arange(256) + 1000.0 * np.arange(5)[:, None]).astype(np.float32)
+    rows = GroupedRows(group_codes(codes), np.full(777, 0.5, np.float32))
+    found = scan_scores(rows, QueryTables(lut[None]), Scanning(0.25, isa=isa))
+    exact = (codes.sum(axis=1, dtype=np.int64) + 10000) / 2
+    assert_allclose(found[0], exact, rtol=0, atol=0.125)
 
 
-def test_a_scan_that_is_interrupted_says_how_to_go_on(capture_folder: Path, tmp_path: Path) -> None:
-    process = started(["scan", str(capture_folder), "-o", str(tmp_path / "room"), *MODELS])
-    while process.poll() is None and not (tmp_path / "room/model/checkpoint.safetensors").is_file():
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert f"what is done is kept in {tmp_path / 'room'}: give the same command again" in said
+@every_isa
+@pytest.mark.parametrize("subvectors", [1, 3, 8, 32, 33, 64, 128, 256, 257, 300])
+@pytest.mark.parametrize("queries", [1, 5, 20])
+def test_scores_are_those_of_the_twin(isa: str, subvectors: int, queries: int) -> None:
+    rows, tables = drawn(subvectors, 700, subvectors, queries, coarse=queries)
+    exact = reference_scan.scan_scores(rows, tables)
+    assert_allclose(scan_scores(rows, tables, Scanning(isa=isa)), exact, rtol=0, atol=1e-4)
+    rough = scan_scores(rows, tables, HYBRID._replace(isa=isa))
+    assert_allclose(rough, exact, rtol=0, atol=2e-3)
 
 
-def test_without_a_name_the_output_is_called_after_the_input(
-    capture_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert answer_of(capsys, "scan", capture_folder, *QUICK)["output"] == "capture-scan"
-    assert (tmp_path / "capture-scan/index.html").is_file()
+@every_isa
+@pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 512, 513, 1000])
+def test_any_number_of_rows(isa: str, count: int) -> None:
+    rows, tables = drawn(1, count, 7, 3)
+    exact, how = reference_scan.scan_scores(rows, tables), Scanning(isa=isa)
+    scores = scan_scores(rows, tables, how)
+    assert scores.shape == (3, count)
+    assert_allclose(scores, exact, rtol=0, atol=1e-4)
+    one = QueryTables(tables.luts[:1])
+    found, theirs = scan_above(rows, one, 0.0, how=how)
+    assert_array_equal(found, reference_scan.above(scores[0], 0.0))
+    assert_array_equal(theirs, scores[0, found])
+    if count:
+        found, theirs = scan_top(rows, one, 11, how)
+        assert_array_equal(found, reference_scan.top(scores[0], 11))
+        assert_array_equal(theirs, scores[0, found])
+    for given_, expected in zip(scan_best(rows, tables, how), reference_scan.best(scores), strict=True):
+        assert_array_equal(given_, expected)
 
 
-@has_colmap
-def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> None:
-    write_room(tmp_path / "photos", room_views(10))
-    (tmp_path / "photos/empty.jpg").touch()
-    answer = answer_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK)
-    assert (answer["num_photos"], answer["num_registered"]) == (11, 10)
-    assert [one["name"] for one in answer["left_out"]] == ["empty.jpg"]
-    assert any("1 of 11 photos have no pose" in note for note in answer["notes"])
-    assert list(answer["stage_seconds"]) == ["capture", *STAGES]
-    assert answer["answers"], "words that find something are asked where none are given"
-    assert len(read_views(answer["capture"])) == 10
-    (tmp_path / "photos/empty.jpg").unlink()
-    error = error_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK)
-    assert "photos have changed" in error
+@every_isa
+def test_bytes_after_the_last_row_are_never_reported(isa: str) -> None:
+    rows, tables = drawn(2, 300, 4)
+    dirty = rows.codes.copy()
+    dirty[1, :, 44:] = np.arange(256, dtype=np.uint8)[44:]
+    tables.luts[0, :, 44:] += 10
+    dirty_rows, how = rows._replace(codes=dirty), Scanning(isa=isa)
+    assert_array_equal(scan_scores(dirty_rows, tables, how), scan_scores(rows, tables, how))
+    assert scan_top(dirty_rows, tables, 1000, how)[0].max() == 299
+    assert scan_above(dirty_rows, tables, -np.inf, how=how)[0].tolist() == list(range(300))
 
 
-def test_photos_without_colmap_say_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    from drsplat.capture import program
-
-    write_room(tmp_path / "photos", room_views(3))
-    monkeypatch.setattr(program, "find_spec", lambda name: None)
-    assert 'pip install "drsplat[capture]"' in error_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room")
-
-
-def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder: Path, tmp_path: Path, capsys: Capture) -> None:
-    (tmp_path / "room").mkdir()
-    (tmp_path / "room/diary.txt").write_text("mine")
-    assert "diary.txt, which drsplat scan did not make" in error_of(
-        capsys, "scan", capture_folder, "-o", tmp_path / "room"
-    )
-    assert "is what is scanned" in error_of(capsys, "scan", capture_folder, "-o", capture_folder)
-    assert os.listdir(tmp_path / "room") == ["diary.txt"]
+@every_isa
+@pytest.mark.parametrize("wide", [0, 16])
+def test_one_outlier_does_not_coarsen_the_others(isa: str, wide: int) -> None:
+    """As CLIP's: one sub-vector spans a hundred times the range of the rest."""
+    rows, tables = drawn(3, 2000, 128)
+    tables.luts[0, 17] *= 100
+    tables.luts[0, 90, 3] = 0.9
+    exact = reference_scan.scan_scores(rows, tables)
+    found = scan_scores(rows, tables, Scanning(2e-3 if wide else 1e-4, wide, isa=isa))
+    assert abs(found - exact).max() < (2e-3 if wide else 1e-4)
 
 
-def test_inputs_that_are_none_are_named(tmp_path: Path, capsys: Capture) -> None:
-    assert "expected a folder of photos or a video" in error_of(capsys, "scan", tmp_path / "none", "-o", tmp_path / "r")
-    (tmp_path / "empty").mkdir()
-    assert "there is no photo in it" in error_of(capsys, "scan", tmp_path / "empty", "-o", tmp_path / "r")
-    assert not (tmp_path / "r").exists()
+@every_isa
+def test_hostile_tables_give_no_harm(isa: str) -> None:
+    """Ranges of nothing, and far beyond any cosine: as right as float32 is."""
+    rows, tables = drawn(4, 300, 9)
+    for scale in (0.0, 1e-30, 1e6, 1e30):
+        scaled = QueryTables(tables.luts * np.float32(scale))
+        exact = reference_scan.scan_scores(rows, scaled)
+        for wide in (0, 16):
+            found = scan_scores(rows, scaled, Scanning(wide=wide, isa=isa))
+            assert_allclose(found, exact, rtol=0, atol=2e-3 + 1e-5 * scale)
+    constant = QueryTables(np.full((1, 9, 256), 0.125, np.float32))
+    sums = scan_scores(rows, constant, Scanning(isa=isa))[0]
+    assert_allclose(sums, 9 * 0.125 * rows.inverse_norms, rtol=1e-6)
 
 
-def test_a_damaged_record_is_named(copy: Path, capture_folder: Path, capsys: Capture) -> None:
-    for text in (
-        "{",
-        "[]",
-        '{"format": "drsplat scan", "version": 9}',
-        json.dumps({"format": "drsplat scan", "version": 1}),
-    ):
-        (copy / "scan.json").write_text(text)
-        assert "scan.json" in error_of(capsys, "scan", capture_folder, "-o", copy, *QUICK)
-        assert "scan.json" in error_of(capsys, "locate", copy, "something red")
+@every_isa
+def test_rows_without_a_norm_score_zero(isa: str) -> None:
+    rows, tables = drawn(5, 400, 8, 3, coarse=2)
+    norms = rows.inverse_norms.copy()
+    norms[[0, 17, 399]] = 0
+    rows, how = rows._replace(inverse_norms=norms), Scanning(isa=isa)
+    assert not scan_scores(rows, tables, how)[:, [0, 17, 399]].any()
+    index, scores, runner_up = scan_best(rows, tables, how)
+    assert not index[[0, 17, 399]].any()
+    assert not scores[[0, 17, 399]].any()
+    assert not runner_up[[0, 17, 399]].any()
 
 
-def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choosing, "models_library", lambda: None)
-    monkeypatch.setattr(choosing, "chosen_device", lambda device: "cpu")
-    monkeypatch.setattr(choosing, "_why_not", lambda name: "" if "CLIP" in name else "its weights are elsewhere")
-    choice = choosing.choose_models("auto", "auto")
-    assert (choice.segmenter, choice.encoder) == ("graph", "drsplat-mini")
-    assert "its weights are elsewhere" in choice.sentence
-    assert "colours" in choice.sentence
-    monkeypatch.setattr(choosing, "_why_not", lambda name: "")
-    choice = choosing.choose_models("auto", "auto")
-    assert (choice.segmenter, choice.encoder) == (choosing.CPU_SEGMENTER, choosing.DEFAULT_ENCODER)
-    assert "any words can be asked" in choice.sentence
-    assert choosing.choose_models("graph", "auto").segmenter == "graph"
+@every_isa
+@pytest.mark.parametrize("queries", [1, 2, 7, 8, 16, 17, 40])
+def test_a_query_scores_the_same_alone_and_among_others(isa: str, queries: int) -> None:
+    rows, tables = drawn(6, 600, 35, queries)
+    together = scan_scores(rows, tables, Scanning(isa=isa))
+    for query in range(queries):
+        alone = scan_scores(rows, QueryTables(tables.luts[query : query + 1]), Scanning(isa=isa))
+        assert_array_equal(alone[0], together[query])
 
 
-def test_a_hub_that_cannot_be_reached_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choosing, "HUB_PATIENCE_S", 0.2)
-    assert not choosing._answers("http://127.0.0.1:9/none")
-    assert not choosing._answers("no address")
+@every_isa
+def test_any_number_of_threads_gives_the_same_bits(isa: str) -> None:
+    rows, tables = drawn(7, 70_001, 12, 20, coarse=3)
+    one = QueryTables(tables.luts[:1], tables.coarse[:1] if tables.coarse is not None else None)
+    floor = np.linspace(-0.5, 0.5, 70_001).astype(np.float32)
+
+    def everything(threads: int) -> list[np.ndarray]:
+        how = Scanning(threads=threads, isa=isa)
+        rough = HYBRID._replace(threads=threads, isa=isa)
+        return [
+            scan_scores(rows, tables, how),
+            *scan_above(rows, one, 0.1, floor, how),
+            *scan_top(rows, one, 500, how),
+            *scan_best(rows, tables, rough),
+        ]
+
+    first = everything(1)
+    for threads in (2, 3, 7):
+        for a, b in zip(first, everything(threads), strict=True):
+            assert_array_equal(a, b)
 
 
-def test_the_time_that_is_left_follows_the_pace_of_the_stages_before() -> None:
-    display = Display({"train": 100.0, "embed": 50.0, "view": 10.0}, quiet=True)
-    with display.stage("train"):
-        assert display.seconds_left(30.0) == pytest.approx(90.0, abs=1)
-    display.costs["train"] = display.costs["train"]._replace(seconds=200.0)
-    with display.stage("embed"):
-        assert display.seconds_left(40.0) == pytest.approx(60.0, abs=1)
-    with display.stage("view"):
-        assert display.seconds_left(0.0) > 0
+@every_isa
+def test_several_python_threads_at_once(isa: str) -> None:
+    asked = [drawn(seed, 3000, 16, 3) for seed in range(8)]
+    alone = [scan_scores(*each, Scanning(isa=isa)) for each in asked]
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(3):
+            together = pool.map(lambda each: scan_scores(*each, Scanning(threads=2, isa=isa)), asked)
+            for a, b in zip(alone, together, strict=True):
+                assert_array_equal(a, b)
+
+
+@every_isa
+def test_ties_go_to_the_first(isa: str) -> None:
+    rows, tables = drawn(8, 2000, 3)
+    few = rows._replace(codes=rows.codes % 2, inverse_norms=np.ones(2000, np.float32))
+    how = Scanning(isa=isa)
+    scores = scan_scores(few, tables, how)[0]
+    assert len(set(scores.tolist())) <= 8
+    found, _ = scan_top(few, tables, 700, how)
+    assert_array_equal(found, reference_scan.top(scores, 700))
+    twice = QueryTables(np.repeat(tables.luts, 3, axis=0))
+    index, best, runner_up = scan_best(few, twice, how)
+    assert not index.any()
+    assert_array_equal(best, runner_up)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 600), st.integers(1, 20))
+@settings(deadline=None, max_examples=30)
+def test_laws(seed: int, subvectors: int, count: int, queries: int) -> None:
+    """Of any drawn case and any instruction set: near the twin, and all answers of one mind."""
+    rows, tables = drawn(seed, count, subvectors, queries, coarse=seed % 2 * 3)
+    exact = reference_scan.scan_scores(rows, tables)
+    for isa in available_isas():
+        how = Scanning(isa=isa)
+        scores = scan_scores(rows, tables, how)
+        assert_allclose(scores, exact, rtol=0, atol=1e-4)
+        for a, b in zip(scan_best(rows, tables, how), reference_scan.best(scores), strict=True):
+            assert_array_equal(a, b)
+        only = QueryTables(*(None if part is None else part[:1] for part in tables))
+        threshold = float(np.median(scores[0]))
+        floor = scores[-1]
+        found, _ = scan_above(rows, only, threshold, floor, how)
+        assert_array_equal(found, reference_scan.above(scores[0], threshold, floor))
+        assert_array_equal(scan_top(rows, only, 9, how)[0], reference_scan.top(scores[0], 9))
+
+
+@every_isa
+@pytest.mark.parametrize(("subvectors", "dim"), [(1, 512), (4, 1), (128, 4), (16, 3)])
+def test_tables_are_inner_products(isa: str, subvectors: int, dim: int) -> None:
+    rng = np.random.default_rng(9)
+    centroids = rng.normal(size=(subvectors, dim, 256)).astype(np.float32)
+    queries = rng.normal(size=(5, subvectors * dim)).astype(np.float32)
+    found = lookup_tables(centroids, queries, isa=isa, threads=2)
+    assert_allclose(found, reference_scan.lookup_tables(centroids, queries), atol=1e-4)
+    assert_array_equal(found, lookup_tables(centroids, queries, isa=isa, threads=1))
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    rows, tables = drawn(10, 300, 4, 2, coarse=3)
+    ids, coarse = rows.coarse_ids, tables.coarse
+    assert ids is not None
+    assert coarse is not None
+    bad: list[tuple[GroupedRows, QueryTables, str]] = [
+        (rows._replace(codes=rows.codes[:1]), tables, r"expected codes \(2, L, 256\)"),
+        (rows._replace(codes=rows.codes[:, :0]), tables, "expected codes"),
+        (rows, tables._replace(luts=tables.luts[:, :3]), "expected tables"),
+        (rows, tables._replace(luts=tables.luts[:0]), "1 to 65536 queries"),
+        (rows._replace(coarse_ids=None), tables, "coarse ids belong"),
+        (rows, tables._replace(coarse=None), "coarse ids belong"),
+        (rows._replace(coarse_ids=ids[1:]), tables, "300 coarse ids"),
+        (rows, tables._replace(coarse=coarse[:1]), "300 coarse ids"),
+        (rows._replace(coarse_ids=np.full(300, 65535, np.uint16)), tables, "coarse id 65535 of 3"),
+    ]
+    for some_rows, some_tables, message in bad:
+        with pytest.raises(InputError, match=message):
+            scan_best(some_rows, some_tables)
+    with pytest.raises(InputError, match="one query"):
+        scan_top(rows, tables, 1)
+    one = QueryTables(tables.luts[:1], coarse[:1])
+    with pytest.raises(InputError, match="one query"):
+        scan_above(rows, tables, 0.0)
+    with pytest.raises(InputError, match="count of 1 or more"):
+        scan_top(rows, one, 0)
+    with pytest.raises(InputError, match="a floor per row"):
+        scan_above(rows, one, 0.0, np.zeros(3, np.float32))
+    with pytest.raises(InputError, match="an error above 0"):
+        scan_scores(rows, one, Scanning(error=0.0))
+    with pytest.raises(InputError, match="z80"):
+        scan_scores(rows, one, Scanning(isa="z80"))
+    with pytest.raises(InputError, match="do not fit centroids"):
+        lookup_tables(np.zeros((2, 3, 256), np.float32), np.zeros((1, 5), np.float32))

@@ -62,7 +62,7 @@ def planned(
     capture = str(source.path.resolve()) if has_poses else CAPTURE
     folder = str(output / capture)
     embed, choice, asked = _embedding(arguments, folder, output, common, before)
-    encoder = [] if choice.is_built_in else ["--encoder", choice.encoder]
+    encoder = [] if choice.is_known else ["--encoder", choice.encoder]
     train = _training(arguments, folder, str(output / MODEL), common)
     field = str(output / FIELD)
     register = verb_line(
@@ -162,7 +162,7 @@ def _embedding(
     asked = [first.options.get(name, [[AUTO]])[-1][0] for name in ("segmenter", "encoder")]
     known = before["models"] if before is not None and not arguments.overwrite else {}
     if known.get("asked") == asked:
-        choice = ModelChoice(known["segmenter"], known["encoder"], known["reason"])
+        choice = ModelChoice(*(known[part] for part in ("segmenter", "encoder", "reason", "cure")))
     else:
         choice = choose_models(asked[0], asked[1], first.arguments.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}

@@ -17,7 +17,7 @@ from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken
 from ..formats.scan_record import MODEL, read_scan_record
 from ..formats.scenes import was_edited
 from ..formats.tiles import TILES
-from ..models.loading import load_encoder
+from ..models.loading import DEFAULT_ENCODER, load_encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
@@ -32,13 +32,14 @@ CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 class SceneFiles:
     """What a scene is read from. scenes: candidates; the one that the field was registered on is taken.
 
-    capture: poses and photos, or None.
+    capture: poses and photos, or None. encoder: of words, where a scan says that it is the default one, else None.
     """
 
     name: str
     field: Path
     scenes: tuple[Path, ...]
     capture: Path | None = None
+    encoder: str | None = None
 
 
 def find_scene(folder: str | PathLike[str]) -> SceneFiles:
@@ -60,7 +61,11 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     name = folder.resolve().name
     if scan is not None:
         capture = folder / scan["capture"]
-        return SceneFiles(name, fields[0], (folder / MODEL,), capture if capture.is_dir() else None)
+        encoder = scan["models"].get("encoder")
+        return SceneFiles(
+            name, fields[0], (folder / MODEL,), capture if capture.is_dir() else None,
+            encoder if encoder == DEFAULT_ENCODER else None,  # no other model is fetched because a folder names it
+        )  # fmt: skip
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
     scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
@@ -125,6 +130,8 @@ def open_scene(
     none of the scenes.
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
+    if encoder is None and vocabulary is None:
+        encoder = files.encoder
     field = load_field(files.field)
     file, gaussians = registered_scene(files, field) if files.scenes else (None, None)
 

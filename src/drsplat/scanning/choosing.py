@@ -19,6 +19,7 @@ from ..models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
 
 AUTO = "auto"
 HUB_PATIENCE_S = 5.0
+DOWNLOAD = "have a network, or name folders that hold them with --segmenter and --encoder"
 MEANING = (
     "they know colours, and household words in made-up rooms only, so of real photos ask for colours ('something red')"
 )
@@ -26,16 +27,22 @@ MEANING = (
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Models of a scan. reason: why "auto" means a built-in one, "" where it does not."""
+    """Models of a scan. reason: why "auto" means a built-in one, "" where it does not; cure: what helps."""
 
     segmenter: str
     encoder: str
     reason: str = ""
+    cure: str = ""
 
     @property
     def is_built_in(self) -> bool:
-        """Whether words are understood by the built-in encoder, which queries need not name."""
+        """Whether words are understood by the built-in encoder."""
         return self.encoder == MiniEncoder.name
+
+    @property
+    def is_known(self) -> bool:
+        """Whether queries of the scan's folder need not name the encoder."""
+        return self.encoder in (MiniEncoder.name, DEFAULT_ENCODER)
 
     @property
     def sentence(self) -> str:
@@ -48,7 +55,7 @@ class ModelChoice:
         meaning = MEANING if self.is_built_in else "its masks are coarser than those of SAM"
         return (
             f"The built-in {one} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
-            f"{INSTALL}, and weights from the Hugging Face hub; then the same command with --overwrite."
+            f"{self.cure}, then give the same command with --overwrite."
         )
 
 
@@ -62,19 +69,19 @@ def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoi
     try:
         models_library()
     except MissingExtraError as error:
-        return _built_in(segmenter, encoder, str(error).partition(": ")[0])
+        return _built_in(segmenter, encoder, str(error).partition(": ")[0], INSTALL)
     sam = DEFAULT_SEGMENTER if chosen_device(device) != "cpu" else CPU_SEGMENTER
     named = [(segmenter, sam), (encoder, DEFAULT_ENCODER)]
     reasons = [_why_not(name) for given, name in named if given == AUTO]
     reason = next(filter(None, reasons), "")
     if reason:
-        return _built_in(segmenter, encoder, reason)
+        return _built_in(segmenter, encoder, reason, DOWNLOAD)
     return ModelChoice(*(name if given == AUTO else given for given, name in named))
 
 
-def _built_in(segmenter: str, encoder: str, reason: str) -> ModelChoice:
+def _built_in(segmenter: str, encoder: str, reason: str, cure: str) -> ModelChoice:
     segmenter = GraphSegmenter.name if segmenter == AUTO else segmenter
-    return ModelChoice(segmenter, MiniEncoder.name if encoder == AUTO else encoder, reason)
+    return ModelChoice(segmenter, MiniEncoder.name if encoder == AUTO else encoder, reason, cure)
 
 
 def _why_not(name: str) -> str:
