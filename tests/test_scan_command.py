@@ -218,6 +218,16 @@ def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> 
     assert "photos have changed" in error
 
 
+@has_colmap
+def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path: Path, capsys: Capture) -> None:
+    views = room_views(10)
+    write_room(tmp_path / "photos", views[:1])
+    line = ["scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK]
+    assert "capture: expected at least 3 different photos, got 1 of 1" in error_of(capsys, *line)
+    write_room(tmp_path / "photos", views[1:])
+    assert answer_of(capsys, *line)["num_registered"] == 10
+
+
 def test_photos_without_colmap_say_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .options import count, words
 from .scan_answers import ended, notes, show_answer, summary
 from .scan_stages import FIELD, ITERATIONS, PAGE, Plan, planned
-from .stages import check_tables, differences, run_stages
+from .stages import check_tables, differences, is_done, run_stages
 
 if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
@@ -134,8 +134,8 @@ def _states(
     """
     from ..errors import InputError
 
-    if before is None:
-        return {}
+    if before is None or (before["stages"].keys() <= {"capture"} and not any(map(is_done, before["stages"].values()))):
+        return before["stages"] if before else {}  # what `capture` began it goes on with, also of other photos
     verbs = [stage.verb for stage in plan.stages]
     changed = differences(before["stages"], [stage for stage in plan.stages if stage.verb != "view"])
     if any(before["input"].get(key) != value for key, value in source.document().items() if key != "path"):

@@ -109,7 +109,8 @@ def notes(states: Mapping[str, Any]) -> list[str]:
             "are wrong."
         )
     if stages["objects"]["doubt"]:
-        said.append(stages["objects"]["doubt"])
+        doubt: str = stages["objects"]["doubt"]
+        said.append(doubt[0].upper() + doubt[1:] + ".")
     return said
 
 

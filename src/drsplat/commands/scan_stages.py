@@ -161,8 +161,9 @@ def _embedding(
     first = verb_line("embed", given, common)
     asked = [first.options.get(name, [[AUTO]])[-1][0] for name in ("segmenter", "encoder")]
     known = before["models"] if before is not None and not arguments.overwrite else {}
-    if known.get("asked") == asked:
-        choice = ModelChoice(*(known[part] for part in ("segmenter", "encoder", "reason", "cure")))
+    parts = ("segmenter", "encoder", "reason", "cure")
+    if known.get("asked") == asked and all(isinstance(known.get(part), str) for part in parts):
+        choice = ModelChoice(*(known[part] for part in parts))
     else:
         choice = choose_models(asked[0], asked[1], first.arguments.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}

@@ -119,6 +119,11 @@ class Stage:
                 path.unlink(missing_ok=True)
 
 
+def is_done(state: Mapping[str, Any]) -> bool:
+    """Return whether a stage has ended."""
+    return state.get("state") == DONE
+
+
 def differences(before: Mapping[str, Any], stages: Sequence[Stage]) -> list[tuple[str, str]]:
     """Return the verb and a sentence for each option that another scan in the same folder had otherwise."""
     found = []
@@ -148,7 +153,7 @@ def run_stages(
     """
     for stage in stages:
         state = states.get(stage.verb, {})
-        if state.get("state") != DONE:
+        if not is_done(state):
             with display.stage(stage.verb):
                 answer = stage.found() if state else None
                 if answer is None:
