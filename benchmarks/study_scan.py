@@ -11,12 +11,13 @@ and "rotations": as of study_poses.py. "answers": queries whose best match lies 
 distance from their middle of a match in the scan with given poses, of those that have matches there. FOLDER stays, and
 a study that was stopped goes on.
 
---kills: a scan of the room's capture, killed at so many moments that are spread over the length of a whole one, and
-compared with the whole one byte by byte.
+--kills: a scan of the room's capture, killed at so many moments, each time going on or, where it had ended, begun anew;
+what it ends with is compared byte by byte with a scan that was left alone.
 """
 
 import filecmp
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -36,7 +37,7 @@ from drsplat.demo.household import SCENE, unpack_household
 from drsplat.drawing.pictures import as_pixels
 from drsplat.drawing.rendering import render
 from drsplat.filming.paths import CameraPath, KeyFrame
-from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_views
 from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.views import View
@@ -122,7 +123,7 @@ def rows(name: str, given: Path, folder: Path, options: list[str]) -> None:
 
 def _true(name: str, kind: str, given: Path, folder: Path, posed: list[View]) -> list[View]:
     if name == "room":
-        true = {view.name: view for view in read_views(folder / "truth.json")}
+        true = {view.name: view for view in read_cameras_json(folder / "truth.json")}
         return [true[f"frame_{_frame(view.name):04}.jpg"] for view in posed]
     by_name = {view.name: view for view in read_views(given)}
     names = sorted(by_name)
@@ -159,32 +160,38 @@ def _row(name: str, kind: str, answer: dict[str, Any], poses: str, places: str) 
 
 def kills(source: Path, folder: Path, number: int, options: list[str]) -> None:
     """Kill one scan again and again, and compare what it ends with with a scan that was left alone."""
+    for name in ("whole", "killed"):  # the page has the folder's name
+        (folder / name).mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    scan(source, folder / "whole", QUERIES["room"], options)
+    scan(source, folder / "whole/room", QUERIES["room"], options)
     whole = time.perf_counter() - start
-    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(folder / "killed"), "--json"]
+    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(folder / "killed/room"), "--json"]
     line += ["--ask", QUERIES["room"], *options]
-    ended = 0
-    for moment in range(number):
+    killed = attempts = 0
+    while killed < number:
+        attempts += 1
         process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            process.wait(1.0 + whole * (moment % 10 + 1) / 30)  # starting takes the first second
-            ended += 1
+            process.wait(0.5 + whole * (attempts % 10 + 1) / 20)  # starting takes the first half of a second
+            shutil.rmtree(folder / "killed/room")  # it had ended: another one is killed
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-    scan(source, folder / "killed", QUERIES["room"], options)
+            killed += 1
+    scan(source, folder / "killed/room", QUERIES["room"], options)
     parts = ("scene.field", "features", "model/point_cloud", "index.html")
     files = [
-        file.relative_to(folder / "whole")
+        file.relative_to(folder / "whole/room")
         for part in parts
-        for file in ([folder / "whole" / part] if part.endswith(".html") else (folder / "whole" / part).rglob("*"))
+        for file in (
+            [folder / "whole/room" / part] if part.endswith(".html") else (folder / "whole/room" / part).rglob("*")
+        )
         if file.is_file()
     ]
-    other = [file for file in files if not filecmp.cmp(folder / "whole" / file, folder / "killed" / file, False)]
-    print(
-        f"killed {number - ended} times (a whole scan takes {whole:.0f} s); {len(files)} files, other bytes in {other}"
-    )
+    other = [
+        file for file in files if not filecmp.cmp(folder / "whole/room" / file, folder / "killed/room" / file, False)
+    ]
+    print(f"killed {killed} times (a whole scan takes {whole:.0f} s); {len(files)} files, other bytes in {other}")
 
 
 def main() -> None:

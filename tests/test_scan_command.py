@@ -10,19 +10,24 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
-from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.scan_record import read_scan_record
+from drsplat.models.loading import DEFAULT_ENCODER
+from drsplat.models.sam import CPU_SEGMENTER
 from drsplat.scanning import choosing
 from drsplat.scanning.display import Display
-from photographed_room import room_views, write_room
+from drsplat.scene.views import View
+from photographed_room import ROOM, room_views, write_room
+from written_captures import write_colmap_text
 
 has_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason='needs pip install "drsplat[capture]"')
-NUM_PHOTOS = 9
+NUM_PHOTOS = 6
 STAGES = ["train", "embed", "register", "objects", "view"]
 MODELS = ["--segmenter", "graph", "--encoder", "drsplat-mini"]
 QUICK = ["--iterations", "40", "--threads", "1", *MODELS]
@@ -32,8 +37,32 @@ QUICK = ["--iterations", "40", "--threads", "1", *MODELS]
 def capture_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("given") / "capture"
     views = [view.resized(200, 150) for view in room_views(NUM_PHOTOS)]
-    write_cameras_json(folder / "cameras.json", write_room(folder / "images", views))
+    write_room(folder / "images", views)
+    images = [
+        (k, _quaternion(view), tuple(view.cam_from_world[:3, 3]), 1, view.name) for k, view in enumerate(views, 1)
+    ]
+    intrinsics = views[0].K
+    camera = (1, "PINHOLE", 200, 150, tuple(intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]]))
+    write_colmap_text(folder / "sparse/0", plain([camera]), plain(images), _points())
     return folder
+
+
+def _quaternion(view: View) -> tuple[float, ...]:
+    return tuple(Rotation.from_matrix(view.cam_from_world[:3, :3]).as_quat()[[3, 0, 1, 2]])
+
+
+def plain(rows: list[tuple[object, ...]]) -> list[tuple[object, ...]]:
+    """Return rows with NumPy's numbers as Python's, which are written without their type."""
+    return [tuple(tuple(map(float, part)) if isinstance(part, tuple) else part for part in row) for row in rows]
+
+
+def _points(count: int = 500) -> list[tuple[int, tuple[float, ...], tuple[int, int, int]]]:
+    """Return points on the walls, so that training need not look for any."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform(*ROOM, (count, 3))
+    for row, axis in enumerate(rng.integers(0, 3, count)):
+        places[row, axis] = ROOM[rng.integers(0, 2), axis]
+    return [(k, tuple(map(float, place)), (120, 120, 120)) for k, place in enumerate(places, 1)]
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +252,8 @@ def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path: P
     views = room_views(10)
     write_room(tmp_path / "photos", views[:1])
     line = ["scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK]
-    assert "capture: expected at least 3 different photos, got 1 of 1" in error_of(capsys, *line)
+    error = answer_of(capsys, *line, code=1)["error"]
+    assert "capture: expected at least 3 different photos, got 1 of 1" in error
     write_room(tmp_path / "photos", views[1:])
     assert answer_of(capsys, *line)["num_registered"] == 10
 
@@ -277,7 +307,7 @@ def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: py
     assert "colours" in choice.sentence
     monkeypatch.setattr(choosing, "_why_not", lambda name: "")
     choice = choosing.choose_models("auto", "auto")
-    assert (choice.segmenter, choice.encoder) == (choosing.CPU_SEGMENTER, choosing.DEFAULT_ENCODER)
+    assert (choice.segmenter, choice.encoder) == (CPU_SEGMENTER, DEFAULT_ENCODER)
     assert "any words can be asked" in choice.sentence
     assert choosing.choose_models("graph", "auto").segmenter == "graph"
 
