@@ -92,6 +92,7 @@ ORDER = (
     "capture",
     "evaluation",
     "demo",
+    "scanning",
     "commands",
     "cli",
     "__main__",

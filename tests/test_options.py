@@ -129,6 +129,10 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--max-gaussians",
             "50",
         ],
+        "scan": [
+            *[capture, "-o", str(out / "room"), "--iterations", "1", "--overwrite"],
+            *["--segmenter", "graph", "--encoder", "drsplat-mini"],
+        ],
         "capture": [str(room / "frames"), "-o", str(out / "capture")],  # no photos: refused at once
         "inspect": [capture],
         "embed": [capture, "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", str(out / "lf")],

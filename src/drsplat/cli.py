@@ -19,16 +19,16 @@ from importlib import import_module
 from io import TextIOWrapper
 from typing import Any, NoReturn, TextIO
 
+from .commands.common import add_common
 from .commands.help_texts import VerbListFormatter
 from .commands.log import logged, path_of
-from .commands.options import whole
 from .commands.parsing import Parser, UsageError, VerbParser, did_you_mean
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
 from .system import can_be_a_path
 from .terminal import plain, plainly, quoted
 
 GROUPS = {
-    "make a scene": ("capture", "train", "tile", "motion"),
+    "make a scene": ("scan", "capture", "train", "tile", "motion"),
     "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
     "ask": ("locate", "select", "segment", "when", "catalogue"),
     "look and change": ("view", "render", "edit"),
@@ -182,24 +182,8 @@ def _add_verb(subparsers: "argparse._SubParsersAction[VerbParser]", name: str) -
     command.add_arguments(parser)
     own = (option.dest for option in parser.options if not option.dest.startswith("help"))
     parser.daily = {"json", *getattr(command, "DAILY", own)}
-    _add_common(parser.add_argument_group("all verbs"))
+    add_common(parser.add_argument_group("all verbs"))
     parser.set_defaults(command=command, parser=parser, flags=parser.flags)
-
-
-def _add_common(common: "argparse._ArgumentGroup") -> None:
-    common.add_argument("--json", action="store_true", help="print one JSON object to stdout and nothing else there")
-    common.add_argument(
-        "--threads", type=whole, default=0, metavar="N",
-        help="CPU threads; results are the same for any number (default: 0, all cores)",
-    )  # fmt: skip
-    common.add_argument(
-        "--config", metavar="FILE", help="TOML with options under [VERB]; an option that is given here counts instead"
-    )
-    common.add_argument(
-        "--print-config", action="store_true", help="print the options given here as such a file, and exit"
-    )
-    common.add_argument("--log", metavar="FILE", help="append the lines of stderr to a file, with times")
-    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
 def spelled(message: str, flags: Mapping[str, str]) -> str:

@@ -2,7 +2,9 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,6 +17,20 @@ T = TypeVar("T")
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0
 BAR_COLUMNS = 10
+
+Follower = Callable[[str, int, int, str], None]
+"""Called with what a meter is of, how much is done, of how much, and what it has to say."""
+_FOLLOWER: ContextVar[Follower | None] = ContextVar("follower", default=None)
+
+
+@contextmanager
+def followed(follower: Follower) -> Iterator[None]:
+    """Tell `follower` of all progress in the block, which is then not shown here."""
+    before = _FOLLOWER.set(follower)
+    try:
+        yield
+    finally:
+        _FOLLOWER.reset(before)
 
 
 def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Iterator[T]:
@@ -46,6 +62,14 @@ class Meter:
 
     def update(self, done: int, text: str) -> None:
         """done: of `total`, also what was done in an earlier sitting."""
+        follower = _FOLLOWER.get()
+        if follower is None:
+            self.draw(done, text)
+        else:
+            follower(self._description, done, self._total, text)
+
+    def draw(self, done: int, text: str) -> None:
+        """Show progress here, whoever follows."""
         if self._first is None:
             self._first, self._begin = done - 1, time.monotonic()
         elapsed = time.monotonic() - self._begin
@@ -63,7 +87,7 @@ class Meter:
         """Return the count, the rate and the time that is left."""
         per_second = (done - (self._first or 0)) / max(elapsed, 1e-9)
         left = (self._total - done) / max(per_second, 1e-9)
-        return f"{done}/{self._total}", f"{per_second:.1f}/s", f"{_duration(left)} left"
+        return f"{done}/{self._total}", f"{per_second:.1f}/s", f"{duration(left)} left"
 
     def _show(self, done: int, line: str) -> None:
         """Draw the bar and a line beside it, which is cut at its end where the terminal is narrow."""
@@ -75,7 +99,7 @@ class Meter:
         self._bar.start()  # which does nothing the second time
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Return a length of time in the unit that keeps it below three digits, up to hours."""
     if seconds < 100:
         return f"{seconds:.0f} s"

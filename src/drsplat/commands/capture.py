@@ -66,13 +66,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     with Stages(arguments.json) as stages:
         record = capture(
-            arguments.photos, arguments.output, _settings(arguments),
+            arguments.photos, arguments.output, capture_settings(arguments),
             overwrite=arguments.overwrite, threads=arguments.threads, progress=stages.update,
         )  # fmt: skip
     return {"capture": arguments.output, **record, "peak_memory_bytes": peak_memory_bytes()}
 
 
-def _settings(arguments: argparse.Namespace) -> CaptureSettings:
+def capture_settings(arguments: argparse.Namespace) -> CaptureSettings:
     from ..capture.settings import CaptureSettings
 
     return CaptureSettings(arguments.lens, arguments.scale, _known_distance(arguments), arguments.invert_masks)

@@ -69,6 +69,14 @@ def options_of(parser: VerbParser) -> dict[str, argparse.Action]:
     return {next(flag for flag in option.option_strings if flag.startswith("--"))[2:]: option for option in kept}
 
 
+def table_keys(path: str) -> dict[str, set[str]]:
+    """Return the options that each table of a file of --config sets, by the tables' names.
+
+    Raises: InputError: the file is no TOML. OSError: it cannot be read.
+    """
+    return {name: {_key(key) for key in own} for name, own in _tables(path).items() if isinstance(own, dict)}
+
+
 def place(option: argparse.Action) -> str:
     """Return the name under which an option's value is kept, several options' together where they are a sequence."""
     return str(getattr(option, "sequence", option.dest))

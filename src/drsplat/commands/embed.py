@@ -169,7 +169,7 @@ def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
     if arguments.masks is None:
         arguments.segmenter = arguments.segmenter or SEGMENTER
         return load_segmenter(
-            arguments.segmenter, arguments.device, _point_settings(arguments), threads=arguments.threads
+            arguments.segmenter, arguments.device, point_settings(arguments), threads=arguments.threads
         )
     cutting = (arguments.segmenter, arguments.points, arguments.crop_layers, arguments.levels)
     if any(value is not None for value in cutting):
@@ -199,7 +199,7 @@ def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
     return encoder
 
 
-def _point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
+def point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
     """Those of SAM; None for `graph`. InputError: options of SAM for `graph`."""
     from ..errors import InputError
     from ..models.graph import GraphSegmenter

@@ -76,6 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--path", metavar="orbit|swing|photos|FILE",
         help="path of the film that the page of --export plays, as of drsplat render (default: orbit)",
     )  # fmt: skip
+    parser.add_argument(
+        "--play", action="store_true", help="play the film when the page of --export is opened (default: when asked to)"
+    )
     add_kept_edits(parser, "kept")
     add_overwrite(parser)
     add_query_encoders(parser)
@@ -90,6 +93,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         _serve_catalogue(arguments)
     if arguments.path is not None and arguments.export is None:
         raise InputError("path: a film is part of a page: give --export PAGE.html")
+    if arguments.play and arguments.export is None:
+        raise InputError("play: a film is part of a page: give --export PAGE.html")
     return _export(arguments) if arguments.export else _serve(arguments)
 
 
@@ -113,7 +118,8 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
     page = export_page(
         arguments.export, scene, queries, words=_words(arguments), up=_up(arguments, scene),
         max_gaussians=arguments.max_gaussians, overwrite=arguments.overwrite,
-        path_name="orbit" if arguments.path is None else arguments.path, edits=arguments.edits or "kept",
+        path_name="orbit" if arguments.path is None else arguments.path, plays=arguments.play,
+        edits=arguments.edits or "kept",
     )  # fmt: skip
     note_applied(page.num_edits)
     return {

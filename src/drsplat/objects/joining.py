@@ -44,7 +44,7 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
     roots, reliefs = np.arange(total), np.zeros(total)
     for k in range(len(TOLERANCES) + 1):
         names, numbers = np.unique(roots, return_inverse=True)
-        areas = np.bincount(numbers, found.areas, len(names))
+        areas = np.bincount(numbers, found.areas, len(names)).astype(np.float64)  # of nothing, it counts whole numbers
         whole = (np.bincount(numbers, minlength=len(names)) == 1) & (sure[names] >= WHOLE)
         if k < len(TOLERANCES):
             sets = list(_standing_out(_merged(found, numbers, k, len(names)), areas, whole))

@@ -14,9 +14,10 @@ from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
 from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken
+from ..formats.scan_record import MODEL, read_scan_record
 from ..formats.scenes import was_edited
 from ..formats.tiles import TILES
-from ..models.loading import load_encoder
+from ..models.loading import DEFAULT_ENCODER, load_encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
@@ -31,19 +32,21 @@ CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 class SceneFiles:
     """What a scene is read from. scenes: candidates; the one that the field was registered on is taken.
 
-    capture: poses and photos, or None.
+    capture: poses and photos, or None. encoder: of words, where a scan says that it is the default one, else None.
     """
 
     name: str
     field: Path
     scenes: tuple[Path, ...]
     capture: Path | None = None
+    encoder: str | None = None
 
 
 def find_scene(folder: str | PathLike[str]) -> SceneFiles:
-    """The files of a folder such as `drsplat demo` writes: one *.field, a scene, and if there is one a capture.
+    """The files of a folder such as `drsplat demo` or `drsplat scan` writes: one *.field, a scene, and if there is one
+    a capture.
 
-    Raises: InputError: no such folder, not exactly one field, no scene.
+    Raises: InputError: no such folder, not exactly one field, no scene. FormatError: a damaged record of a scan.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -54,6 +57,15 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
         raise mistaken(folder, Kind.FIELD)
     if len(fields) > 1:
         raise InputError(f"{folder}: expected one field, got {', '.join(map(str, fields))}: name the one that you mean")
+    scan = read_scan_record(folder)
+    name = folder.resolve().name
+    if scan is not None:
+        capture = folder / scan["capture"]
+        encoder = scan["models"].get("encoder")
+        return SceneFiles(
+            name, fields[0], (folder / MODEL,), capture if capture.is_dir() else None,
+            encoder if encoder == DEFAULT_ENCODER else None,  # no other model is fetched because a folder names it
+        )  # fmt: skip
     scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
     scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
@@ -64,8 +76,7 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     if not scenes:
         kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
         raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")
-    has_capture = any((folder / name).exists() for name in CAMERAS)
-    name = folder.resolve().name
+    has_capture = any((folder / camera).exists() for camera in CAMERAS)
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
 
 
@@ -119,6 +130,8 @@ def open_scene(
     none of the scenes.
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
+    if encoder is None and vocabulary is None:
+        encoder = files.encoder
     field = load_field(files.field)
     file, gaussians = registered_scene(files, field) if files.scenes else (None, None)
 

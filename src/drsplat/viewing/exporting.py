@@ -1,6 +1,7 @@
 """From a scene and queries to a page."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -35,6 +36,7 @@ def export_page(
     up: Float64[np.ndarray, " 3"] | None = None,
     max_gaussians: int | None = None,
     path_name: str = ORBIT,
+    plays: bool = False,
     title: str = "",
     edits: KeptEdits = "kept",
     overwrite: bool = False,
@@ -43,8 +45,9 @@ def export_page(
 
     words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
     held. max_gaussians: the most significant ones are shown, 200,000 at most. path_name: of the film that it plays, as
-    `filming.planning.path_named` has it. title: the scene's name if empty. edits: "kept" shows the scene with the edits
-    kept beside it, `num_edits` of the page; "none" as its file has it.
+    `filming.planning.path_named` has it. plays: plays it when it is opened. title: the scene's name if
+    empty. edits: "kept" shows the scene with the edits kept beside it, `num_edits` of the page; "none" as its file has
+    it.
 
     Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
     that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
@@ -59,6 +62,7 @@ def export_page(
     up = up_direction(scene) if up is None else up
     film = path_named(path_name, scene.gaussians, scene.views, up=up)
     page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title, film)
+    page = replace(page, plays=plays)
     write_page(path, page, overwrite=overwrite)
     return page
 

@@ -338,7 +338,7 @@
     };
     header.answers.forEach((answer, k) => $("queries").append(button(answer.text, () => { if (state.mode === "photo" || state.mode === "features") show(0); ask(k); }, answer.accent)));
     modes.forEach(([, label], k) => $("modes").append(button(label, () => show(k))));
-    show(0);
+    show(header.plays ? modes.findIndex(([key]) => key === "photo") : 0);
     ask(0);
   }
 

@@ -53,7 +53,7 @@ class Page:
 
     best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
     object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
-    that moves. num_edits: kept edits that are in it.
+    that moves. num_edits: kept edits that are in it. plays: whether it flies along the path when it is opened.
     """
 
     title: str
@@ -71,6 +71,7 @@ class Page:
     path: CameraPath | None = None
     times: PageTimes | None = None
     num_edits: int = 0
+    plays: bool = False
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
@@ -143,6 +144,7 @@ def _header(page: Page) -> dict[str, Any]:
         "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
         "times": None if page.times is None else header_of(page.times),
         "film": None if page.path is None else _film(frame, page.path, page.target),
+        "plays": page.plays,
         "words": list(page.words)[:MOST_WORDS],
         "objects": list(page.objects),
         "annotations": list(page.annotations),

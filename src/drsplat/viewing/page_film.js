@@ -82,6 +82,7 @@
     $("help").addEventListener("click", () => help());
     Object.assign(own, { play, show, isPlaying: () => playing });
     dress();
+    if (film && header.plays && !matchMedia("(prefers-reduced-motion: reduce)").matches) play();
   }
   if (window.drsplat) start();
   else addEventListener("drsplat", start, { once: true });

@@ -1,0 +1,222 @@
+"""What `drsplat scan` makes of photos and films without poses, against the same photos with given poses.
+
+    python benchmarks/study_scan.py --work FOLDER [--plush CAPTURE] [--iterations N] [--side PIXELS] [--threads N]
+    python benchmarks/study_scan.py --work FOLDER --kills 30
+
+Three scans of each place: a capture with given poses; its photos alone; a film (MP4, H.264) of them. Places: a capture
+of a plush doll, each photo twice in the film at 10 frames a second, in the order of their names; and the demo's room,
+rendered along a path through its cameras: 240 frames, of which every sixth is blurred by the camera's way from the
+frame before, and every fourth is a photo, sharp. "dB": PSNR in every eighth photo of the scan itself. "centres"
+and "rotations": as of study_poses.py. "answers": queries whose best match lies within a tenth of the cameras' mean
+distance from their middle of a match in the scan with given poses, of those that have matches there. FOLDER stays, and
+a study that was stopped goes on.
+
+--kills: a scan of the room's capture, killed at so many moments, each time going on or, where it had ended, begun anew;
+what it ends with is compared byte by byte with a scan that was left alone.
+"""
+
+import filecmp
+import json
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.machine import arguments
+from benchmarks.study_poses import EACH, _film, _frame, _photos, said
+from drsplat.capture.world import umeyama
+from drsplat.demo.household import SCENE, unpack_household
+from drsplat.drawing.pictures import as_pixels
+from drsplat.drawing.rendering import render
+from drsplat.filming.paths import CameraPath, KeyFrame
+from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
+from drsplat.formats.captures import read_views
+from drsplat.formats.scenes import read_gaussians
+from drsplat.scene.views import View
+
+FRAMES, SIZE, PHOTO_EVERY, BLURRED_EVERY, BLUR_STEPS = 240, (640, 480), 4, 6, 5
+SAME_PLACE = 0.1  # of the cameras' mean distance from their middle
+QUERIES = {
+    "plush": "something pink; something orange; something blue; something white",
+    "room": "red vase; couch; something blue; lamp",
+}
+
+
+def write_room(folder: Path) -> None:
+    """Write the demo's room as a capture (capture/), as photos (photos/) and as a film (film.mp4)."""
+    import av
+
+    household = unpack_household(folder / "demo", overwrite=True)
+    scene, views = read_gaussians(household.folder / SCENE), read_views(household.folder)
+    path = CameraPath([KeyFrame.of(view) for view in _tour(views)])
+    between = path.views(FRAMES * BLUR_STEPS, SIZE)
+    (folder / "capture/images").mkdir(parents=True, exist_ok=True)
+    photos = []
+    with av.open(str(folder / "film.mp4"), "w") as film:
+        stream = film.add_stream("libx264", rate=30)
+        (stream.width, stream.height), stream.pix_fmt = SIZE, "yuv420p"
+        for number in range(FRAMES):
+            steps = between[number * BLUR_STEPS : (number + 1) * BLUR_STEPS]
+            blurred = number % BLURRED_EVERY == BLURRED_EVERY - 1
+            pixels = np.mean([render(scene, view).rgb for view in (steps if blurred else steps[:1])], axis=0)
+            picture = Image.fromarray(as_pixels(pixels.astype(np.float32)))
+            film.mux(stream.encode(av.VideoFrame.from_image(picture)))  # type: ignore[no-untyped-call]
+            if number % PHOTO_EVERY == 0:
+                view = replace(steps[0], name=f"frame_{number:04}.jpg", image_path=Path(f"frame_{number:04}.jpg"))
+                picture.save(folder / "capture/images" / view.name, quality=92)
+                photos.append(view)
+        film.mux(stream.encode())
+    write_cameras_json(folder / "capture/cameras.json", photos, overwrite=True)
+    truth = [replace(view, name=f"frame_{n:04}.jpg") for n, view in enumerate(between[::BLUR_STEPS])]
+    write_cameras_json(folder / "truth.json", truth, overwrite=True)
+    _photos(folder / "capture", [view.name for view in photos], folder / "photos")
+
+
+def _tour(views: list[View]) -> list[View]:
+    """Return the views in an order in which each is near the one before, in place and direction."""
+    places = np.array([np.concatenate([view.center, view.cam_from_world[2, :3]]) for view in views])
+    order = [0]
+    while len(order) < len(views):
+        away = np.linalg.norm(places - places[order[-1]], axis=1)
+        away[order] = np.inf
+        order.append(int(away.argmin()))
+    return [views[at] for at in order]
+
+
+def write_plush(capture: Path, folder: Path) -> None:
+    names = sorted(path.name for path in (capture / "images").iterdir())
+    folder.mkdir(parents=True, exist_ok=True)
+    _photos(capture, names, folder / "photos")
+    _film(capture, names, folder / "film.mp4")
+
+
+def scan(source: Path, output: Path, queries: str, options: list[str]) -> dict[str, Any]:
+    """Run a scan as people do, and return what it prints."""
+    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(output), "--ask", queries, "--json"]
+    made = subprocess.run([*line, *options], stdout=subprocess.PIPE, check=False)
+    answer: dict[str, Any] = json.loads(made.stdout)
+    if made.returncode:
+        raise SystemExit(f"{source}: {answer['error']}")
+    return answer
+
+
+def rows(name: str, given: Path, folder: Path, options: list[str]) -> None:
+    """Print a row for the scan with given poses, of the photos, and of the film."""
+    known = scan(given, folder / "scan_given", QUERIES[name], options)
+    print(_row(name, "given poses", known, "- | - | -", "-"), flush=True)
+    for kind, source in (("photos", folder / "photos"), ("film", folder / "film.mp4")):
+        answer = scan(source, folder / f"scan_{kind}", QUERIES[name], options)
+        posed = read_views(answer["capture"])
+        true = _true(name, kind, given, folder, posed)
+        capture = json.loads((Path(answer["capture"]) / "capture.json").read_text())
+        poses = " | ".join(said(posed, true, capture, False).split(" | ")[:3])
+        print(_row(name, kind, answer, poses, _same_places(known, answer, posed, true)), flush=True)
+
+
+def _true(name: str, kind: str, given: Path, folder: Path, posed: list[View]) -> list[View]:
+    if name == "room":
+        true = {view.name: view for view in read_cameras_json(folder / "truth.json")}
+        return [true[f"frame_{_frame(view.name):04}.jpg"] for view in posed]
+    by_name = {view.name: view for view in read_views(given)}
+    names = sorted(by_name)
+    return [by_name[names[_frame(view.name) // EACH] if kind == "film" else view.name] for view in posed]
+
+
+def _same_places(known: dict[str, Any], answer: dict[str, Any], posed: list[View], true: list[View]) -> str:
+    here, there = (np.array([view.center for view in views]) for views in (posed, true))
+    similarity = umeyama(here, there)
+    spread = np.linalg.norm(there - there.mean(axis=0), axis=1).mean()
+    asked = [
+        (one["matches"], other["matches"])
+        for one, other in zip(known["answers"], answer["answers"], strict=True)
+        if one.get("matches")
+    ]
+    right = 0
+    for expected, matches in asked:
+        if matches:
+            place = similarity.positions(np.array([matches[0]["center"]]))
+            away = np.linalg.norm(np.array([one["center"] for one in expected]) - place, axis=1)
+            right += bool(away.min() < SAME_PLACE * spread)
+    return f"{right} of {len(asked)}"
+
+
+def _row(name: str, kind: str, answer: dict[str, Any], poses: str, places: str) -> str:
+    verbs = ("capture", "train", "embed", "register", "objects", "view")
+    seconds, cpu = answer["stage_seconds"], answer["stage_cpu_seconds"]
+    stages = ", ".join(f"{verb} {seconds[verb]:.0f} ({cpu[verb]:.0f})" for verb in verbs if verb in seconds)
+    return (
+        f"| {name}, {kind} | {poses} | {answer['psnr_test']:.2f} | {answer['num_gaussians']:,} | "
+        f"{answer['num_objects']} | {places} | {stages} |"
+    )
+
+
+def kills(source: Path, folder: Path, number: int, options: list[str]) -> None:
+    """Kill one scan again and again, and compare what it ends with with a scan that was left alone."""
+    for name in ("whole", "killed"):  # the page has the folder's name
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    scan(source, folder / "whole/room", QUERIES["room"], options)
+    whole = time.perf_counter() - start
+    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(folder / "killed/room"), "--json"]
+    line += ["--ask", QUERIES["room"], *options]
+    killed = attempts = 0
+    while killed < number:
+        attempts += 1
+        process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            process.wait(0.5 + whole * (attempts % 10 + 1) / 20)  # starting takes the first half of a second
+            shutil.rmtree(folder / "killed/room")  # it had ended: another one is killed
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            killed += 1
+    scan(source, folder / "killed/room", QUERIES["room"], options)
+    parts = ("scene.field", "features", "model/point_cloud", "index.html")
+    files = [
+        file.relative_to(folder / "whole/room")
+        for part in parts
+        for file in (
+            [folder / "whole/room" / part] if part.endswith(".html") else (folder / "whole/room" / part).rglob("*")
+        )
+        if file.is_file()
+    ]
+    other = [
+        file for file in files if not filecmp.cmp(folder / "whole/room" / file, folder / "killed/room" / file, False)
+    ]
+    print(f"killed {killed} times (a whole scan takes {whole:.0f} s); {len(files)} files, other bytes in {other}")
+
+
+def main() -> None:
+    given = arguments(__doc__, work=Path, plush=Path, iterations=2000, side=1600, threads=0, kills=0)
+    if given.work is None:
+        raise SystemExit("name a folder for all that is made: --work FOLDER")
+    options = ["--iterations", str(given.iterations), "--segmenter", "graph", "--encoder", "drsplat-mini"]
+    options += ["--threads", str(given.threads)] if given.threads else []
+    given.work.mkdir(parents=True, exist_ok=True)
+    config = given.work / "scan.toml"
+    config.write_text(f"[train]\nresolution = {given.side}\n")
+    options += ["--config", str(config)]
+    if not (given.work / "room/photos").is_dir():
+        write_room(given.work / "room")
+    if given.kills:
+        kills(given.work / "room/capture", given.work / "kills", given.kills, options)
+        return
+    print("| what | posed | centres, % | rotations, degrees | dB | Gaussians | objects | answers | seconds (CPU) |")
+    print("|---" * 9 + "|")
+    rows("room", given.work / "room/capture", given.work / "room", options)
+    if given.plush is not None:
+        if not (given.work / "plush/film.mp4").is_file():
+            write_plush(given.plush, given.work / "plush")
+        rows("plush", given.plush, given.work / "plush", options)
+
+
+if __name__ == "__main__":
+    main()
