@@ -82,7 +82,7 @@ def test_help_lists_the_verbs_in_groups(monkeypatch: pytest.MonkeyPatch, capsys:
     [
         ("lokate room", "there is no verb 'lokate'; did you mean locate?"),
         ("Register", "there is no verb 'Register'; did you mean register?"),
-        ("frobnicate", "there is no verb 'frobnicate':\n  make a scene: capture, train, tile, motion\n"),
+        ("frobnicate", "there is no verb 'frobnicate':\n  make a scene: scan, capture, train, tile, motion\n"),
         ("--config a.toml locate room", "expected a verb first, then its options: drsplat VERB --config"),
         ("locate room mug --treshold 0.5", "there is no option '--treshold'; did you mean --threshold?"),
         ("locate room mug --thresh=0.5", "there is no option '--thresh'; did you mean --threshold?"),
@@ -95,10 +95,7 @@ def test_help_lists_the_verbs_in_groups(monkeypatch: pytest.MonkeyPatch, capsys:
         ("inspect a b", "unexpected 'b': expected only PATH"),
         ("doctor extra", "unexpected 'extra': expected no arguments but options"),
         ("register a", "the following arguments are required: CAPTURE, --features, --output/-o"),
-        (
-            "",
-            "expected a verb, and none was given; a first one to try is drsplat demo:\n  make a scene: capture, train",
-        ),
+        ("", "expected a verb, and none was given; a first one to try is drsplat demo:\n  make a scene: scan, capture"),
         ("locate room mug --threshold", "argument --threshold: expected a value: T|auto"),
         ("edit room --move 1 2", "argument --move: expected 3 values: X Y Z"),
     ],

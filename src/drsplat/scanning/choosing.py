@@ -19,7 +19,7 @@ from ..models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
 
 AUTO = "auto"
 HUB_PATIENCE_S = 5.0
-DOWNLOAD = "have a network, or name folders that hold them with --segmenter and --encoder"
+DOWNLOAD = "have a network, or name folders that hold them as segmenter and encoder"
 MEANING = (
     "they know colours, and household words in made-up rooms only, so of real photos ask for colours ('something red')"
 )
@@ -55,7 +55,7 @@ class ModelChoice:
         meaning = MEANING if self.is_built_in else "its masks are coarser than those of SAM"
         return (
             f"The built-in {one} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
-            f"{self.cure}, then give the same command with --overwrite."
+            f"{self.cure}, and run drsplat scan with --overwrite."
         )
 
 
