@@ -11,11 +11,10 @@ and "rotations": as of study_poses.py. "answers": queries whose best match lies 
 distance from their middle of a match in the scan with given poses, of those that have matches there. FOLDER stays, and
 a study that was stopped goes on.
 
---kills: a scan of the room's capture, killed at so many moments, each time going on or, where it had ended, begun anew;
-what it ends with is compared byte by byte with a scan that was left alone.
+--kills: one scan of a quarter of the room's photos and one of their capture, each killed at so many moments and begun
+again; what they end with is compared byte by byte with scans that were left alone, on one thread.
 """
 
-import filecmp
 import json
 import shutil
 import subprocess
@@ -39,6 +38,7 @@ from drsplat.drawing.rendering import render
 from drsplat.filming.paths import CameraPath, KeyFrame
 from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_views
+from drsplat.formats.scan_record import read_scan_record
 from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.views import View
 
@@ -159,39 +159,73 @@ def _row(name: str, kind: str, answer: dict[str, Any], poses: str, places: str) 
 
 
 def kills(source: Path, folder: Path, number: int, options: list[str]) -> None:
-    """Kill one scan again and again, and compare what it ends with with a scan that was left alone."""
+    """Kill one scan so many times, and compare what it ends with with a scan that was left alone."""
     for name in ("whole", "killed"):  # the page has the folder's name
         (folder / name).mkdir(parents=True, exist_ok=True)
+    seconds = scan(source, folder / "whole/room", QUERIES["room"], options)["stage_seconds"]
+    shutil.rmtree(folder / "killed/room", ignore_errors=True)
     start = time.perf_counter()
     scan(source, folder / "whole/room", QUERIES["room"], options)
-    whole = time.perf_counter() - start
-    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(folder / "killed/room"), "--json"]
-    line += ["--ask", QUERIES["room"], *options]
-    killed = attempts = 0
-    while killed < number:
-        attempts += 1
-        process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            process.wait(0.5 + whole * (attempts % 10 + 1) / 20)  # starting takes the first half of a second
-            shutil.rmtree(folder / "killed/room")  # it had ended: another one is killed
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            killed += 1
+    again = time.perf_counter() - start  # all is there: what it takes to begin
+    each = -(-number // len(seconds))
+    moments = [(verb, spent / (each + 1)) for verb, spent in seconds.items() for _ in range(each)][:number]
+    fell = [_kill(source, folder / "killed/room", verb, delay, again, options) for verb, delay in moments]
     scan(source, folder / "killed/room", QUERIES["room"], options)
-    parts = ("scene.field", "features", "model/point_cloud", "index.html")
-    files = [
-        file.relative_to(folder / "whole/room")
-        for part in parts
-        for file in (
-            [folder / "whole/room" / part] if part.endswith(".html") else (folder / "whole/room" / part).rglob("*")
-        )
-        if file.is_file()
-    ]
-    other = [
-        file for file in files if not filecmp.cmp(folder / "whole/room" / file, folder / "killed/room" / file, False)
-    ]
-    print(f"killed {killed} times (a whole scan takes {whole:.0f} s); {len(files)} files, other bytes in {other}")
+    made = [_results(folder / name / "room") for name in ("whole", "killed")]
+    other = sorted(name for name in made[0].keys() | made[1].keys() if made[0].get(name) != made[1].get(name))
+    counts = ", ".join(f"{fell.count(verb)} in {verb}" for verb in seconds)
+    print(
+        f"{source.name}: killed {number - fell.count('')} times ({counts}); of {len(made[0])} files {len(other)} have "
+        f"other bytes: {', '.join(other) or 'none'}",
+        flush=True,
+    )
+
+
+def _few(room: Path, folder: Path) -> Path:
+    """Write every other photo of the room's first half, as photos and as a capture; return the folder."""
+    if (folder / "photos").is_dir():
+        return folder
+    views = read_views(room / "capture")[:30:2]
+    (folder / "capture/images").mkdir(parents=True, exist_ok=True)
+    for view in views:
+        shutil.copy(room / "photos" / view.name, folder / "capture/images" / view.name)
+    write_cameras_json(folder / "capture/cameras.json", views, overwrite=True)
+    _photos(folder / "capture", [view.name for view in views], folder / "photos")
+    return folder
+
+
+def _kill(source: Path, output: Path, verb: str, delay: float, again: float, options: list[str]) -> str:
+    """Let a scan go on, and kill it `delay` seconds after a stage began; return the stage that it was in, "" if ended.
+
+    again: seconds until a scan that goes on is where it was.
+    """
+    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(output), "--json"]
+    line += ["--ask", QUERIES["room"], *options]
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    begun = {name for name, _ in _stages(output)}
+    delay += again if verb in begun else 0.0
+    while process.poll() is None and verb not in begun:
+        time.sleep(0.01)
+        begun = {name for name, _ in _stages(output)}
+    time.sleep(delay)
+    if process.poll() is not None:
+        return ""
+    process.kill()
+    process.wait()
+    return next((name for name, done in _stages(output) if not done), "view")
+
+
+def _stages(output: Path) -> list[tuple[str, bool]]:
+    """Return the stages that a scan has begun, and whether they are done."""
+    record = read_scan_record(output) if output.is_dir() else None
+    return [(name, state.get("state") == "done") for name, state in record["stages"].items()] if record else []
+
+
+def _results(output: Path) -> dict[str, bytes]:
+    """Return all files of what a scan makes but for its record and the capture's, which hold times and places."""
+    parts = ("capture/images", "capture/sparse", "model/point_cloud", "features", "scene.field")
+    files = [output / "index.html", *(file for part in parts for file in (output / part).rglob("*") if file.is_file())]
+    return {str(file.relative_to(output)): file.read_bytes() for file in files}
 
 
 def main() -> None:
@@ -207,7 +241,9 @@ def main() -> None:
     if not (given.work / "room/photos").is_dir():
         write_room(given.work / "room")
     if given.kills:
-        kills(given.work / "room/capture", given.work / "kills", given.kills, options)
+        few = _few(given.work / "room", given.work / "few")
+        for name in ("photos", "capture"):
+            kills(few / name, given.work / "kills" / name, given.kills, [*options, "--threads", "1"])
         return
     print("| what | posed | centres, % | rotations, degrees | dB | Gaussians | objects | answers | seconds (CPU) |")
     print("|---" * 9 + "|")
