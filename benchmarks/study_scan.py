@@ -32,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.machine import arguments
 from benchmarks.study_poses import EACH, _film, _frame, _photos, said
 from drsplat.capture.world import umeyama
+from drsplat.commands.stages import is_done
 from drsplat.demo.household import SCENE, unpack_household
 from drsplat.drawing.pictures import as_pixels
 from drsplat.drawing.rendering import render
@@ -100,12 +101,16 @@ def write_plush(capture: Path, folder: Path) -> None:
 
 def scan(source: Path, output: Path, queries: str, options: list[str]) -> dict[str, Any]:
     """Run a scan as people do, and return what it prints."""
-    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(output), "--ask", queries, "--json"]
-    made = subprocess.run([*line, *options], stdout=subprocess.PIPE, check=False)
+    made = subprocess.run(_line(source, output, queries, options), stdout=subprocess.PIPE, check=False)
     answer: dict[str, Any] = json.loads(made.stdout)
     if made.returncode:
         raise SystemExit(f"{source}: {answer['error']}")
     return answer
+
+
+def _line(source: Path, output: Path, queries: str, options: list[str]) -> list[str]:
+    words = ["scan", str(source), "-o", str(output), "--ask", queries, "--json"]
+    return [sys.executable, "-m", "drsplat", *words, *options]
 
 
 def rows(name: str, given: Path, folder: Path, options: list[str]) -> None:
@@ -199,8 +204,7 @@ def _kill(source: Path, output: Path, verb: str, delay: float, again: float, opt
 
     again: seconds until a scan that goes on is where it was.
     """
-    line = [sys.executable, "-m", "drsplat", "scan", str(source), "-o", str(output), "--json"]
-    line += ["--ask", QUERIES["room"], *options]
+    line = _line(source, output, QUERIES["room"], options)
     process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     begun = {name for name, _ in _stages(output)}
     delay += again if verb in begun else 0.0
@@ -218,7 +222,7 @@ def _kill(source: Path, output: Path, verb: str, delay: float, again: float, opt
 def _stages(output: Path) -> list[tuple[str, bool]]:
     """Return the stages that a scan has begun, and whether they are done."""
     record = read_scan_record(output) if output.is_dir() else None
-    return [(name, state.get("state") == "done") for name, state in record["stages"].items()] if record else []
+    return [(name, is_done(state)) for name, state in record["stages"].items()] if record else []
 
 
 def _results(output: Path) -> dict[str, bytes]:

@@ -36,12 +36,12 @@ class ModelChoice:
 
     @property
     def is_built_in(self) -> bool:
-        """Whether words are understood by the built-in encoder."""
+        """True where the built-in encoder understands the words."""
         return self.encoder == MiniEncoder.name
 
     @property
     def is_known(self) -> bool:
-        """Whether queries of the scan's folder need not name the encoder."""
+        """True where queries of the scan's folder need not name the encoder."""
         return self.encoder in (MiniEncoder.name, DEFAULT_ENCODER)
 
     @property
