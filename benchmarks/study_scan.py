@@ -2,6 +2,7 @@
 
     python benchmarks/study_scan.py --work FOLDER [--plush CAPTURE] [--iterations N] [--side PIXELS] [--threads N]
     python benchmarks/study_scan.py --work FOLDER --kills 30
+    python benchmarks/study_scan.py --work FOLDER --photos 10000 --iterations 300
 
 Three scans of each place: a capture with given poses; its photos alone; a film (MP4, H.264) of them. Places: a capture
 of a plush doll, each photo twice in the film at 10 frames a second, in the order of their names; and the demo's room,
@@ -13,9 +14,13 @@ a study that was stopped goes on.
 
 --kills: one scan of a quarter of the room's photos and one of their capture, each killed at so many moments and begun
 again; what they end with is compared byte by byte with scans that were left alone, on one thread.
+
+--photos: a capture of so many photos of 96 x 72 pixels, along the same path: the most memory that a process of its scan
+had, its seconds, and the size of its page. A tenth of the photos stands beside it.
 """
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -44,6 +49,7 @@ from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.views import View
 
 FRAMES, SIZE, PHOTO_EVERY, BLURRED_EVERY, BLUR_STEPS = 240, (640, 480), 4, 6, 5
+SMALL = (96, 72)  # pixels of the photos where there are many
 SAME_PLACE = 0.1  # of the cameras' mean distance from their middle
 QUERIES = {
     "plush": "something pink; something orange; something blue; something white",
@@ -225,6 +231,33 @@ def _stages(output: Path) -> list[tuple[str, bool]]:
     return [(name, is_done(state)) for name, state in record["stages"].items()] if record else []
 
 
+def many(folder: Path, number: int, options: list[str]) -> None:
+    """Print what a scan of a capture of so many small photos takes."""
+    capture, output = folder / f"{number}/capture", folder / f"{number}/scan"
+    if not (capture / "cameras.json").is_file():
+        household = unpack_household(folder / "demo", overwrite=True)
+        scene = read_gaussians(household.folder / SCENE)
+        path = CameraPath([KeyFrame.of(view) for view in _tour(read_views(household.folder))])
+        names = [Path(f"frame_{at:05}.jpg") for at in range(number)]
+        views = [
+            replace(view, name=name.name, image_path=name)
+            for view, name in zip(path.views(number, SMALL), names, strict=True)
+        ]
+        (capture / "images").mkdir(parents=True, exist_ok=True)
+        for view in views:
+            Image.fromarray(as_pixels(render(scene, view).rgb)).save(capture / "images" / view.name, quality=92)
+        write_cameras_json(capture / "cameras.json", views, overwrite=True)
+    shutil.rmtree(output, ignore_errors=True)
+    answer = scan(capture, output, QUERIES["room"], options)
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    page = Path(answer["page"]).stat().st_size / 1e6
+    seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
+    print(
+        f"| {number:,} | {answer['num_masks']:,} | {answer['num_objects']} | {most:,.0f} | {page:.1f} | {seconds} |",
+        flush=True,
+    )
+
+
 def _results(output: Path) -> dict[str, bytes]:
     """Return all files of what a scan makes but for its record and the capture's, which hold times and places."""
     parts = ("capture/images", "capture/sparse", "model/point_cloud", "features", "scene.field")
@@ -233,7 +266,7 @@ def _results(output: Path) -> dict[str, bytes]:
 
 
 def main() -> None:
-    given = arguments(__doc__, work=Path, plush=Path, iterations=2000, side=1600, threads=0, kills=0)
+    given = arguments(__doc__, work=Path, plush=Path, iterations=2000, side=1600, threads=0, kills=0, photos=0)
     if given.work is None:
         raise SystemExit("name a folder for all that is made: --work FOLDER")
     options = ["--iterations", str(given.iterations), "--segmenter", "graph", "--encoder", "drsplat-mini"]
@@ -242,6 +275,12 @@ def main() -> None:
     config = given.work / "scan.toml"
     config.write_text(f"[train]\nresolution = {given.side}\n")
     options += ["--config", str(config)]
+    if given.photos:
+        print("| photos | masks | objects | most memory, MiB | page, MB | seconds |")
+        print("|---" * 6 + "|")
+        for number in (given.photos // 10, given.photos):
+            many(given.work / "many", number, options)
+        return
     if not (given.work / "room/photos").is_dir():
         write_room(given.work / "room")
     if given.kills:
