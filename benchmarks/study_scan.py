@@ -46,6 +46,7 @@ from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_views
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.formats.scenes import read_gaussians
+from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.views import View
 
 FRAMES, SIZE, PHOTO_EVERY, BLURRED_EVERY, BLUR_STEPS = 240, (640, 480), 4, 6, 5
@@ -61,9 +62,7 @@ def write_room(folder: Path) -> None:
     """Write the demo's room as a capture (capture/), as photos (photos/) and as a film (film.mp4)."""
     import av
 
-    household = unpack_household(folder / "demo", overwrite=True)
-    scene, views = read_gaussians(household.folder / SCENE), read_views(household.folder)
-    path = CameraPath([KeyFrame.of(view) for view in _tour(views)])
+    scene, path = _scene_and_path(folder)
     between = path.views(FRAMES * BLUR_STEPS, SIZE)
     (folder / "capture/images").mkdir(parents=True, exist_ok=True)
     photos = []
@@ -85,6 +84,13 @@ def write_room(folder: Path) -> None:
     truth = [replace(view, name=f"frame_{n:04}.jpg") for n, view in enumerate(between[::BLUR_STEPS])]
     write_cameras_json(folder / "truth.json", truth, overwrite=True)
     _photos(folder / "capture", [view.name for view in photos], folder / "photos")
+
+
+def _scene_and_path(folder: Path) -> tuple[Gaussians, CameraPath]:
+    """Unpack the demo's room into a folder; return its Gaussians and a path through its cameras."""
+    household = unpack_household(folder / "demo", overwrite=True)
+    path = CameraPath([KeyFrame.of(view) for view in _tour(read_views(household.folder))])
+    return read_gaussians(household.folder / SCENE), path
 
 
 def _tour(views: list[View]) -> list[View]:
@@ -235,9 +241,7 @@ def many(folder: Path, number: int, options: list[str]) -> None:
     """Print what a scan of a capture of so many small photos takes."""
     capture, output = folder / f"{number}/capture", folder / f"{number}/scan"
     if not (capture / "cameras.json").is_file():
-        household = unpack_household(folder / "demo", overwrite=True)
-        scene = read_gaussians(household.folder / SCENE)
-        path = CameraPath([KeyFrame.of(view) for view in _tour(read_views(household.folder))])
+        scene, path = _scene_and_path(folder)
         names = [Path(f"frame_{at:05}.jpg") for at in range(number)]
         views = [
             replace(view, name=name.name, image_path=name)
@@ -253,7 +257,8 @@ def many(folder: Path, number: int, options: list[str]) -> None:
     page = Path(answer["page"]).stat().st_size / 1e6
     seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
     print(
-        f"| {number:,} | {answer['num_masks']:,} | {answer['num_objects']} | {most:,.0f} | {page:.1f} | {seconds} |",
+        f"| {number:,} | {answer['num_masks']:,} | {answer['num_gaussians']:,} | {answer['num_objects']} | {most:,.0f} | "
+        f"{page:.1f} | {seconds} |",
         flush=True,
     )
 
@@ -276,8 +281,8 @@ def main() -> None:
     config.write_text(f"[train]\nresolution = {given.side}\n")
     options += ["--config", str(config)]
     if given.photos:
-        print("| photos | masks | objects | most memory, MiB | page, MB | seconds |")
-        print("|---" * 6 + "|")
+        print("| photos | masks | Gaussians | objects | most memory, MiB | page, MB | seconds |")
+        print("|---" * 7 + "|")
         for number in (given.photos // 10, given.photos):
             many(given.work / "many", number, options)
         return
