@@ -257,8 +257,8 @@ def many(folder: Path, number: int, options: list[str]) -> None:
     page = Path(answer["page"]).stat().st_size / 1e6
     seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
     print(
-        f"| {number:,} | {answer['num_masks']:,} | {answer['num_gaussians']:,} | {answer['num_objects']} | {most:,.0f} | "
-        f"{page:.1f} | {seconds} |",
+        f"| {number:,} | {answer['num_masks']:,} | {answer['num_gaussians']:,} | {answer['num_objects']} | "
+        f"{most:,.0f} | {page:.1f} | {seconds} |",
         flush=True,
     )
 
