@@ -1,5 +1,6 @@
 """Photos to LangSplat's features: streamed, resumable, and in a form that others read and write."""
 
+import errno
 import json
 import os
 import signal
@@ -24,8 +25,10 @@ from drsplat.embedding.embed import embed as embed_compactly
 from drsplat.embedding.embed import recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.checksums import sealed
+from drsplat.formats.embedding_record import EmbeddingRecord, finished_photos
 from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, read_features
+from drsplat.formats.replacing import NoRoom
 from drsplat.masks.crops import crop
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.views import View
@@ -397,6 +400,46 @@ def test_no_reader_ever_sees_new_rows_with_old_maps(views, tmp_path, monkeypatch
     langsplat_reader(tmp_path / "out", "a", 3)
 
 
+def test_the_record_is_written_as_often_for_many_photos_as_for_few(views, tmp_path, monkeypatch):
+    """Each time it holds all photos: after each of them, the seconds grow with the square of the photos."""
+    written = []
+    write = EmbeddingRecord.write
+    monkeypatch.setattr(EmbeddingRecord, "write", lambda self: (written.append(len(self.finished)), write(self))[1])
+    embed_quietly(views, tmp_path / "out")
+    assert written == [0, 0, 3]
+    written.clear()
+    for view in views:
+        a_view(tmp_path, view.name, seed=1)
+    assert embed_quietly(views, tmp_path / "out").redone == 3
+    assert written == [3, 3]
+    written.clear()
+    assert embed_quietly(views, tmp_path / "out").reused == 3
+    assert written == []
+
+
+def test_a_full_disk_keeps_what_was_noted(views, tmp_path, monkeypatch):
+    """Neither a line of the journal nor the document finds room after the first photo."""
+    real, calls = os.fsync, []
+
+    def fsync(descriptor):
+        calls.append(descriptor)
+        if len(calls) > full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(descriptor)
+
+    full = 10**6
+    monkeypatch.setattr(os, "fsync", fsync)
+    embed_quietly(views[:1], tmp_path / "one")
+    full = len(calls) - 2  # all but the document at the end
+    calls.clear()
+    with pytest.raises(NoRoom, match="there is no room left"):
+        embed_quietly(views, tmp_path / "out")
+    monkeypatch.undo()
+    assert set(finished_photos(tmp_path / "out")) == {"a"}
+    assert embed_quietly(views, tmp_path / "out").reused == 1
+    assert not (tmp_path / "out/embedding.jsonl").exists()
+
+
 def wait_for(folder: Path, ending: str, count: int, process: subprocess.Popen[bytes]) -> None:
     while len(list(folder.glob(f"*{ending}"))) < count:
         assert process.poll() is None
@@ -416,7 +459,8 @@ def test_a_kill_loses_at_most_one_photo(form, tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     killed = times_of(out)
-    finished = len(json.loads((out / "embedding.json").read_text())["photos"])
+    assert (out / "embedding.jsonl").is_file()
+    finished = len(finished_photos(out))
     listed = len(list(out.glob(f"*{ending}")))
     assert 3 <= listed <= 7
     assert listed - finished <= 1

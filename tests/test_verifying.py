@@ -70,6 +70,7 @@ def write_embedded(folder: Path) -> Path:
     masks = np.repeat(np.arange(12).reshape(1, 3, 4) % 3, 4, axis=0).astype(np.int32)
     write_features(record.folder, "photo", masks, unit_rows(np.random.default_rng(1), 3, 8), form="compact")
     record.add("photo", "hash", {"large": 3}, 0, "compact")
+    record.close()
     return record.folder
 
 

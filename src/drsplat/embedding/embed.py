@@ -5,6 +5,7 @@ beside them. Features count as finished only with an entry there that fits them 
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -98,8 +99,7 @@ def embed(
         "max_height": max_height,
         "algorithm": ALGORITHM,
     }
-    with claimed_folder(output_dir):
-        record = open_record(Path(output_dir), settings, overwrite)
+    with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
         _tell_changes(record)
         photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
         if isinstance(segmenter, FeatureFolder):

@@ -1,4 +1,8 @@
-"""embedding.json: what made the features of a folder, and which of them are finished."""
+"""embedding.json: what made the features of a folder, and which of them are finished.
+
+While `embed` works, each photo that it finishes is a line of the journal embedding.jsonl, because the document grows
+with the photos; at the end the document has them all and the journal goes.
+"""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -7,13 +11,15 @@ from pathlib import Path
 
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
-from .checksums import check_document, check_seal, hash_file, sealed
+from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
+from .journal import Journal, changes_to
 from .json_files import is_text, read_json, shown
 from .photo_files import listed
 from .replacing import replacing
 
-FILE_NAME, FORMAT = "embedding.json", "drsplat embedding 1"
+FILE_NAME, JOURNAL, FORMAT = "embedding.json", "embedding.jsonl", "drsplat embedding 1"
+_CURE = "Name another folder, or pass overwrite to make all anew"
 _ENDINGS = (MAPS, COMPACT, EMBEDDINGS)  # what makes a photo listed goes first
 
 
@@ -46,6 +52,7 @@ class EmbeddingRecord:
     ) -> None:
         self.folder, self.finished, self.changes = folder, finished, changes
         self._settings = settings
+        self._journal: Journal | None = None
 
     def is_finished(self, stem: str, photo: str) -> bool:
         """Whether the files are there, of these settings and of this photo."""
@@ -63,8 +70,8 @@ class EmbeddingRecord:
         """Before files are replaced. An entry that outlives its files could come to fit others; maps
         must not be there beside embeddings that are not theirs, whenever the run is killed.
         """
-        if self.finished.pop(stem, None) is not None:
-            self.write()
+        if stem in self.finished:
+            self._change(stem, None)
         for ending in _ENDINGS:
             (self.folder / f"{stem}{ending}").unlink(missing_ok=True)
 
@@ -73,14 +80,31 @@ class EmbeddingRecord:
         compact, maps, rows = (self.folder / f"{stem}{e}" for e in (COMPACT, MAPS, EMBEDDINGS))
         digest = hash_file(compact if form == "compact" else rows)
         size = None if form == "compact" else maps.stat().st_size
-        self.finished[stem] = Finished(photo, digest, size, masks, empty_masks)
-        self.write()
+        self._change(stem, Finished(photo, digest, size, masks, empty_masks))
 
-    def write(self) -> None:
+    def write(self) -> str:
+        """Write the document with all that is finished, and return its checksum."""
         photos = {stem: asdict(entry) for stem, entry in sorted(self.finished.items())}
-        document = {"format": FORMAT, "settings": self._settings, "photos": photos}
+        document = sealed({"format": FORMAT, "settings": self._settings, "photos": photos})
         with replacing(self.folder / FILE_NAME, overwrite=True) as file:
-            file.write(json.dumps(sealed(document), indent=1).encode())
+            file.write(json.dumps(document, indent=1).encode())
+        return str(document[DOCUMENT])
+
+    def close(self) -> None:
+        """Take the journal into the document, if anything has changed. The record is not used after it."""
+        if self._journal is not None:
+            self._journal.close()
+            self.write()
+            self._journal.path.unlink()
+
+    def _change(self, stem: str, entry: Finished | None) -> None:
+        """Note that a photo is finished, or is no longer (None)."""
+        if self._journal is None:
+            self._journal = Journal(self.folder / JOURNAL, self.write())
+        self._journal.add({"stem": stem, "finished": entry and asdict(entry)})
+        self.finished.pop(stem, None)
+        if entry is not None:
+            self.finished[stem] = entry
 
 
 def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = False) -> EmbeddingRecord:
@@ -183,7 +207,8 @@ def verify_embedding(folder: Path) -> list[str]:
     for name, entry in names.items():
         if not (folder / name).is_file() or hash_file(folder / name) != entry.embeddings:
             raise FormatError(f"{folder / name}: damaged or missing: give the same `drsplat embed` to make it again")
-    return sorted([FILE_NAME, *names])
+    journal = [JOURNAL] if (folder / JOURNAL).is_file() else []
+    return sorted([FILE_NAME, *journal, *names])
 
 
 def _told(identity: EncoderIdentity) -> str:
@@ -210,14 +235,15 @@ def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
     document = read_json(path)
     parts = document if isinstance(document, dict) else {}
     settings, photos = parts.get("settings"), parts.get("photos")
-    cure = "Name another folder, or pass overwrite to make all anew"
     if parts.get("format") == FORMAT and isinstance(settings, dict) and isinstance(photos, dict):
-        check_seal(parts, f"{path}", required=False, cure=cure)
+        check_seal(parts, f"{path}", required=False, cure=_CURE)
+        for change in changes_to(path.with_name(JOURNAL), str(parts.get(DOCUMENT)), _CURE):
+            photos[str(change.get("stem"))] = change.get("finished")
         entries = {stem: _entry(value) for stem, value in photos.items()}
         return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
     raise FormatError(
         f"{path}: expected '{FORMAT}' with settings and photos, got {shown(parts.get('format'))}: "
-        f"damaged, or of another version. {cure}"
+        f"damaged, or of another version. {_CURE}"
     )
 
 
