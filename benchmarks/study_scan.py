@@ -2,7 +2,7 @@
 
     python benchmarks/study_scan.py --work FOLDER [--plush CAPTURE] [--iterations N] [--side PIXELS] [--threads N]
     python benchmarks/study_scan.py --work FOLDER --kills 30
-    python benchmarks/study_scan.py --work FOLDER --photos 10000 --iterations 300
+    python benchmarks/study_scan.py --work FOLDER --photos 10000 --iterations 3000
 
 Three scans of each place: a capture with given poses; its photos alone; a film (MP4, H.264) of them. Places: a capture
 of a plush doll, each photo twice in the film at 10 frames a second, in the order of their names; and the demo's room,
