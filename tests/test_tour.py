@@ -57,12 +57,14 @@ def test_every_line_runs(place: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     monkeypatch.chdir(place)
     monkeypatch.setattr(sam, "load_segmenter", lambda *_, **__: ColorSegmenter())
     for line in tour():
-        short = {"7000": "30", "scene.sog": "scene.ply"}  # iterations take minutes, and we write no SOG
+        short = {"scene.sog": "scene.ply"}  # we write no SOG
         command = [short.get(word, word) for word in line]
         if command[0] in ("when", "edit"):  # which need a match: a toy's encoder knows no mug from a plate
             command += ["--threshold", "-1"]
         if command[0] == "scan":  # the toy's photos as a capture; the segmenter would be looked for on the hub
             command = [*("capture" if word == "photos" else word for word in command), "--segmenter", "graph"]
+            command += ["--iterations", "30"]
+        if command[0] == "train":
             command += ["--iterations", "30"]
         if command[0] == "capture":  # toy photos have no poses to find (tests/test_capture.py has photos that have)
             assert main(command) == 1

@@ -22,6 +22,7 @@ from drsplat.formats.captures import SparsePoints, read_sparse_points
 from drsplat.formats.ply import write_vertices
 from drsplat.formats.replacing import replacing
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.training import everyday
 from drsplat.training.devices import chosen_device
 from furnished.capture import write_model
 
@@ -37,7 +38,9 @@ BUSY = ds.TrainingSettings(
 )
 """Everything that happens in 30,000 iterations happens in 120."""
 CHAIN = replace(BUSY, strategy="mcmc", max_gaussians=400)
-both = pytest.mark.parametrize("settings", [BUSY, CHAIN], ids=["default", "mcmc"])
+COARSE = replace(BUSY, full_size_from=80, opacity_penalty=0.01)
+KINDS = {"default": BUSY, "mcmc": CHAIN, "coarse": COARSE}
+both = pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +150,28 @@ def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_
     assert ply_of(tmp_path / "1", 60) == ply_of(tmp_path / "2", 60)
 
 
+def test_an_everyday_run_finds_a_known_scene_again_and_is_planned_for_its_length(views, points, tmp_path):
+    settings = everyday(views, 400, sh_degree=1)
+    start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
+    end = ds.train(views, settings, tmp_path / "m", points=points, device="cpu")
+    assert end.evaluation.psnr > start.evaluation.psnr + 7
+    assert len(end.gaussians) <= settings.max_gaussians
+    with pytest.raises(MismatchError, match=r"other settings \(.*means_rate_steps.*\)"):
+        ds.train(views, everyday(views, 500, sh_degree=1), tmp_path / "m", points=points, device="cpu")
+
+
+def test_nothing_said_is_everyday(views, points, monkeypatch):
+    def stop(job):
+        asked.append(job.settings)
+        raise KeyboardInterrupt
+
+    asked = []
+    monkeypatch.setattr("drsplat.training.loop.train", stop)
+    with pytest.raises(KeyboardInterrupt):
+        ds.train(views, points=points, device="cpu")
+    assert asked == [everyday(views)]
+
+
 def test_another_seed_gives_other_bits(views, points, tmp_path):
     for seed in (0, 1):
         settings = replace(BUSY, iterations=3, seed=seed)
@@ -162,13 +187,12 @@ import test_training as t
 from captures_to_train import known_scene, perturbed_points, ring
 from dataclasses import replace
 from pathlib import Path
-photos, folder, strategy = sys.argv[1:]
+photos, folder, kind = sys.argv[1:]
 views = [replace(v, image_path=Path(photos) / v.name) for v in ring(32)][::2]
 def report(status):
     if status.iteration == 97:
         os.kill(os.getpid(), signal.SIGKILL)
-settings = t.CHAIN if strategy == "mcmc" else t.BUSY
-ds.train(views, settings, folder, points=perturbed_points(known_scene()), report=report,
+ds.train(views, t.KINDS[kind], folder, points=perturbed_points(known_scene()), report=report,
          checkpoint_every=35, device="cpu")
 """
 
@@ -176,7 +200,11 @@ ds.train(views, settings, folder, points=perturbed_points(known_scene()), report
 @both
 def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path):
     ds.train(views[::2], settings, tmp_path / "whole", points=points, device="cpu")
-    arguments = (str(views[0].image_path.parent), str(tmp_path / "killed"), settings.strategy)
+    arguments = (
+        str(views[0].image_path.parent),
+        str(tmp_path / "killed"),
+        next(k for k in KINDS if KINDS[k] is settings),
+    )
     code = KILLED.replace("pickle, ", "")
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
     killed = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, check=False)
@@ -219,7 +247,7 @@ def unfinished(folder: Path, views: list[ds.View], points: SparsePoints) -> Path
 def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, tmp_path):
     checkpoint = unfinished(tmp_path / "model", views, points)
     before = checkpoint.read_bytes()
-    with pytest.raises(MismatchError, match=r"other settings.*overwrite=True"):
+    with pytest.raises(MismatchError, match=r"other settings \(seed\):.*overwrite=True"):
         ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
     with pytest.raises(MismatchError, match="other poses and photos:"):
         ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")

@@ -348,9 +348,10 @@ def test_on_a_device_left_out_pixels_see_no_gaussian_either(views, points, tmp_p
 @needs_torch
 @pytest.mark.parametrize("masked", [False, True], ids=["unmasked", "masked"])
 @pytest.mark.parametrize("distortion", [None, (0.3, 0.0, 0.0, 0.0)], ids=["whole", "with-edges"])
-def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion, masked, tmp_path):
-    """Same photos, backgrounds, rates, edges and masks: the same losses, step for step."""
-    quiet = replace(BUSY, refine_until=0)
+def test_without_refinement_the_run_is_that_of_the_cpu(views, points, distortion, masked, tmp_path, monkeypatch):
+    """Same photos, coarse ones too, backgrounds, rates, edges and masks: the same losses, step for step."""
+    quiet = replace(BUSY, refine_until=0, full_size_from=12, opacity_penalty=0.01)
+    monkeypatch.setattr("drsplat.training.run.LEAST_SIDE", 12)  # the photos are small
     views = [replace(view, distortion=distortion) for view in views]
     if masked:
         Image.fromarray(np.repeat(np.uint8([[255] * 30 + [0] * 18]), 36, axis=0)).save(tmp_path / "mask.png")

@@ -13,20 +13,22 @@ from PIL import Image
 from scipy import integrate
 
 from drsplat import TrainingSettings, View, progress
+from drsplat.commands.train import EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS
 from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
 from drsplat.formats.captures import SparsePoints
 from drsplat.kernels.training import Gradients, SceneParameters
 from drsplat.scene.rotations import rotation_matrices
 from drsplat.training.density import AdaptiveDensity, reset_opacity, split
+from drsplat.training.everyday import budget_of, everyday
 from drsplat.training.mcmc import MonteCarlo, drawn, grow, relocate, shared_place
 from drsplat.training.metrics import psnr, ssim
 from drsplat.training.optimizer import Optimizer, Rates
 from drsplat.training.rotations import rotated, spread, unit
-from drsplat.training.schedules import active_sh_degree, means_rate, refines, resets_opacity
+from drsplat.training.schedules import active_sh_degree, divisor, means_rate, refines, resets_opacity
 from drsplat.training.start import first_gaussians, scene_extent, split_views
 from drsplat.training.start_points import start_points
-from drsplat.training.training_photos import TrainingPhotos, ViewOrder
+from drsplat.training.training_photos import Photo, TrainingPhotos, ViewOrder
 from scenes import look_at_view
 
 DEFAULT = TrainingSettings()
@@ -110,6 +112,66 @@ def test_a_reset_comes_only_where_there_is_time_to_recover():
     for iterations, last in ((3000, []), (3499, []), (3500, [3000]), (6400, [3000])):
         s = replace(DEFAULT, iterations=iterations)
         assert [i for i in range(1, iterations + 1) if resets_opacity(s, i)] == last
+
+
+def test_photos_are_a_quarter_then_a_half_then_as_they_are():
+    s = replace(DEFAULT, full_size_from=40)
+    sides = [divisor(s, i) for i in range(1, 60)]
+    assert sides == [4] * 9 + [2] * 30 + [1] * 20
+    assert {divisor(DEFAULT, i) for i in range(1, 100)} == {1}
+
+
+@pytest.mark.parametrize("strategy", ["default", "mcmc"])
+@pytest.mark.parametrize("iterations", [1, 7, 400, 3500, 50_000])
+def test_an_everyday_schedule_comes_to_its_end_with_its_iterations(iterations, strategy):
+    s = everyday([look_at_view((1, 0, 0))], iterations, strategy=strategy, background="white")
+    assert means_rate(s, iterations) == pytest.approx(s.means_rate_end)
+    assert active_sh_degree(s, iterations) == (3 if iterations >= 7 else 1)
+    assert s.full_size_from <= iterations / 2
+    assert s.refine_until <= iterations
+    assert not any(resets_opacity(s, i) for i in range(1, iterations + 1))
+
+
+def test_the_everyday_budget_follows_the_pixels():
+    view = look_at_view((1, 0, 0), width=190, height=100)
+    assert budget_of([view]) == budget_of([view] * 100) == 10_000
+    assert budget_of([view] * 1000) == 100_000
+    assert budget_of([view.resized(380, 200)] * 7) == 40_000
+    assert everyday([view], max_gaussians=77).max_gaussians == 77
+    assert everyday([view], max_gaussians=None).max_gaussians == 10_000
+
+
+def test_the_command_knows_the_everyday_iterations():
+    assert everyday([]).iterations == EVERYDAY_ITERATIONS
+    assert DEFAULT.iterations == ORIGINAL_ITERATIONS
+
+
+def test_a_coarser_photo_has_means_of_pixels_and_uses_none_that_has_a_part_of_an_unused_one():
+    pixels = np.zeros((4, 6, 3), np.uint8)
+    pixels[:2, :2, 0] = [[10, 20], [30, 40]]
+    outside = np.array([5], np.int32)  # top right
+    smaller = Photo(pixels, outside).smaller(3, 2)
+    assert smaller.pixels[..., 0].tolist() == [[25, 0, 0], [0, 0, 0]]
+    assert smaller.unused.tolist() == [2]
+    left_out = np.zeros((4, 6), bool)
+    left_out[3, 0] = True
+    assert np.flatnonzero(Photo(pixels, outside, left_out).smaller(3, 2).unused).tolist() == [2, 3]
+    assert len(Photo(pixels, np.empty(0, np.int32)).smaller(3, 2).unused) == 0
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3])
+def test_the_penalty_is_the_slope_of_the_mean_opacity(weight):
+    optimizer = Optimizer(parameters(9))
+    slopes = Gradients(*(np.zeros_like(array) for array in optimizer.parameters), *np.zeros((2, 9), np.float32))
+    AdaptiveDensity(replace(DEFAULT, opacity_penalty=weight), 1.0, 9).penalize(optimizer, slopes)
+    logits, step = optimizer.parameters.logits.astype(np.float64), 1e-5
+
+    def penalty(values):
+        return weight * (1 / (1 + np.exp(-values))).mean()
+
+    numeric = [(penalty(logits + step * row) - penalty(logits - step * row)) / (2 * step) for row in np.eye(9)]
+    np.testing.assert_allclose(slopes.logits, numeric, atol=1e-6)
+    assert not any(getattr(slopes, name).any() for name in ("means", "log_scales", "quats", "sh"))
 
 
 def test_the_fingerprint_is_of_what_changes_the_result():

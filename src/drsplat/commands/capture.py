@@ -20,7 +20,7 @@ EXAMPLES = """\
   drsplat capture photos --output capture --lens opencv --json
   drsplat capture photos --output capture --known-distance a.jpg 310 540 b.jpg 1200 610 0.9 --overwrite
   drsplat capture photos --output capture --places places.csv --known-distance corner door 2.4 --overwrite
-  drsplat train capture --output-dir model --iterations 7000
+  drsplat train capture --output-dir model
 
 The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
 photos. Where there is a capture and only --scale or --known-distance is new, --overwrite keeps its poses. Needs

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from .options import count, words
 from .scan_answers import ended, notes, show_answer, summary
-from .scan_stages import FIELD, ITERATIONS, PAGE, Plan, planned
+from .scan_stages import FIELD, PAGE, Plan, planned
 from .stages import check_tables, differences, is_done, run_stages
+from .train import EVERYDAY_ITERATIONS
 
 if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--iterations", type=count, metavar="N",
-        help=f"iterations of training; 30000 is the whole schedule (default: {ITERATIONS})",
+        help=f"iterations of training (default: {EVERYDAY_ITERATIONS})",
     )  # fmt: skip
     parser.add_argument(
         "--segmenter", type=words, metavar="NAME",

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from .scan_answers import answered
 from .stages import Stage, VerbLine, verb_line
+from .train import planned_iterations
 
 if TYPE_CHECKING:
     from ..scanning.choosing import ModelChoice
     from ..scanning.inputs import ScanInput
 
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
-ITERATIONS = 7000
 CPU_SIDE = 800  # pixels of the longer side of photos that a CPU trains on
 SAM_ON_A_CPU = {"points": "16", "crop-layers": "0"}  # half a minute for a photo, not many
 UNKNOWN_PHOTOS = 100  # of a video whose frames are not chosen yet
@@ -141,7 +141,7 @@ def _training(arguments: argparse.Namespace, capture: str, model: str, common: S
 
     given = [capture, "--output-dir", model]
     given += [] if arguments.iterations is None else ["--iterations", str(arguments.iterations)]
-    defaults = {"iterations": str(ITERATIONS)}
+    defaults: dict[str, str] = {}
     if chosen_device(verb_line("train", given, common).arguments.device) == "cpu":
         defaults["resolution"] = str(CPU_SIDE)
     return verb_line("train", given, common, defaults)
@@ -178,7 +178,7 @@ def _expected(stages: Sequence[Stage], num_photos: int, choice: ModelChoice) -> 
     """Return how many seconds each stage may take."""
     train = next(stage.line.arguments for stage in stages if stage.verb == "train")
     expected = {verb: seconds * num_photos for verb, seconds in SECONDS.items()}
-    expected |= {"train": SECONDS["train"] * train.iterations, "objects": 4.0, "view": 6.0}
+    expected |= {"train": SECONDS["train"] * planned_iterations(train), "objects": 4.0, "view": 6.0}
     if choice.segmenter != "graph":
         expected["embed"] = num_photos * SAM_SECONDS["cpu"]
     return {stage.verb: expected[stage.verb] for stage in stages}

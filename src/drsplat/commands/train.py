@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from .options import add_invert_masks, add_overwrite, count, views_of, whole
@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 SUMMARY = "train a scene of Gaussians on posed photos (3D Gaussian Splatting), on a CPU or on CUDA"
 EXAMPLES = """\
   drsplat train capture --output-dir model
-  drsplat train capture --output-dir model --iterations 7000 --resolution 2
+  drsplat train capture --output-dir model --resolution 2
+  drsplat train capture --output-dir model --schedule original --iterations 7000
   drsplat train capture --output-dir model --strategy mcmc --max-gaussians 300000 --json
 
 A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the same command is given again, without
---overwrite; a finished one goes on with more --iterations."""
+--overwrite; a finished one of --schedule original goes on with more --iterations."""
 DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "images")
 DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
+EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 3500, 30_000  # of the two schedules
 MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
@@ -36,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_overwrite(parser)
     parser.add_argument(
-        "--iterations", type=count, default=30_000, metavar="N",
-        help="iterations of the schedule of 3DGS, which is not shortened with them; 7000 is the everyday setting "
-        "(default: 30000)",
+        "--iterations", type=count, metavar="N",
+        help=f"iterations; an everyday schedule is planned for them, the original one of {ORIGINAL_ITERATIONS} is "
+        f"left when they are over (default: {EVERYDAY_ITERATIONS} everyday, else {ORIGINAL_ITERATIONS})",
     )  # fmt: skip
     parser.add_argument(
         "--resolution", "-r", type=count, metavar="R",
@@ -71,13 +73,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_method(parser: argparse.ArgumentParser) -> None:
     method = parser.add_argument_group("method")
     method.add_argument(
+        "--schedule", choices=("everyday", "original"), default="everyday",
+        help="numbers of the optimisation: drsplat's, which take minutes, or those of 3DGS (default: everyday)",
+    )  # fmt: skip
+    method.add_argument(
         "--strategy", choices=("default", "mcmc"), default="default",
         help="way to add and remove Gaussians: adaptive density control, or relocation within a "
         "budget (default: default)",
     )  # fmt: skip
     method.add_argument(
         "--max-gaussians", type=count, metavar="N",
-        help="most Gaussians at any time; needed for mcmc (default: no limit)",
+        help="most Gaussians at any time (default: half as many as a photo has pixels, more for more than 100 photos; "
+        "no limit with --schedule original, where mcmc needs one)",
     )  # fmt: skip
     method.add_argument(
         "--background", choices=("black", "white", "random"), default="black",
@@ -118,12 +125,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..terminal import counted
     from ..training.devices import chosen_device
 
-    device, settings = chosen_device(arguments.device), _settings(arguments)
+    device = chosen_device(arguments.device)
     divisor = arguments.resolution if arguments.resolution in DIVISORS else None
     views = [
         view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE)
         for view in _with_photo(arguments)
     ]
+    settings = _settings(arguments, views)
     points = read_sparse_points(
         arguments.capture, points=arguments.points, dataparser_transforms=arguments.dataparser_transforms
     )
@@ -177,14 +185,22 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _settings(arguments: argparse.Namespace) -> TrainingSettings:
-    from .. import TrainingSettings
+def _settings(arguments: argparse.Namespace, views: Sequence[View]) -> TrainingSettings:
+    from ..training import TrainingSettings, everyday
 
-    return TrainingSettings(
-        iterations=arguments.iterations, seed=arguments.seed, background=arguments.background,
-        strategy=arguments.strategy, max_gaussians=arguments.max_gaussians, sh_degree=arguments.sh_degree,
-        test_every=arguments.test_every, evaluate_every=arguments.eval_every,
-    )  # fmt: skip
+    chosen = {
+        "seed": arguments.seed, "background": arguments.background, "strategy": arguments.strategy,
+        "max_gaussians": arguments.max_gaussians, "sh_degree": arguments.sh_degree,
+        "test_every": arguments.test_every, "evaluate_every": arguments.eval_every,
+    }  # fmt: skip
+    if arguments.schedule == "everyday":
+        return everyday(views, planned_iterations(arguments), **chosen)
+    return TrainingSettings(iterations=planned_iterations(arguments), **chosen)
+
+
+def planned_iterations(arguments: argparse.Namespace) -> int:
+    default = EVERYDAY_ITERATIONS if arguments.schedule == "everyday" else ORIGINAL_ITERATIONS
+    return default if arguments.iterations is None else int(arguments.iterations)
 
 
 def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:

@@ -99,7 +99,7 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
 
 def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
     """What differs: settings, poses, photos, points."""
-    names = [] if texts["settings"] == run.settings.fingerprint else ["settings"]
+    names = [] if texts["settings"] == run.settings.fingerprint else [_settings_said(texts["settings"], run)]
     if texts["capture"] == capture:
         return names
     try:
@@ -107,6 +107,16 @@ def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
         return names + [name for name in now | before if before.get(name) != now.get(name)]
     except (ValueError, AttributeError):
         return [*names, "inputs"]
+
+
+def _settings_said(before: str, run: Run) -> str:
+    """Return "settings" with the names of those that differ, where the checkpoint tells."""
+    try:
+        then, now = json.loads(before), json.loads(run.settings.fingerprint)
+        names = sorted(name for name in then | now if then.get(name) != now.get(name))
+    except (ValueError, TypeError, AttributeError):
+        return "settings"
+    return f"settings ({', '.join(names)})"
 
 
 def _check_length(path: Path, run: Run, planned: int) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float32, Integer
 
+from ..formats.activation import sigmoid
 from ..kernels.training import Gradients, SceneParameters
 from .optimizer import Optimizer
 from .rotations import rotated
@@ -40,7 +41,8 @@ class AdaptiveDensity:
         np.maximum(self.radii, gradients.radii, out=self.radii)
 
     def penalize(self, optimizer: Optimizer, gradients: Gradients) -> None:
-        """The original method penalises nothing but the picture."""
+        """Add what the settings say of opacities; the original method penalises nothing but the picture."""
+        add_opacity_penalty(optimizer, gradients, self.settings.penalty_of_opacity)
 
     def before_step(self, optimizer: Optimizer, iteration: int) -> None:
         """Reset, where the schedule says so of the iteration before this one.
@@ -112,6 +114,13 @@ def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.
     means = twice.means + rotated(twice.quats, local)
     log_scales = twice.log_scales - np.float32(math.log(shrink))
     return twice._replace(means=means, log_scales=log_scales)
+
+
+def add_opacity_penalty(optimizer: Optimizer, gradients: Gradients, weight: float) -> None:
+    """Add to the gradients those of weight x mean(opacity). Source: 3DGS as MCMC, Sec. 3.4."""
+    if weight:
+        opacities = sigmoid(optimizer.parameters.logits)
+        gradients.logits[:] += np.float32(weight / len(optimizer)) * opacities * (1 - opacities)
 
 
 def reset_opacity(optimizer: Optimizer, ceiling: float) -> None:

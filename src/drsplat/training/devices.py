@@ -9,6 +9,7 @@ from ..errors import InputError, MissingExtraError
 from ..formats.captures import SparsePoints
 from ..scene.views import View
 from . import loop
+from .everyday import everyday
 from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
 from .result import Training
 from .settings import TrainingSettings
@@ -32,9 +33,10 @@ def train(
     """Optimise a scene of Gaussians until it looks like the photos.
 
     views: posed photos, at the size to train at (`read_views(max_side=...)`, `View.resized`).
+    settings: None takes `everyday(views)`, a few minutes of a CPU; `TrainingSettings()` are those of the original.
     output_dir: written as `training.model_folder` says. A run of the same settings, views, photos and
-    points that is in it goes on by itself, on the CPU to the bit as if it had never stopped; so does a
-    finished one when more iterations are asked for. None keeps everything in memory.
+    points that is in it goes on by itself, on the CPU to the bit as if it had never stopped; so does a finished one of
+    the original's settings when more iterations are asked for. None keeps everything in memory.
     points: where to start (`read_sparse_points`); None triangulates some from the photos.
     device: "auto" is CUDA where gsplat and a GPU are at hand, else the CPU.
     save_at: iterations after which the scene is written as well, before an opacity reset that is due
@@ -54,7 +56,7 @@ def train(
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
     """
     job = Job(
-        views, settings or TrainingSettings(), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
+        views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
     )
     training: Training = (loop if chosen_device(device) == "cpu" else _cuda()).train(job)
     return training

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..scene.views import View
 from .gsplat_strategy import DefaultControl, MonteCarloControl, Strategies
 from .job import Beginning
 from .optimizer import Optimizer
@@ -75,9 +76,11 @@ class DeviceRun(Run):
         # a stream of its own for each iteration: a run that goes on needs no state of it
         torch.manual_seed((self.settings.seed << 32 | self.iteration) % 2**63)
         index = self.order.next(self.rng)
-        target, outside = self.targets[index]
+        view = self._view(index)
+        coarse = view is not self.views[index]
+        target, outside = self.targets.smaller(index, view.width, view.height) if coarse else self.targets[index]
         self._lap("photo")
-        image, seen = self._rendered(index)
+        image, seen = self._rendered(index, view)
         seen["masked"] = self.views[index].mask_path is not None
         self._lap("forward")
         outcome = self._compared(image, target, outside, seen)
@@ -85,9 +88,10 @@ class DeviceRun(Run):
         self._learnt(seen)
         return outcome
 
-    def _rendered(self, index: int) -> tuple[Tensor, dict[str, Any]]:
-        tensors, view = self.scene.tensors, self.views[index]
+    def _rendered(self, index: int, view: View) -> tuple[Tensor, dict[str, Any]]:
+        tensors = self.scene.tensors
         pose, K = self.cameras[index]
+        K = K if view is self.views[index] else self._sent(view.K)
         images, _, seen = self.engine.rasterization(
             means=tensors["means"], quats=tensors["quats"], scales=torch.exp(tensors["scales"]),
             opacities=torch.sigmoid(tensors["opacities"]), colors=self.scene.sh,

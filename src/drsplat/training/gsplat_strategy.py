@@ -80,7 +80,9 @@ class DefaultControl:
             self.state[theirs] = torch.zeros(len(scene), device=scene.tensors["means"].device)
 
     def penalty(self) -> tuple[Tensor, ...]:
-        return ()
+        """lambda_o mean(opacities), where the settings have one."""
+        weight = self.settings.penalty_of_opacity
+        return (weight * torch.sigmoid(self.scene.tensors["opacities"]).mean(),) if weight else ()
 
     def before_step(self, iteration: int) -> None:
         """As `density.AdaptiveDensity.before_step`."""
@@ -149,7 +151,7 @@ class MonteCarloControl:
         """lambda_o mean(opacities) and lambda_Sigma mean(scales)."""
         s, tensors = self.settings, self.scene.tensors
         opacity = torch.sigmoid(tensors["opacities"]).mean()
-        return s.opacity_penalty * opacity, s.scale_penalty * torch.exp(tensors["scales"]).mean()
+        return s.penalty_of_opacity * opacity, s.scale_penalty * torch.exp(tensors["scales"]).mean()
 
     def before_step(self, iteration: int) -> None:
         """No opacity is reset."""

@@ -12,6 +12,7 @@ from jaxtyping import Float32, Float64, Integer
 
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients
+from .density import add_opacity_penalty
 from .optimizer import Optimizer
 from .rotations import spread
 from .schedules import refines
@@ -33,12 +34,9 @@ class MonteCarlo:
 
     def penalize(self, optimizer: Optimizer, gradients: Gradients) -> None:
         """Add to the gradients those of lambda_o mean(o) + lambda_Sigma mean(scales)."""
-        parameters, count = optimizer.parameters, len(optimizer)
-        opacities = sigmoid(parameters.logits)
-        weight = np.float32(self.settings.opacity_penalty / count)
-        gradients.logits[:] += weight * opacities * (1 - opacities)
-        weight = np.float32(self.settings.scale_penalty / (3 * count))
-        gradients.log_scales[:] += weight * np.exp(parameters.log_scales)
+        add_opacity_penalty(optimizer, gradients, self.settings.penalty_of_opacity)
+        weight = np.float32(self.settings.scale_penalty / (3 * len(optimizer)))
+        gradients.log_scales[:] += weight * np.exp(optimizer.parameters.log_scales)
 
     def before_step(self, optimizer: Optimizer, iteration: int) -> None:
         """No opacity is reset."""

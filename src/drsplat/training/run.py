@@ -21,11 +21,12 @@ from .job import Beginning
 from .mcmc import MonteCarlo
 from .metrics import psnr
 from .optimizer import Optimizer, Rates
-from .schedules import active_sh_degree, means_rate
+from .schedules import active_sh_degree, divisor, means_rate
 from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder
 
 FINITE_EVERY = 100
+LEAST_SIDE = 32  # pixels of a photo that is made coarse; three windows of SSIM
 STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
 
 
@@ -54,6 +55,7 @@ class Run:
         self.history: list[dict[str, object]] = []
         self.start: dict[str, int] = {}
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)
+        self._coarse: dict[tuple[int, int], View] = {}
         self._since = time.perf_counter()
 
     def __len__(self) -> int:
@@ -66,10 +68,10 @@ class Run:
         self.iteration += 1
         self.density.before_step(self.optimizer, self.iteration)
         index = self.order.next(self.rng)
-        photo = self.photos[index]
+        view, photo = self._seen(index)
         target = photo.colors()
         self._lap("photo")
-        drawn = self._drawn(self.views[index], threads)
+        drawn = self._drawn(view, threads)
         loss = self._loss(drawn, target, photo, threads)
         gradients = drawn.backward(loss.gradient)
         if photo.left_out is not None:
@@ -77,6 +79,22 @@ class Run:
         self._lap("backward")
         self._learn(gradients, threads)
         return Outcome(loss.value, partial(_psnr, drawn.image, target, photo))
+
+    def _seen(self, index: int) -> tuple[View, Photo]:
+        """Return a view and its photo, on the raster of this iteration."""
+        photo, view = self.photos[index], self._view(index)
+        return view, photo if view is self.views[index] else photo.smaller(view.width, view.height)
+
+    def _view(self, index: int) -> View:
+        """Return a view on the raster of this iteration: no shorter than LEAST_SIDE for being coarse."""
+        view, wanted = self.views[index], divisor(self.settings, self.iteration)
+        while wanted > 1 and min(view.width, view.height) < LEAST_SIDE * wanted:
+            wanted //= 2
+        if wanted == 1:
+            return view
+        if (index, wanted) not in self._coarse:
+            self._coarse[index, wanted] = view.resized(view.width // wanted, view.height // wanted)
+        return self._coarse[index, wanted]
 
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)

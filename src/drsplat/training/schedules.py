@@ -22,6 +22,13 @@ def active_sh_degree(settings: TrainingSettings, iteration: int) -> int:
     return min(settings.sh_degree, iteration // settings.sh_degree_every)
 
 
+def divisor(settings: TrainingSettings, iteration: int) -> int:
+    """Return what the sides of photos are divided by: coarse shapes first, as pixels are what a step costs."""
+    if iteration >= settings.full_size_from:
+        return 1
+    return 4 if iteration < settings.full_size_from / 4 else 2
+
+
 def refines(settings: TrainingSettings, iteration: int) -> bool:
     """Whether Gaussians are added and removed after this iteration; not after the last one."""
     last = min(settings.last_refinement, settings.iterations)

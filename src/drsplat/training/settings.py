@@ -20,7 +20,7 @@ NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # 
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Hyper-parameters; the defaults are those of the original method.
+    """Hyper-parameters; the defaults are those of the original method, `everyday` gives those of drsplat.
 
     Iteration numbers are absolute, as in the original: a run of 7,000 is the first 7,000 of the same schedule,
     densifies to its end and leaves the positions' rate where it is by then; only an opacity reset that the run is too
@@ -38,6 +38,7 @@ class TrainingSettings:
     sh_degree_every: int = 1000  # A: one more band every 1000 iterations
     dssim_weight: float = 0.2  # A: lambda
     test_every: int = 8  # A: every 8th photo is held out; 0: none
+    full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before a quarter of it
     evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
     photo_memory_bytes: int = 2 << 30  # D: decoded photos that are kept; others are read again
 
@@ -62,6 +63,8 @@ class TrainingSettings:
     refine_every: int = 100  # A, C
     min_opacity: float = 0.005  # B, C: fainter ones are pruned (default) or moved (mcmc)
 
+    opacity_penalty: float | None = None  # C: lambda_o, 0.01 with mcmc; A: none
+
     # adaptive density control (default)
     gradient_threshold: float = 2e-4  # A: tau_pos, of the centre in normalised device coordinates
     dense_scale: float = 0.01  # B: extents; larger Gaussians are split, smaller cloned
@@ -77,7 +80,6 @@ class TrainingSettings:
     noise_rate: float = 5e5  # C: lambda_noise
     noise_steepness: float = 100.0  # C: k
     noise_opacity: float = 0.005  # C: 1 - t, where the noise's sigmoid is a half
-    opacity_penalty: float = 0.01  # C: lambda_o
     scale_penalty: float = 0.01  # C: lambda_Sigma
 
     def __post_init__(self) -> None:
@@ -106,7 +108,7 @@ class TrainingSettings:
 
     def _check_counts(self) -> None:
         least = {"seed": 0, "sh_degree": 0, "test_every": 0, "evaluate_every": 0, "refine_from": 0}
-        least |= {"refine_until": 0, "photo_memory_bytes": 0, "reset_recovery": 0}
+        least |= {"full_size_from": 0, "refine_until": 0, "photo_memory_bytes": 0, "reset_recovery": 0}
         least |= {"max_gaussians": 4}  # the size of the first ones comes from 3 neighbours
         for field in fields(self):
             value, low = getattr(self, field.name), least.get(field.name, 1)
@@ -129,6 +131,11 @@ class TrainingSettings:
     def last_refinement(self) -> int:
         default = 25_000 if self.strategy == "mcmc" else 15_000
         return default if self.refine_until is None else self.refine_until
+
+    @property
+    def penalty_of_opacity(self) -> float:
+        default = 0.01 if self.strategy == "mcmc" else 0.0
+        return default if self.opacity_penalty is None else self.opacity_penalty
 
     @property
     def backdrop(self) -> tuple[float, float, float]:

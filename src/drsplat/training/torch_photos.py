@@ -25,6 +25,11 @@ class DevicePhotos:
         pixels, outside = self._kept.get(index) or self._sent(index)
         return pixels * (1 / 255), outside
 
+    def smaller(self, index: int, width: int, height: int) -> tuple[Float32[Tensor, "h w 3"], Outside]:
+        """Return a photo on a coarser raster, made and sent anew each time."""
+        pixels, outside = _on_device(self._photos[index].smaller(width, height), self._device)
+        return pixels * (1 / 255), outside
+
     def _sent(self, index: int) -> tuple[UInt8[Tensor, "h w 3"], Outside]:
         sent = _on_device(self._photos[index], self._device)
         size = sum(tensor.nbytes for tensor in sent if tensor is not None)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Integer, UInt8
+from PIL import Image
 
 from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
@@ -35,6 +36,20 @@ class Photo(NamedTuple):
     def num_bytes(self) -> int:
         """Memory that is this photo's own."""
         return self.pixels.nbytes + (0 if self.left_out is None else self.left_out.nbytes)
+
+    def smaller(self, width: int, height: int) -> "Photo":
+        """On a coarser raster: means of pixels, of which none is used that has a part of an unused one."""
+        size = (width, height)
+        pixels = np.asarray(Image.fromarray(self.pixels).resize(size, Image.Resampling.BOX))
+        if not len(self.outside) and self.left_out is None:
+            return Photo(pixels, self.outside)
+        marks = np.zeros(self.pixels.shape[:2], np.uint8)
+        marks.reshape(-1)[self.unused] = 255
+        unused = np.asarray(Image.fromarray(marks).resize(size, Image.Resampling.BOX)) > 0
+        none = np.empty(0, np.int32)
+        if self.left_out is None:
+            return Photo(pixels, np.flatnonzero(unused).astype(np.int32))
+        return Photo(pixels, none, unused)
 
     def colors(self) -> Float32[np.ndarray, "h w 3"]:
         """In [0, 1]."""
