@@ -27,10 +27,10 @@ from drsplat.training import TrainingSettings, everyday, train
 EVERYDAY: dict[str, dict[str, Any]] = {
     "everyday": {},
     "photos at full size from the beginning": {"full_size_from": 0},
-    "photos at full size from half of the iterations": {"full_size_from": 1750},
+    "photos at full size from half of the iterations": {"full_size_from": 2000},
     "no penalty of opacity": {"opacity_penalty": 0.0},
     "resets of opacity in place of the penalty": {
-        "opacity_penalty": 0.0, "reset_every": 1000, "reset_recovery": 500,
+        "opacity_penalty": 0.0, "reset_every": 1200, "reset_recovery": 500,
     },
     "rates and degrees of 30,000 iterations": {"means_rate_steps": 30_000, "sh_degree_every": 1000},
     "no budget": {"max_gaussians": 10**8},

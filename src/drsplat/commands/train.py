@@ -26,7 +26,7 @@ A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the 
 DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "images")
 DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
-EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 3500, 30_000  # of the two schedules
+EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 4000, 30_000  # of the two schedules
 MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from ..scene.views import View
 from .settings import TrainingSettings
 
-ITERATIONS = 3500
+ITERATIONS = 4000
 UNREFINED = 1 / 8  # of the iterations, before Gaussians are added, and no more of them than originally
 REFINED = 0.63  # of the iterations, until Gaussians are no longer added; as in the original schedule of mcmc, with it
 REFINED_BY_CHANCE = 25 / 30
