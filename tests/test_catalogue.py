@@ -820,16 +820,19 @@ def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: 
 def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As putting files together removes them, at the same version of the table or at a newer one."""
     monkeypatch.setattr(table, "OUTDATED", timedelta(milliseconds=1))
-    monkeypatch.setattr(table, "FRAGMENTS", 1)
+    monkeypatch.setattr(table, "FRAGMENTS", 0)
     catalogue = two_rooms(tmp_path)
     expected = answer_to(catalogue)
-    time.sleep(0.05)  # so that all files are older than that
-    table.tidy(catalogue.path)
-    assert answer_to(catalogue) == expected
+    files, tries = catalogue.path / "objects.lance/data", 0
+    while tries == 0 or len(list(files.iterdir())) > 2:  # on a busy machine some stay until the next time
+        time.sleep(0.05)  # so that all files are older than that
+        table.tidy(catalogue.path)
+        assert answer_to(catalogue) == expected
+        tries += 1
+        assert tries < 20
     kept = record.read_record(catalogue.path)
     assert kept is not None
     assert kept.version > 2
-    assert len(list((catalogue.path / "objects.lance/data").iterdir())) < 3
     catalogue.verify()
 
 
