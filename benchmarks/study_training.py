@@ -92,7 +92,7 @@ def main() -> None:
         for way in given.only:
             runs = []
             for seed in range(given.seeds):
-                key = (Path(capture).name, way, seed, given.resolution)
+                key = (capture, way, seed, given.resolution)
                 if key not in known:
                     known[key] = {"of": key} | trained(capture, way, seed, given.resolution, given.threads)
                     with given.output.open("a", encoding="utf-8") as file:

@@ -55,7 +55,7 @@ class EmbeddingRecord:
         self._journal: Journal | None = None
 
     def is_finished(self, stem: str, photo: str) -> bool:
-        """Whether the files are there, of these settings and of this photo."""
+        """Return whether the files are there, of these settings and of this photo."""
         entry = self.finished.get(stem)
         return entry is not None and entry.photo == photo and _fits(entry, self.folder, stem)
 
@@ -138,7 +138,7 @@ def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = 
 
 
 def read_settings(folder: Path) -> dict[str, object] | None:
-    """What made the features of a folder, or None where it has no record.
+    """Return what made the features of a folder, or None where it has no record.
 
     Raises: FormatError: a damaged record. MismatchError: some of its features have no entry, as
     when `embed` was stopped after a setting had changed.
@@ -157,7 +157,7 @@ def read_settings(folder: Path) -> dict[str, object] | None:
 
 
 def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity | None:
-    """Who made the embeddings of a folder: what its record says, else the encoder named.
+    """Return who made the embeddings of a folder: what its record says, else the encoder named.
 
     Raises: MismatchError: they contradict each other. FormatError: a damaged record.
     """
@@ -276,7 +276,7 @@ def _listed_stems(folder: Path) -> list[str]:
 
 
 def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
-    """As they are read back: tuples become lists."""
+    """Return them as they are read back: tuples become lists."""
     try:
         plain: dict[str, object] = json.loads(json.dumps(settings))
     except TypeError as error:

@@ -98,7 +98,7 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
 
 
 def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
-    """What differs: settings, poses, photos, points."""
+    """Return what differs: settings, poses, photos, points."""
     names = [] if texts["settings"] == run.settings.fingerprint else [_settings_said(texts["settings"], run)]
     if texts["capture"] == capture:
         return names

@@ -72,7 +72,7 @@ class AdaptiveDensity:
         self._forget(len(optimizer))
 
     def _chosen(self, optimizer: Optimizer) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Whom to clone and whom to split."""
+        """Return marks of those to clone and of those to split."""
         mean_pull = self.pull / np.maximum(self.times_seen, 1)
         chosen = mean_pull >= self.settings.gradient_threshold
         if self.settings.max_gaussians is not None:

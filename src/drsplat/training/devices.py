@@ -63,7 +63,7 @@ def train(
 
 
 def chosen_device(device: str) -> Literal["cpu", "cuda"]:
-    """What "auto" stands for here.
+    """Return what "auto" stands for here.
 
     Raises: InputError: no such device. MissingExtraError: "cuda" cannot be used; says why.
     """

@@ -24,7 +24,7 @@ BLUR = 0.3  # square pixels, added to every splat's covariance, as the kernels a
 
 
 class Engine(NamedTuple):
-    """What renders and refines, and where. rasterization: called as that of gsplat 1.5."""
+    """Functions that render and refine, and a device. rasterization: called as that of gsplat 1.5."""
 
     rasterization: Callable[..., Any]
     strategies: Strategies

@@ -28,7 +28,7 @@ class Strategies(NamedTuple):
 
 
 def default_arguments(settings: TrainingSettings) -> dict[str, Any]:
-    """Of gsplat's DefaultStrategy.
+    """Return the arguments of gsplat's DefaultStrategy.
 
     Its opacity reset never happens in 1.5 (an operator of the wrong precedence) and may in another
     release; an interval that is no whole number is met by no iteration, so that ours alone happens.
@@ -46,7 +46,7 @@ def default_arguments(settings: TrainingSettings) -> dict[str, Any]:
 
 
 def mcmc_arguments(settings: TrainingSettings) -> dict[str, Any]:
-    """Of gsplat's MCMCStrategy."""
+    """Return the arguments of gsplat's MCMCStrategy."""
     return {
         "cap_max": settings.max_gaussians,
         "noise_lr": settings.noise_rate,
@@ -85,7 +85,7 @@ class DefaultControl:
         return (weight * torch.sigmoid(self.scene.tensors["opacities"]).mean(),) if weight else ()
 
     def before_step(self, iteration: int) -> None:
-        """As `density.AdaptiveDensity.before_step`."""
+        """Do as `density.AdaptiveDensity.before_step`."""
         if resets_opacity(self.settings, iteration - 1):
             self.scene.reset_opacity(self.settings.reset_opacity)
 
@@ -105,7 +105,7 @@ class DefaultControl:
 
     @torch.no_grad()
     def _observe(self, seen: dict[str, Any]) -> None:
-        """As gsplat does, without the lists of those seen, for which the host would wait."""
+        """Observe as gsplat does, without the lists of those seen, for which the host would wait."""
         slopes = seen["means2d"].grad[0]
         pull = torch.hypot(slopes[:, 0] * (seen["width"] / 2), slopes[:, 1] * (seen["height"] / 2))
         self.state["grad2d"] += pull  # 0 of those not seen
@@ -115,7 +115,7 @@ class DefaultControl:
         self.state["count"] += visible
 
     def _threshold(self) -> float:
-        """As the settings say, or so high that no more grow than the budget has room for."""
+        """Return that of the settings, or one so high that no more grow than the budget has room for."""
         s = self.settings
         if s.max_gaussians is None:
             return s.gradient_threshold

@@ -31,7 +31,7 @@ STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
 
 
 class Outcome(NamedTuple):
-    """Of one iteration. psnr: of the photo that was drawn, in dB, at most 99; counted when it is asked for."""
+    """What one iteration gave. psnr: of the photo that was drawn, dB, at most 99; counted when it is asked for."""
 
     loss: float
     psnr: Callable[[], float]
@@ -55,7 +55,6 @@ class Run:
         self.history: list[dict[str, object]] = []
         self.start: dict[str, int] = {}
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)
-        self._coarse: dict[tuple[int, int], View] = {}
         self._since = time.perf_counter()
 
     def __len__(self) -> int:
@@ -90,11 +89,7 @@ class Run:
         view, wanted = self.views[index], divisor(self.settings, self.iteration)
         while wanted > 1 and min(view.width, view.height) < LEAST_SIDE * wanted:
             wanted //= 2
-        if wanted == 1:
-            return view
-        if (index, wanted) not in self._coarse:
-            self._coarse[index, wanted] = view.resized(view.width // wanted, view.height // wanted)
-        return self._coarse[index, wanted]
+        return view if wanted == 1 else view.resized(view.width // wanted, view.height // wanted)
 
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)

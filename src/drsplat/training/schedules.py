@@ -30,7 +30,7 @@ def divisor(settings: TrainingSettings, iteration: int) -> int:
 
 
 def refines(settings: TrainingSettings, iteration: int) -> bool:
-    """Whether Gaussians are added and removed after this iteration; not after the last one."""
+    """Return whether Gaussians are added and removed after this iteration; not after the last one."""
     last = min(settings.last_refinement, settings.iterations)
     inside = settings.refine_from < iteration < last
     return inside and iteration % settings.refine_every == 0
@@ -50,7 +50,7 @@ def resets_opacity(settings: TrainingSettings, iteration: int) -> bool:
 
 
 def same_until(one: TrainingSettings, other: TrainingSettings, iteration: int) -> bool:
-    """Whether runs of these settings, which differ in their length alone, are one run up to here.
+    """Return whether runs of these settings, which differ in their length alone, are one up to here.
 
     They are not where the shorter one left out an opacity reset that it was too short to recover from.
     """

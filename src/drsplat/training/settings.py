@@ -139,7 +139,7 @@ class TrainingSettings:
 
     @property
     def backdrop(self) -> tuple[float, float, float]:
-        """What held-out photos are rendered on."""
+        """Return the colour that held-out photos are rendered on."""
         return (1.0, 1.0, 1.0) if self.background == "white" else (0.0, 0.0, 0.0)
 
     @property

@@ -38,7 +38,7 @@ class Photo(NamedTuple):
         return self.pixels.nbytes + (0 if self.left_out is None else self.left_out.nbytes)
 
     def smaller(self, width: int, height: int) -> "Photo":
-        """On a coarser raster: means of pixels, of which none is used that has a part of an unused one."""
+        """Return it on a coarser raster: means of pixels, of which none is used that has a part of an unused one."""
         size = (width, height)
         pixels = np.asarray(Image.fromarray(self.pixels).resize(size, Image.Resampling.BOX))
         if not len(self.outside) and self.left_out is None:
@@ -46,10 +46,9 @@ class Photo(NamedTuple):
         marks = np.zeros(self.pixels.shape[:2], np.uint8)
         marks.reshape(-1)[self.unused] = 255
         unused = np.asarray(Image.fromarray(marks).resize(size, Image.Resampling.BOX)) > 0
-        none = np.empty(0, np.int32)
         if self.left_out is None:
             return Photo(pixels, np.flatnonzero(unused).astype(np.int32))
-        return Photo(pixels, none, unused)
+        return Photo(pixels, np.empty(0, np.int32), unused)
 
     def colors(self) -> Float32[np.ndarray, "h w 3"]:
         """In [0, 1]."""
