@@ -1,6 +1,7 @@
 """How well `mini` knows things it never saw: python -m world.mini.measuring --test TEST.npz [--picture FILE.png]
 
-Of each crop of a thing (structures are left out): the nearest of all names, and the nearest of all colours.
+Of each crop of a thing (structures are left out): the nearest of all names, and the nearest of all colours
+as they were taught.
 Training and test differ in seeds, arrangements and textures.
 """
 
@@ -73,8 +74,7 @@ def main() -> None:
     rate = len(crops) / (time.perf_counter() - start)
     called = encoder.encode_texts(NAMES)
     names = confusion(embeddings, labels[:, 0].tolist(), NAMES, called)
-    painted = encoder.encode_texts([f"something {color}" for color in COLORS])
-    colors = confusion(embeddings, labels[:, 1].tolist(), COLORS, painted)
+    colors = confusion(embeddings, labels[:, 1].tolist(), COLORS, encoder.taught_colors)
     wrong = [(int(n), NAMES[i], NAMES[j]) for (i, j), n in np.ndenumerate(names) if i != j and n]
     report = {
         "crops": len(seen), "crops_per_second": round(rate),

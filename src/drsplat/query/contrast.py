@@ -35,9 +35,9 @@ CHUNK = 8  # words scored at once
 class Contrast:
     """Scores that the words of a list reach at each row of a field.
 
-    vectors: their unit embeddings. usual: the mean picture, times TILT, or 0 for words of one kind. spread: standard
-    deviation of cosines of words with pictures once the means of both are taken off: the unit of margins. scores,
-    words: per row the best of the list, best first, and which ones they are.
+    vectors: their unit embeddings. usual: the mean picture, times TILT. spread: standard deviation of cosines of words
+    with pictures once the means of both are taken off: the unit of margins. scores, words: per row the best of the
+    list, best first, and which ones they are.
     """
 
     vectors: Float32[np.ndarray, "n D"]
@@ -104,20 +104,21 @@ def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threa
     """
     known = _LAST.get(field)
     if known is None or not np.array_equal(known.vectors, vectors):
-        known = _LAST[field] = _contrast(field, vectors, threads, TILT)
+        known = _LAST[field] = _contrast(field, vectors, threads)
     return known
 
 
 def contrast_of_kind(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
-    """Score all words of one kind, of which one is right: nothing is taken off for what is usual."""
-    return _contrast(field, vectors, threads, 0.0)
+    """Score a few words of one kind that a text competes with in place of the list, which stays the one that is kept.
+
+    What is usual counts half for them too: a scene of greys in all lights takes some of its black and white for grey.
+    """
+    return _contrast(field, vectors, threads)
 
 
-def contrast_of(
-    features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], tilt: float = TILT
-) -> Contrast:
-    """The same of unit features without a field, which are the pictures as well. tilt: 0 for words of one kind."""
-    usual, spread = _usual(features, vectors, tilt)
+def contrast_of(features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"]) -> Contrast:
+    """The same of unit features without a field, which are the pictures as well."""
+    usual, spread = _usual(features, vectors)
     scores, words = _best_words(vectors, usual, len(features), lambda some: some @ features.T)
     return Contrast(vectors, usual, spread, scores, words)
 
@@ -166,17 +167,17 @@ def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndar
 _LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
-def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int, tilt: float = TILT) -> Contrast:
-    usual, spread = _usual(usual_pictures(field), vectors, tilt)
+def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
+    usual, spread = _usual(usual_pictures(field), vectors)
     scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads))
     return Contrast(vectors, usual, spread, scores, words)
 
 
 def _usual(
-    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"], tilt: float
+    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"]
 ) -> tuple[Float32[np.ndarray, " D"], float]:
-    """The mean picture, times `tilt`, and the unit of margins."""
-    return (tilt * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
+    """The mean picture, times TILT, and the unit of margins."""
+    return (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
 
 
 def _best_words(

@@ -77,6 +77,12 @@ class Background:
         """Cosine that a thing's best rows exceed: the encoder's share of what the list reaches in this scene."""
         return -np.inf if self.kept_contrast is not None else least_peak(self.encoder, self.contrast)
 
+    def least_peak_of(self, known: Contrast) -> float:
+        """Return the same for what a query competes with: colours reach other cosines than nouns do."""
+        if self.kept_contrast is not None or known is self.contrast:
+            return self.least_peak
+        return least_peak(self.encoder, known)
+
     @cached_property
     def negatives(self) -> Negatives:
         """Those stored in the field, else LERF's.
@@ -190,7 +196,7 @@ class Measuring:
         """
         if not len(scores):
             return RELEVANCY_THRESHOLD
-        least = self.background.least_peak
+        least = self.background.least_peak_of(known)
         if peak_score(scores) <= least:
             return float(values.max())
         if np.isfinite(least):

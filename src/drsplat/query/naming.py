@@ -98,10 +98,14 @@ class _Seen:
 
 
 def _household_names(encoder: MiniEncoder, seen: _Seen, nouns: bool) -> list[str | None]:
-    """Return "red mug", "mug" or "something red" of the built-in encoder. nouns: whether they are to be believed."""
-    paints = _sure_texts(encoder, seen, [f"something {color}" for color in COLORS], SURE_COLOR)
+    """Return "red mug", "mug" or "something red" of the built-in encoder. nouns: whether they are to be believed.
+
+    The scene then looks like the rooms that the taught colours are from; elsewhere those of photos name things.
+    """
+    texts = [f"something {color}" for color in COLORS]
     if not nouns:
-        return paints
+        return _sure_texts(encoder, seen, texts, SURE_COLOR)
+    paints = _sure(seen, texts, encoder.taught_colors, encoder.taught_colors, SURE_COLOR)
     names = _sure_texts(encoder, seen, encoder.nouns, SURE)
     return [
         f"{paint.removeprefix('something ')} {name}" if paint and name in NAMES else name or paint
@@ -114,7 +118,18 @@ def _sure_texts(
 ) -> list[str | None]:
     """Return the text that each node is called by, None for none. rivals: further words that it has to exceed."""
     vectors = np.asarray(encoder.encode_texts(texts), np.float32)
-    sure = iter(_sure_words(seen, vectors, vectors if rivals is None else np.concatenate([vectors, rivals]), least))
+    return _sure(seen, texts, vectors, vectors if rivals is None else np.concatenate([vectors, rivals]), least)
+
+
+def _sure(
+    seen: _Seen,
+    texts: Sequence[str],
+    vectors: Float32[np.ndarray, "n D"],
+    every: Float32[np.ndarray, "m D"],
+    least: float,
+) -> list[str | None]:
+    """Return the text that each node is called by; see `_sure_words`."""
+    sure = iter(_sure_words(seen, vectors, every, least))
     chosen = [next(sure) if has else -1 for has in seen.has]
     return [texts[word] if word >= 0 else None for word in chosen]
 

@@ -137,7 +137,7 @@ class Surroundings:
         self, text: str, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
     ) -> Float32[np.ndarray, " o"] | None:
         rivals = rival_vectors(self.encoder, text)
-        known = self.contrast if rivals is None or not len(self.usual) else contrast_of(self.usual, rivals, 0.0)
+        known = self.contrast if rivals is None or not len(self.usual) else contrast_of(self.usual, rivals)
         values = (
             None if known is None else known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
         )

@@ -18,7 +18,7 @@ from ..field.labels import same_name
 from ..field.objects import THING, Objects
 from ..kernels.mixture import nearest_centres
 from ..scene.boxes import HAZE
-from .contrast import TILT, Contrast, contrast_of, usual_pictures
+from .contrast import Contrast, contrast_of, usual_pictures
 from .defaults import MIN_GAUSSIANS, RELEVANCY
 from .measuring import Background, Measuring
 from .objects import objects_of
@@ -211,13 +211,13 @@ class _Usual(Background):
         return None if kept is None else self._of_list(kept.embeddings)
 
     def contrast_of_kind(self, vectors: Float32[np.ndarray, "n D"]) -> Contrast:
-        return self._of_list(vectors, tilt=0.0)
+        return self._of_list(vectors)
 
-    def _of_list(self, words: Float32[np.ndarray, "n D"], tilt: float = TILT) -> Contrast:
+    def _of_list(self, words: Float32[np.ndarray, "n D"]) -> Contrast:
         code, evidence = self.field.code, self.field.evidence
         assert isinstance(code, _Copies)
         assert evidence is not None
-        known = contrast_of(evidence.embeddings, words, tilt).at(code.vectors)
+        known = contrast_of(evidence.embeddings, words).at(code.vectors)
         return replace(known, scores=known.scores[code.of_row], words=known.words[code.of_row])
 
 

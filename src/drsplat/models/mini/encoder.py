@@ -10,7 +10,7 @@ from PIL import Image
 
 from ...encoders import EncoderIdentity
 from ...errors import InputError, did_you_mean
-from .lexicon import ANYTHING, COLORS, NAMES, PAINTS, STRUCTURES, WORDS, only_colors, words_of
+from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of
 from .network import SIDE, embed_images
 
 DIM = 512
@@ -21,7 +21,8 @@ _ROWS = {word: row for row, word in enumerate(WORDS)}
 class MiniEncoder:
     """Knows the things, colours and materials of `lexicon`, and nothing else.
 
-    A text is the sum of its words. nouns: what queries are contrasted with. least_share: of the cosine that these reach
+    A text is the sum of its words; one that asks for a colour and nothing else has vectors that were fitted to photos.
+    nouns: what queries are contrasted with. least_share: of the cosine that these reach
     in a scene, what a query has to reach there too: "blue mug" fits a red one better than any other name does, but not
     well. least_fit: the cosine of the best noun that half of a scene's features reach where it looks like the rooms
     that the nouns were learnt from. threshold: the fixed cosine that finds most in rooms of the training split; queries
@@ -37,9 +38,13 @@ class MiniEncoder:
     def __init__(self, *, threads: int = 0) -> None:
         from safetensors.numpy import load
 
-        data = (files(__package__) / "mini.safetensors").read_bytes()
+        folder = files(__package__)
+        data = (folder / "mini.safetensors").read_bytes()
         self._threads = threads
         self._weights = {name: array.astype(np.float32) for name, array in load(data).items()}
+        # A file of its own, which is no part of the identity: it changes what is asked and not what masks are embedded
+        # as, so that fields made before it stay valid.
+        self._photo_colors: np.ndarray = load((folder / "photo_colors.safetensors").read_bytes())["photo_colors"]
         weights = hashlib.blake2b(data, digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
 
@@ -61,8 +66,11 @@ class MiniEncoder:
 
         A colour is known by which one fits best, on photos too, where no noun fits and any of them may fit better.
         """
-        if not only_colors(text):
-            return None
+        return self._photo_colors if only_colors(text) else None
+
+    @property
+    def taught_colors(self) -> Float32[np.ndarray, "11 d"]:
+        """The vectors of `COLORS` that were learnt with the nouns, from made-up rooms only."""
         rows = self._weights["words"][[_ROWS[paint] for paint in PAINTS]]
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
 
@@ -72,8 +80,9 @@ class MiniEncoder:
         if strange or not words:
             raise InputError(_unknown(text, strange))
         if only_colors(text):  # "a red thing" is something red
-            words = [word for word in words if word not in ANYTHING]
-        total = self._weights["words"][[_ROWS[word] for word in words]].sum(0)
+            total = self._photo_colors[[COLORS.index(color) for color in colors_in(text)]].sum(0)
+        else:
+            total = self._weights["words"][[_ROWS[word] for word in words]].sum(0)
         return np.asarray(total / np.linalg.norm(total), np.float32)
 
 

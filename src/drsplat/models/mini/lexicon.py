@@ -94,6 +94,14 @@ def nouns_in(text: str) -> list[str]:
     return [word for word in words_of(text) if TONES.get(word, word) not in PAINTS and word not in ANYTHING]
 
 
+def colors_in(text: str) -> list[str]:
+    """Return those of COLORS that a text names, in its order: "violet" is purple, and "dark green" is green."""
+    words = words_of(text)
+    tones = [TONES.get(word, word) for word in words if word != "dark"]
+    named = [COLORS[PAINTS.index(tone)] for tone in tones if tone in PAINTS]
+    return named or [COLORS[PAINTS.index(TONES[word])] for word in words if word in TONES]
+
+
 def only_colors(text: str) -> bool:
     """Return whether a text asks for a colour and nothing else: "something red", "white", "a green thing"."""
     words = words_of(text)
