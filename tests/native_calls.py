@@ -244,7 +244,7 @@ def merges(rogue: Rogue) -> Call:
         rogue.spoiled(edges[edges[:, 0] < edges[:, 1]]),
         np.array([0.9, 0.5, 0.1]),
     )
-    rule = rogue.spoiled(np.array([0.5, 2, 0.15, 0.5, 0.3, 0.15, 0.7, 0.02, 2, 3]))
+    rule = rogue.spoiled(np.array([0.5, 2, 0.15, 0.5, 0.3, 0.15, 0.7, 0.02, 2, 3, 0.5]))
     return partial(_native.agglomerate, *given, rule, rogue.how()[0])
 
 

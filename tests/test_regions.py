@@ -1,5 +1,8 @@
 """Regions that masks hold together: closed forms, the slow twin, laws, threads, and arrays that are not so."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,6 +58,30 @@ def test_two_things_in_two_views_are_two_regions() -> None:
     np.testing.assert_allclose(forest.masses[roots], 6)
     # of single rows c^2 = 1/4 in two views, all shared: (2 / 4 + .5 * .3) / (2 / 4 + .3) = 0.8125
     assert forest.agreements[forest.parents[0]] == pytest.approx(0.8)
+
+
+def a_link() -> tuple[csr_array, np.ndarray, np.ndarray]:
+    """Two things of three rows each that three views tell apart, and a row between them that only the fourth sees,
+    faintly and in one mask with both."""
+    dense = np.zeros((7, 7), np.float32)
+    for view in range(3):
+        dense[:3, 2 * view] = dense[4:, 2 * view + 1] = 10
+    dense[:3, 6] = dense[4:, 6] = 0.4
+    dense[3, 6] = 2.0
+    return csr_array(dense), np.array([0, 0, 1, 1, 2, 2, 3], np.int32), np.tile(np.eye(2, dtype=np.float32)[:1], (7, 1))
+
+
+@pytest.mark.parametrize("implementation", [agglomerate, twin.agglomerate])
+def test_what_is_like_two_things_does_not_link_them(implementation: Callable[..., Forest]) -> None:
+    """The row between is the best neighbour of both, which agree by nearly 0: each goes its way from then on."""
+    edges = np.array([[a, b] for a in range(7) for b in range(a + 1, 7) if not (a < 3 and b > 3)], np.int32)
+    rule = MergeRule(soft=0.1, far=1.0, smallest=3, tolerance=1.0)
+    def apart(rule: MergeRule) -> bool:
+        parents = implementation(*a_link(), edges, (0.45,), rule).parents
+        return bool(parents[0] != parents[6])
+
+    assert apart(rule)
+    assert not apart(replace(rule, linked=0.0))
 
 
 @pytest.mark.parametrize("seed", range(12))

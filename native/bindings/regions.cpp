@@ -33,11 +33,11 @@ std::vector<Edge> edges_of(const Array<int32_t, 2> &pairs, size_t rows) {
 
 // rule: the numbers of MergeRule in their order.
 MergeRule rule_of(const Array<double, 1> &rule) {
-  require(rule.shape(0) == 10, "rule: 10 numbers");
+  require(rule.shape(0) == 11, "rule: 11 numbers");
   const double *r = rule.data();
-  for (int i = 0; i < 10; i++) require(std::isfinite(r[i]) && r[i] >= 0 && r[i] < 1e9, "rule: numbers of 0 or more");
+  for (int i = 0; i < 11; i++) require(std::isfinite(r[i]) && r[i] >= 0 && r[i] < 1e9, "rule: numbers of 0 or more");
   require(r[0] > 0 && r[1] > 0 && r[4] > 0 && r[6] > 0, "rule: soft, far, least and unit above 0");
-  return {r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], (int)std::min(r[8], 1000.0), (int64_t)r[9]};
+  return {r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], (int)std::min(r[8], 1000.0), (int64_t)r[9], r[10]};
 }
 
 nb::tuple agglomerate_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns, Vector weights, Array<int32_t, 1> views,

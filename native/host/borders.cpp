@@ -10,10 +10,6 @@ namespace {
 
 constexpr uint64_t kBlock = 256;
 
-double pulled(double shared, double seen, const MergeRule &rule) {
-  return (shared + rule.prior * rule.least) / (seen + rule.least);
-}
-
 int32_t root_of(std::vector<int32_t> &up, int32_t i) {
   while (up[i] != i) i = up[i] = up[up[i]];
   return i;
@@ -78,6 +74,10 @@ struct Rebordering {
 
 }  // namespace
 
+double pulled(const Agreement &sum, const MergeRule &rule) {
+  return (sum.shared + rule.prior * rule.least) / (sum.seen + rule.least);
+}
+
 std::vector<Border> first_borders(const Regions &all, const std::vector<Edge> &edges, double soft, int threads) {
   std::vector<Border> borders(edges.size());
   over_rows(edges.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
@@ -98,7 +98,7 @@ void score(const Regions &all, std::vector<Border> &borders, const MergeRule &ru
       if (border.score != kUnknown) continue;
       const Region &a = all.regions[border.a], &b = all.regions[border.b];
       const Agreement whole = first ? Agreement{border.shared, border.seen} : agreement(all, a, b, rule.soft);
-      const double along = pulled(border.shared, border.seen, rule), over = pulled(whole.shared, whole.seen, rule);
+      const double along = pulled({border.shared, border.seen}, rule), over = pulled(whole, rule);
       const double unlike = rule.unlike * distance(all, a, b, dim, rule.unit);
       border.score = (float)(rule.local * along + (1 - rule.local) * over - unlike);
     }
@@ -132,6 +132,33 @@ Groups grouped(const std::vector<int32_t> &numbers, int32_t count) {
   for (int32_t n = 0; n < count; n++)
     if (groups.size((size_t)n) > 1) groups.several.push_back(n);
   return groups;
+}
+
+int32_t without_links(const Regions &all, const std::vector<float> &masses, const MergeRule &rule, double threshold,
+                      std::vector<int32_t> &numbers, int32_t count, int threads) {
+  const Groups groups = grouped(numbers, count);
+  std::vector<int32_t> first((size_t)all.count());  // of the group that each region is in now
+  std::iota(first.begin(), first.end(), 0);
+  over_rows(groups.several.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t i = begin; i < end; i++) {
+      const auto n = (size_t)groups.several[i];
+      const int32_t *members = groups.members.data() + groups.begins[n], *last = members + groups.size(n);
+      const auto mass = [&](int32_t member) { return masses[all.regions[member].node]; };
+      const int32_t heaviest =
+          *std::max_element(members, last, [&](int32_t x, int32_t y) { return mass(x) < mass(y); });
+      const auto stays = [&](int32_t member) {
+        if (member == heaviest || last - members == 2) return true;
+        const Agreement whole = agreement(all, all.regions[heaviest], all.regions[member], rule.soft);
+        return pulled(whole, rule) >= rule.linked * threshold;
+      };
+      int32_t lowest = -1;
+      for (const int32_t *member = members; member < last; member++)
+        if (stays(*member)) first[*member] = lowest = lowest < 0 ? *member : lowest;
+    }
+  });
+  int32_t next = 0;
+  for (int32_t r = 0; r < all.count(); r++) numbers[r] = first[r] == r ? next++ : numbers[first[r]];
+  return next;
 }
 
 void make_borders_anew(std::vector<Border> &borders, const std::vector<int32_t> &numbers, const Groups &groups,

@@ -15,6 +15,9 @@ struct Border {
 // Of edges between single rows.
 std::vector<Border> first_borders(const Regions &, const std::vector<Edge> &, double soft, int threads);
 
+// The agreement of sums over views, pulled towards the prior where few views see both.
+double pulled(const Agreement &, const MergeRule &);
+
 // Gives those a score that have none.
 void score(const Regions &, std::vector<Border> &, const MergeRule &, uint32_t dim, bool first, int threads);
 
@@ -32,6 +35,11 @@ struct Groups {
 };
 
 Groups grouped(const std::vector<int32_t> &numbers, int32_t count);
+
+// Takes members out of groups of three and more that are linked to the heaviest one through others only: numbers are
+// then new, and so is how many there are.
+int32_t without_links(const Regions &, const std::vector<float> &masses, const MergeRule &, double threshold,
+                      std::vector<int32_t> &numbers, int32_t count, int threads);
 
 // Borders between the new regions, ascending; those of the same two are one.
 void make_borders_anew(std::vector<Border> &, const std::vector<int32_t> &numbers, const Groups &, int threads);

@@ -21,11 +21,13 @@ struct Edge { int32_t a, b; };
 // soft: weight in a view that makes it count half; far: of a region's, for how well masks fit it. local: the share of
 // the agreement along the border. prior, least: what regions that are hardly seen together are taken to agree, and
 // how much that counts. unlike: what unrelated embeddings cost; unit: 1 - their cosine. tolerance: below the best that
-// merges as well. rounds: at most, at each threshold. smallest: rows of a region that is judged.
+// merges as well. rounds: at most, at each threshold. smallest: rows of a region that is judged. linked: of the
+// threshold, what the members of a group have to agree with its heaviest by.
 struct MergeRule {
   double soft, far, local, prior, least, unlike, unit, tolerance;
   int rounds;
   int64_t smallest;
+  double linked;
 };
 
 // Nodes: first the rows, then merges in their order; parents come after their children. fits: how well the masks of

@@ -19,7 +19,8 @@ class MergeRule:
     local: the share of the agreement along the border, the rest is that of the regions as wholes. prior, least: the
     agreement of regions that no view sees both of, and how much of one view it counts for. unlike: what unrelated
     embeddings cost; unit: how far apart those are. tolerance: how far below its best a region merges as well.
-    rounds: at most, at each threshold. smallest: Gaussians of a region that is judged.
+    rounds: at most, at each threshold. smallest: Gaussians of a region that is judged. linked: regions that are each
+    other's best in a chain are merged as far as each agrees with the heaviest by this share of the threshold.
     """
 
     soft: float
@@ -32,6 +33,7 @@ class MergeRule:
     tolerance: float = 0.02
     rounds: int = 2
     smallest: int = 30
+    linked: float = 0.5
 
 
 class Forest(NamedTuple):

@@ -19,7 +19,8 @@ SIDE = 336  # pixels of a photo's longer side: borders need no more
 MOST_VIEWS = 60  # that are looked at
 HEAVIEST = 8  # Gaussians of a pixel
 SEEN = 0.5  # opacity of a pixel that shows something
-TOLERANCES = (1.0, 1.5, 2.0)  # of jumps that are none, in what STRIDE pixels are across at that depth
+JUMP = 1.5  # least jump of depth, in what STRIDE pixels are across there: below it depth goes on
+FAR = 2.0  # jump from which on a border is never a valley
 STRIDE = 5  # pixels between the depths on both sides: nearer ones are mixtures of both
 REACH = 8  # pixels from the border to the far end of a slope
 BEND = 1.0  # between the slopes on both sides, away from the camera: a mug's foot on a table, the corner of a room
@@ -31,13 +32,14 @@ Labels = Int32[np.ndarray, "h w"]
 class Borders(NamedTuple):
     """Pairs of pieces that are side by side in some photo.
 
-    front, back: the nearer piece and the further one. counts: pixels of their border where depth jumps by no more than
-    each of TOLERANCES, and all of them. areas: pixels of each piece.
+    front, back: the nearer piece and the further one. levels: pixels of their border where depth goes on. lengths: all
+    pixels of it. areas: pixels of each piece.
     """
 
     front: Int32[np.ndarray, " p"]
     back: Int32[np.ndarray, " p"]
-    counts: Int64[np.ndarray, "p t"]
+    levels: Int64[np.ndarray, " p"]
+    lengths: Int64[np.ndarray, " p"]
     areas: Int64[np.ndarray, " n"]
 
 
@@ -51,19 +53,20 @@ def borders(
     splats, count = splat_arrays(gaussians), int(pieces.max(initial=NONE)) + 1
     chosen = sorted(views, key=lambda view: (drawn(view.name), view.name))[:MOST_VIEWS]
     areas = np.zeros(count, np.int64)
-    keys, counts = np.empty(0, np.int64), np.empty((0, len(TOLERANCES) + 1), np.int64)
+    keys, counts = np.empty(0, np.int64), np.empty((0, 2), np.int64)
     for view in chosen:
         seen, labels, depth = _seen(splats, view.limited(SIDE), pieces, threads)
         areas += np.bincount(labels[labels >= 0], minlength=count)
         for front, back, jump in _crossings(labels, depth, float(seen.K[0, 0])):
-            within = np.stack([*(jump < tolerance for tolerance in TOLERANCES), np.ones(len(jump), bool)], axis=1)
+            within = np.stack([jump < JUMP, np.ones(len(jump), bool)], axis=1)
             keys = np.concatenate([keys, front.astype(np.int64) * count + back])
             counts = np.concatenate([counts, within.astype(np.int64)])
         keys, counts = _summed(keys, counts)
-    return Borders((keys // max(count, 1)).astype(np.int32), (keys % max(count, 1)).astype(np.int32), counts, areas)
+    front, back = (side.astype(np.int32) for side in np.divmod(keys, max(count, 1)))
+    return Borders(front, back, counts[:, 0], counts[:, 1], areas)
 
 
-def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k t"]) -> tuple[np.ndarray, np.ndarray]:
+def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
     """Each key once, its counts together."""
     once, places = np.unique(keys, return_inverse=True)
     total = np.zeros((len(once), counts.shape[1]), np.int64)
@@ -104,7 +107,7 @@ def _crossings(
         pixel = np.minimum(before, after) / focal
         jump = np.minimum(np.abs(before - after), prolonged) / (STRIDE * pixel)
         bend = (before - far[y, x - REACH] - far[y, x + REACH + 1] + after) / ((REACH - 2) * pixel)
-        kept = (bend <= BEND) | (jump >= TOLERANCES[-1])
+        kept = (bend <= BEND) | (jump >= FAR)
         y, x, jump, nearer = y[kept], x[kept], jump[kept], (before < after)[kept]
         one, other = shown[y, x], shown[y, x + 1]
         yield np.where(nearer, one, other), np.where(nearer, other, one), jump

@@ -68,6 +68,10 @@ class _Growing:
             seen += m * n / known
         return np.array([shared, seen])
 
+    def pulled(self, agreement: np.ndarray) -> float:
+        shared, seen = agreement
+        return float((shared + self.rule.prior * self.rule.least) / (seen + self.rule.least))
+
     def distance(self, one: Votes, other: Votes) -> float:
         f, g = (
             np.sum([w * self.embeddings[mask] for shares in votes.values() for mask, w in shares.items()], axis=0)
@@ -78,10 +82,7 @@ class _Growing:
 
     def score(self, a: int, b: int, border: np.ndarray) -> float:
         rule, one, other = self.rule, self.votes[a], self.votes[b]
-        along, over = (
-            (shared + rule.prior * rule.least) / (seen + rule.least)
-            for shared, seen in (border, self.agreement(one, other))
-        )
+        along, over = self.pulled(border), self.pulled(self.agreement(one, other))
         return float(rule.local * along + (1 - rule.local) * over - rule.unlike * self.distance(one, other))
 
     def merge(self, borders: Mapping[tuple[int, int], np.ndarray], threshold: float) -> list[int]:
@@ -95,10 +96,27 @@ class _Growing:
             if score >= threshold and score + self.rule.tolerance >= max(best[a], best[b]):
                 low, high = sorted((_root(up, a), _root(up, b)))
                 up[high] = low
-        roots = sorted({_root(up, r) for r in range(len(up))})
-        merged = [roots.index(_root(up, r)) for r in range(len(up))]
+        up = self._without_links([_root(up, r) for r in range(len(up))], threshold)
+        roots = sorted(set(up))
+        merged = [roots.index(root) for root in up]
         self._replace([[r for r, new in enumerate(merged) if new == n] for n in range(len(roots))], threshold)
         return merged
+
+    def _without_links(self, groups: list[int], threshold: float) -> list[int]:
+        """Return the first region of each one's group, once those have left that only others link to the heaviest."""
+        first = list(range(len(groups)))
+        for group in set(groups):
+            members = [r for r, own in enumerate(groups) if own == group]
+            masses = [np.float32(self.kept[self.nodes[r]][2]) for r in members]
+            heaviest = members[int(np.argmax(masses))]
+            left = [
+                r for r in members
+                if r == heaviest or len(members) == 2
+                or self.pulled(self.agreement(self.votes[heaviest], self.votes[r])) >= self.rule.linked * threshold
+            ]  # fmt: skip
+            for r in left:
+                first[r] = left[0]
+        return first
 
     def _replace(self, groups: list[list[int]], threshold: float) -> None:
         votes, nodes = [], []
