@@ -15,6 +15,23 @@ int32_t root_of(std::vector<int32_t> &up, int32_t i) {
   return i;
 }
 
+// Borders whose regions are, nearly, each other's best, best first.
+std::vector<size_t> best_of_both(int32_t count, const std::vector<Border> &borders, double threshold,
+                                 double tolerance) {
+  std::vector<float> best((size_t)count, kUnknown);
+  for (const Border &border : borders)
+    for (const int32_t r : {border.a, border.b}) best[r] = std::max(best[r], border.score);
+  std::vector<size_t> found;
+  for (size_t e = 0; e < borders.size(); e++) {
+    const Border &border = borders[e];
+    const double reached = border.score + tolerance;
+    if (border.score >= threshold && reached >= best[border.a] && reached >= best[border.b]) found.push_back(e);
+  }
+  std::stable_sort(found.begin(), found.end(),
+                   [&](size_t x, size_t y) { return borders[x].score > borders[y].score; });
+  return found;
+}
+
 // Borders between the new regions, ascending; those of the same two are one. Numbers keep the order of regions, so
 // that only the borders of new ones have to be sorted.
 struct Rebordering {
@@ -105,18 +122,21 @@ void score(const Regions &all, std::vector<Border> &borders, const MergeRule &ru
   });
 }
 
-int32_t joined(int32_t count, const std::vector<Border> &borders, double threshold, double tolerance,
-               std::vector<int32_t> &numbers) {
-  std::vector<float> best((size_t)count, kUnknown);
-  for (const Border &border : borders)
-    for (const int32_t r : {border.a, border.b}) best[r] = std::max(best[r], border.score);
-  std::vector<int32_t> up((size_t)count);
-  std::iota(up.begin(), up.end(), 0);
-  for (const Border &border : borders) {
-    const double reached = border.score + tolerance;
-    if (border.score < threshold || reached < best[border.a] || reached < best[border.b]) continue;
-    const int32_t a = root_of(up, border.a), b = root_of(up, border.b);
-    up[std::max(a, b)] = std::min(a, b);
+int32_t joined(const Regions &all, const std::vector<Border> &borders, const std::vector<float> &masses,
+               const MergeRule &rule, double threshold, std::vector<int32_t> &numbers) {
+  const int32_t count = all.count();
+  std::vector<int32_t> up((size_t)count), heaviest((size_t)count);  // of each root, the heaviest in its group
+  std::iota(up.begin(), up.end(), 0), std::iota(heaviest.begin(), heaviest.end(), 0);
+  const auto mass = [&](int32_t region) { return masses[all.regions[region].node]; };
+  for (const size_t e : best_of_both(count, borders, threshold, rule.tolerance)) {
+    const int32_t a = root_of(up, borders[e].a), b = root_of(up, borders[e].b);
+    const int32_t one = heaviest[a], other = heaviest[b], low = std::min(a, b);
+    if (a == b) continue;
+    if (one != borders[e].a || other != borders[e].b) {  // else the score says that they agree
+      const Agreement whole = agreement(all, all.regions[one], all.regions[other], rule.soft);
+      if (pulled(whole, rule) < rule.linked * threshold) continue;
+    }
+    up[std::max(a, b)] = low, heaviest[low] = mass(other) > mass(one) ? other : one;
   }
   int32_t next = 0;
   for (int32_t r = 0; r < count; r++) numbers[r] = up[r] == r ? next++ : numbers[root_of(up, r)];
@@ -132,33 +152,6 @@ Groups grouped(const std::vector<int32_t> &numbers, int32_t count) {
   for (int32_t n = 0; n < count; n++)
     if (groups.size((size_t)n) > 1) groups.several.push_back(n);
   return groups;
-}
-
-int32_t without_links(const Regions &all, const std::vector<float> &masses, const MergeRule &rule, double threshold,
-                      std::vector<int32_t> &numbers, int32_t count, int threads) {
-  const Groups groups = grouped(numbers, count);
-  std::vector<int32_t> first((size_t)all.count());  // of the group that each region is in now
-  std::iota(first.begin(), first.end(), 0);
-  over_rows(groups.several.size(), kBlock, threads, [&](int, uint64_t begin, uint64_t end) {
-    for (uint64_t i = begin; i < end; i++) {
-      const auto n = (size_t)groups.several[i];
-      const int32_t *members = groups.members.data() + groups.begins[n], *last = members + groups.size(n);
-      const auto mass = [&](int32_t member) { return masses[all.regions[member].node]; };
-      const int32_t heaviest =
-          *std::max_element(members, last, [&](int32_t x, int32_t y) { return mass(x) < mass(y); });
-      const auto stays = [&](int32_t member) {
-        if (member == heaviest || last - members == 2) return true;
-        const Agreement whole = agreement(all, all.regions[heaviest], all.regions[member], rule.soft);
-        return pulled(whole, rule) >= rule.linked * threshold;
-      };
-      int32_t lowest = -1;
-      for (const int32_t *member = members; member < last; member++)
-        if (stays(*member)) first[*member] = lowest = lowest < 0 ? *member : lowest;
-    }
-  });
-  int32_t next = 0;
-  for (int32_t r = 0; r < all.count(); r++) numbers[r] = first[r] == r ? next++ : numbers[first[r]];
-  return next;
 }
 
 void make_borders_anew(std::vector<Border> &borders, const std::vector<int32_t> &numbers, const Groups &groups,

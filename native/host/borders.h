@@ -21,9 +21,11 @@ double pulled(const Agreement &, const MergeRule &);
 // Gives those a score that have none.
 void score(const Regions &, std::vector<Border> &, const MergeRule &, uint32_t dim, bool first, int threads);
 
-// The new number of each region; neighbours that are, nearly, each other's best share one. How many there are.
-int32_t joined(int32_t count, const std::vector<Border> &, double threshold, double tolerance,
-               std::vector<int32_t> &numbers);
+// The new number of each region; neighbours that are, nearly, each other's best share one. How many there are. Of a
+// chain of such neighbours the heaviest on both sides have to agree as well: what is faint and like two regions does
+// not link them. masses: of each region's node.
+int32_t joined(const Regions &, const std::vector<Border> &, const std::vector<float> &masses, const MergeRule &,
+               double threshold, std::vector<int32_t> &numbers);
 
 // Regions by their new number: members[begins[n]] ... members[begins[n + 1] - 1], ascending.
 struct Groups {
@@ -35,11 +37,6 @@ struct Groups {
 };
 
 Groups grouped(const std::vector<int32_t> &numbers, int32_t count);
-
-// Takes members out of groups of three and more that are linked to the heaviest one through others only: numbers are
-// then new, and so is how many there are.
-int32_t without_links(const Regions &, const std::vector<float> &masses, const MergeRule &, double threshold,
-                      std::vector<int32_t> &numbers, int32_t count, int threads);
 
 // Borders between the new regions, ascending; those of the same two are one.
 void make_borders_anew(std::vector<Border> &, const std::vector<int32_t> &numbers, const Groups &, int threads);

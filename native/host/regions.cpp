@@ -205,8 +205,7 @@ Forest agglomerate(const Votes &votes, std::vector<Edge> edges, const std::vecto
       score(all, borders, rule, votes.dim, all.count() == (int32_t)votes.rows, threads);
       const int32_t before = all.count();
       std::vector<int32_t> numbers((size_t)before);
-      int32_t count = joined(before, borders, thresholds[t], rule.tolerance, numbers);
-      count = without_links(all, growing.forest.masses, rule, thresholds[t], numbers, count, threads);
+      const int32_t count = joined(all, borders, growing.forest.masses, rule, thresholds[t], numbers);
       if (count == before) break;
       const Groups groups = grouped(numbers, count);
       growing.merge(groups, thresholds[t], threads);

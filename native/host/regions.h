@@ -22,7 +22,7 @@ struct Edge { int32_t a, b; };
 // the agreement along the border. prior, least: what regions that are hardly seen together are taken to agree, and
 // how much that counts. unlike: what unrelated embeddings cost; unit: 1 - their cosine. tolerance: below the best that
 // merges as well. rounds: at most, at each threshold. smallest: rows of a region that is judged. linked: of the
-// threshold, what the members of a group have to agree with its heaviest by.
+// threshold, what the heaviest regions of a chain have to agree by.
 struct MergeRule {
   double soft, far, local, prior, least, unlike, unit, tolerance;
   int rounds;

@@ -19,8 +19,9 @@ class MergeRule:
     local: the share of the agreement along the border, the rest is that of the regions as wholes. prior, least: the
     agreement of regions that no view sees both of, and how much of one view it counts for. unlike: what unrelated
     embeddings cost; unit: how far apart those are. tolerance: how far below its best a region merges as well.
-    rounds: at most, at each threshold. smallest: Gaussians of a region that is judged. linked: regions that are each
-    other's best in a chain are merged as far as each agrees with the heaviest by this share of the threshold.
+    rounds: at most, at each threshold. smallest: Gaussians of a region that is judged. linked: a chain
+    of regions that are each other's best is merged as far as the heaviest on both sides agree by this share of the
+    threshold, so that what is faint and like two regions does not link them.
     """
 
     soft: float

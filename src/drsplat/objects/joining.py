@@ -18,6 +18,7 @@ from .standing_out import Outlines, grown, refined
 
 RELIEF, GAIN = 0.7, 0.1  # least relief of a thing, and over the mean of its pieces by area
 WHOLE = 0.6  # sureness of what single masks hold as a whole, which is not joined
+ALONE = 0.85  # relief of a piece that stands out by itself, which is not joined
 FINISHED = 0.8  # share of a set: a piece of so much that stands out by itself is a thing, with things on it
 LARGE = 0.02  # share of a set: pieces that may not stand out more than all of it
 MAX_SHARE = 0.5  # of all pixels: what has more is the room
@@ -36,10 +37,10 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
 
     From each piece, large ones first, a set is grown and refined (`standing_out`). Sets that `_is_thing` accepts are
     taken by how much more they stand out than their pieces do, times their area. sure: how well single masks fit each
-    piece; pieces that masks hold as a whole (`WHOLE`) are left as they are.
+    piece; pieces that masks hold as a whole (`WHOLE`) or that stand out by themselves (`ALONE`) are left as they are.
     """
     outlines, areas = Outlines.of(found), found.areas.astype(np.float64)
-    free, most = sure < WHOLE, MAX_SHARE * areas.sum()
+    free, most = (sure < WHOLE) & (outlines.reliefs < ALONE), MAX_SHARE * areas.sum()
     seeds = [seed for seed in np.argsort(-areas, kind="stable").tolist() if free[seed] and areas[seed] >= MIN_AREA]
     things: dict[tuple[int, ...], float] = {}
     for seed in seeds:

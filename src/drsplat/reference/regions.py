@@ -86,37 +86,31 @@ class _Growing:
         return float(rule.local * along + (1 - rule.local) * over - rule.unlike * self.distance(one, other))
 
     def merge(self, borders: Mapping[tuple[int, int], np.ndarray], threshold: float) -> list[int]:
-        """Merge neighbours that are each other's best; the new number of each region."""
+        """Merge neighbours that are each other's best, best first; return the new number of each region."""
         scores = {pair: self.score(*pair, border) for pair, border in borders.items()}
         best = [-np.inf] * len(self.votes)
         for (a, b), score in scores.items():
             best[a], best[b] = max(best[a], score), max(best[b], score)
-        up = list(range(len(self.votes)))
-        for (a, b), score in scores.items():
+        up, heaviest = list(range(len(self.votes))), list(range(len(self.votes)))
+        for (a, b), score in sorted(scores.items(), key=lambda item: -item[1]):
             if score >= threshold and score + self.rule.tolerance >= max(best[a], best[b]):
-                low, high = sorted((_root(up, a), _root(up, b)))
-                up[high] = low
-        up = self._without_links([_root(up, r) for r in range(len(up))], threshold)
-        roots = sorted(set(up))
-        merged = [roots.index(root) for root in up]
+                roots = _root(up, a), _root(up, b)
+                ends = heaviest[roots[0]], heaviest[roots[1]]
+                if roots[0] != roots[1] and (ends == (a, b) or self._agree(*ends, threshold)):
+                    low, high = sorted(roots)
+                    up[high] = low
+                    heaviest[low] = ends[1] if self._mass(ends[1]) > self._mass(ends[0]) else ends[0]
+        roots = sorted({_root(up, r) for r in range(len(up))})
+        merged = [roots.index(_root(up, r)) for r in range(len(up))]
         self._replace([[r for r, new in enumerate(merged) if new == n] for n in range(len(roots))], threshold)
         return merged
 
-    def _without_links(self, groups: list[int], threshold: float) -> list[int]:
-        """Return the first region of each one's group, once those have left that only others link to the heaviest."""
-        first = list(range(len(groups)))
-        for group in set(groups):
-            members = [r for r, own in enumerate(groups) if own == group]
-            masses = [np.float32(self.kept[self.nodes[r]][2]) for r in members]
-            heaviest = members[int(np.argmax(masses))]
-            left = [
-                r for r in members
-                if r == heaviest or len(members) == 2
-                or self.pulled(self.agreement(self.votes[heaviest], self.votes[r])) >= self.rule.linked * threshold
-            ]  # fmt: skip
-            for r in left:
-                first[r] = left[0]
-        return first
+    def _agree(self, one: int, other: int, threshold: float) -> bool:
+        """Whether the heaviest regions on both sides of a chain agree by enough of the threshold."""
+        return self.pulled(self.agreement(self.votes[one], self.votes[other])) >= self.rule.linked * threshold
+
+    def _mass(self, region: int) -> np.float32:
+        return np.float32(self.kept[self.nodes[region]][2])
 
     def _replace(self, groups: list[list[int]], threshold: float) -> None:
         votes, nodes = [], []
