@@ -45,8 +45,8 @@ class Asked:
         return np.asarray(self.features @ MINI.encode_texts([text])[0], np.float32)
 
     def of_objects(self, text: str) -> np.ndarray:
-        """As `drsplat select` has them."""
-        return with_objects(self.cosines(text), self.things)
+        """As `drsplat select` has them, of things without parts."""
+        return with_objects(self.cosines(text), self.things, np.full_like(self.things, -1))
 
     def by_default(self, values: Callable[[str], np.ndarray], text: str) -> np.ndarray:
         found = values(text)

@@ -192,6 +192,17 @@ def test_a_thing_is_taken_out_of_what_it_stands_on() -> None:
     assert join(known(pairs, [3000, 9000, 90_000]), np.full(3, UNSURE)) == []
 
 
+def test_what_stands_out_by_itself_stays_a_thing() -> None:
+    """A bottle beside a laptop of two pieces, level with it at its foot: 1010 of 1140 pixels are in front."""
+    laptop = {(0, 3): (30, 700), (1, 3): (40, 600), (0, 1): (600, 0)}
+    bottle = {(2, 3): (40, 950), (2, 1): (90, 60)}
+    areas = [5000, 5000, 3000, 90_000]
+    (thing,) = join(known(laptop | bottle, areas), np.full(4, UNSURE))
+    assert thing.members == [0, 1]
+    (thing,) = join(known(laptop | bottle | {(2, 3): (160, 830)}, areas), np.full(4, UNSURE))
+    assert thing.members == [0, 1, 2]
+
+
 def test_relief_of_a_set_leaves_out_what_is_within() -> None:
     outlines = Outlines.of(known(DOLL, [4000, 3000, 3000, 90_000]))
     members = np.array([0, 1, 2])

@@ -14,7 +14,9 @@ import drsplat as ds
 from drsplat import Answer, Query, Scene
 from drsplat.field.labels import LabelFile
 from drsplat.query import tasks
+from drsplat.field.objects import PART
 from drsplat.query.wholes import by_object, highest_share
+from drsplat.query.wholes import with_objects as of_objects
 from known_objects import CENTERS, EACH, TEST, with_objects
 
 
@@ -59,8 +61,36 @@ def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values: np.ndarr
 def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene: Scene) -> None:
     field = scene.field
     values = np.random.default_rng(0).random(len(field), np.float32)
-    expected = (values + slow_by_object(values, field.objects.thing_of())) / 2
+    things, pieces = field.objects.thing_of(), field.objects.piece_of()
+    spoken = slow_by_object(values, things)
+    in_piece = pieces >= 0
+    spoken[in_piece] = np.maximum(spoken, slow_by_object(values, pieces))[in_piece]
+    expected = (values + spoken) / 2
     np.testing.assert_array_equal(by_object(field, values), expected)
+
+
+def test_a_piece_that_fits_better_than_its_thing_speaks_for_its_rows() -> None:
+    """Closed form: a quarter of thing 0 reaches 0.3, and of its piece 0.4; loose rows keep their own."""
+    values = np.array([0.1, 0.2, 0.3, 0.4, 0.1, 0.8, 0.8, 0.5], np.float32)
+    things = np.array([0, 0, 0, 0, 0, 1, 1, -1], np.int32)
+    pieces = np.array([-1, -1, 1, 1, 1, -1, -1, -1], np.int32)
+    got = of_objects(values, things, pieces)
+    expected = [(0.1 + 0.3) / 2, (0.2 + 0.3) / 2, (0.3 + 0.4) / 2, (0.4 + 0.4) / 2, (0.1 + 0.4) / 2, 0.8, 0.8, 0.5]
+    np.testing.assert_allclose(got, expected, rtol=1e-6)
+    assert (got >= of_objects(values, things, np.full(8, -1, np.int32))).all()
+
+
+def test_pieces_are_right_below_their_thing(scene: Scene) -> None:
+    """A part of a part counts for the piece that holds it; rows of no part are in none."""
+    objects = scene.field.objects
+    pieces, things = objects.piece_of(), objects.thing_of()
+    for row in range(0, len(pieces), 7):
+        node, way = int(objects.node_of[row]), []
+        while node >= 0:
+            way.append(node)
+            node = int(objects.parents[node])
+        parts = [node for node in way if objects.levels[node] == PART]
+        assert pieces[row] == (parts[-1] if parts and things[row] >= 0 else -1)
 
 
 def test_a_field_without_objects_has_the_values_themselves(scene: Scene) -> None:

@@ -76,6 +76,7 @@ def test_what_is_like_two_things_does_not_link_them(implementation: Callable[...
     """The row between is the best neighbour of both, which agree by nearly 0: each goes its way from then on."""
     edges = np.array([[a, b] for a in range(7) for b in range(a + 1, 7) if not (a < 3 and b > 3)], np.int32)
     rule = MergeRule(soft=0.1, far=1.0, smallest=3, tolerance=1.0)
+
     def apart(rule: MergeRule) -> bool:
         parents = implementation(*a_link(), edges, (0.45,), rule).parents
         return bool(parents[0] != parents[6])

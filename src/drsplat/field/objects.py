@@ -109,6 +109,12 @@ class Objects:
         """Per row of the field the number of the thing that it belongs to, -1 for none."""
         return self._by_row(self.number_of, np.int32(-1))
 
+    def piece_of(self) -> Int32[np.ndarray, " R"]:
+        """Return per row of the field the part right below a thing that it belongs to, -1 for none."""
+        nodes = np.arange(self.num_nodes, dtype=np.int32)
+        below = (self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING)
+        return self._by_row(self._handed_down(np.where(below, nodes, np.int32(-1))), np.int32(-1))
+
     def rows(self, node: int) -> Int64[np.ndarray, " r"]:
         """Rows of the field in a node and in all below it, ascending.
 

@@ -12,18 +12,25 @@ TRUST = 0.5  # in what an object says against what a Gaussian of it says
 
 def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
     """Return values per row of a field `with_objects`; one that has none gives the values themselves."""
-    return values if field.objects is None else with_objects(values, field.objects.thing_of())
+    if field.objects is None:
+        return values
+    return with_objects(values, field.objects.thing_of(), field.objects.piece_of())
 
 
-def with_objects(values: Float32[np.ndarray, " r"], things: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+def with_objects(
+    values: Float32[np.ndarray, " r"], things: Int32[np.ndarray, " r"], pieces: Int32[np.ndarray, " r"]
+) -> Float32[np.ndarray, " r"]:
     """Return per row the mean of its own value and its object's; loose rows, of thing -1, keep their own.
 
     An object's value is the one that `SHARE` of its rows reach: what single photos say of the rest is noise, most of it
     where masks end. A row that fits far worse than the object stays out nevertheless: objects of real photos hold
-    pieces of what is beside them. No row's value depends on another object, so no scrap that fits well by chance hides
-    a thing.
+    pieces of what is beside them. Where its piece of the object has a higher value than the object that counts, so that
+    "bow" finds the bow of a doll; pieces: -1 for none. No row's value depends on another object, so no scrap that fits
+    well by chance hides a thing.
     """
-    whole = np.float32(1 - TRUST) * values + np.float32(TRUST) * highest_share(values, things)
+    spoken = highest_share(values, things)
+    spoken = np.where(pieces >= 0, np.maximum(spoken, highest_share(values, pieces)), spoken)
+    whole = np.float32(1 - TRUST) * values + np.float32(TRUST) * spoken
     return np.where(things >= 0, whole, values)
 
 
