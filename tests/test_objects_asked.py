@@ -13,8 +13,8 @@ from hypothesis.extra.numpy import arrays
 import drsplat as ds
 from drsplat import Answer, Query, Scene
 from drsplat.field.labels import LabelFile
-from drsplat.query import tasks
 from drsplat.field.objects import PART
+from drsplat.query import tasks
 from drsplat.query.wholes import by_object, highest_share
 from drsplat.query.wholes import with_objects as of_objects
 from known_objects import CENTERS, EACH, TEST, with_objects

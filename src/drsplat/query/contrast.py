@@ -24,6 +24,7 @@ LEAST_SPREAD = 1e-3
 LEVEL = 0.5  # relevancy of what fits as well as the list
 CLEAR_MARGIN, CLEARER = 0.45, 0.05  # spreads that a peak stands above the list: in MANY rows, and for each e-fold more
 CLEAR_OF_MANY = 0.5  # the first of these for lists of CROWD words and more
+CLEAR_OF_KIND = 0.6  # and for words of one kind, such as colours, of which a photo has nearly all a little
 MANY = 50_000
 OWN, UPPER = 0.6, 0.7  # of the threshold against the level of the list, and of the way from the middle to the peak
 TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..masks.crops import crop
 from .answer import Answer
-from .contrast import Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
+from .contrast import CLEAR_OF_KIND, Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .naming import doubt_of
 from .query import Cut, Query
@@ -200,7 +200,8 @@ class Measuring:
         if peak_score(scores) <= least:
             return float(values.max())
         if np.isfinite(least):
-            return relevancy_threshold(values)
+            of_kind = known is not self.background.contrast
+            return relevancy_threshold(values, clear_margin=CLEAR_OF_KIND if of_kind else known.clear_margin)
         return middle_threshold(values, clear_margin=known.clear_margin)
 
     def _contrasted(
