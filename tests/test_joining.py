@@ -192,6 +192,30 @@ def test_a_thing_is_taken_out_of_what_it_stands_on() -> None:
     assert join(known(pairs, [3000, 9000, 90_000]), np.full(3, UNSURE)) == []
 
 
+BOW = {(5, 0): (150, 30), (5, 4): (0, 120)}
+
+
+def test_what_lies_on_a_thing_hides_some_of_its_outline() -> None:
+    """A bow on the head that masks hold as a whole is no piece of the doll; its own outline counts for the doll's."""
+    pairs = HEAD | BODY | CHIN | BOW
+    (thing,) = join(known(pairs, [4500, 4500, 4500, 4500, 90_000, 600]), np.array([0.1] * 5 + [0.9], np.float32))
+    assert thing.members == [0, 1, 2, 3]
+    assert thing.relief == pytest.approx((2200 + 120) / (2200 + 120 + 150 + 30))
+
+
+def test_a_head_and_a_body_that_are_each_the_best_around_themselves_are_united() -> None:
+    """No single piece of the body makes the head stand out more, and none of the head the body."""
+    halves = {(0, 4): (60, 1000), (1, 4): (60, 1000), (0, 1): (700, 0), (2, 4): (60, 1000), (3, 4): (60, 1000),
+              (2, 3): (700, 0), (0, 2): (120, 0), (1, 3): (120, 0)}  # fmt: skip
+    found = known(halves, FOUR)
+    outlines, areas = Outlines.of(found), found.areas.astype(float)
+    free, most = np.array([True] * 4 + [False]), 40_000.0
+    head = refined(outlines, np.array([0, 1]), areas, free, most)
+    assert head.tolist() == [0, 1]
+    (thing,) = join(found, np.full(5, UNSURE))
+    assert thing.members == [0, 1, 2, 3]
+
+
 def test_what_stands_out_by_itself_stays_a_thing() -> None:
     """A bottle beside a laptop of two pieces, level with it at its foot: 1010 of 1140 pixels are in front."""
     laptop = {(0, 3): (30, 700), (1, 3): (40, 600), (0, 1): (600, 0)}
@@ -224,12 +248,12 @@ def test_refining_ends_where_no_single_change_helps(seed: int, count: int) -> No
     for piece in range(count):
         changed = np.setxor1d(ended, [piece])
         touches = outlines.level[[piece]][:, ended].sum() > 0 or piece in ended
-        if len(changed) and touches and areas[changed].sum() <= most and holds(outlines, changed):
+        if len(changed) and touches and areas[changed].sum() <= most and holds_by_counting(outlines, changed):
             assert outlines.relief(changed) <= outlines.relief(ended) + 1e-6
-    assert holds(outlines, ended)
+    assert outlines.holds(ended) == holds_by_counting(outlines, ended) is True
 
 
-def holds(outlines: Outlines, members: np.ndarray) -> bool:
+def holds_by_counting(outlines: Outlines, members: np.ndarray) -> bool:
     """Whether depth goes on along half of the borders between some pieces, counted one by one."""
     pairs = [(a, b) for a in members for b in members]
     level = sum(outlines.level[a, b] for a, b in pairs) / 2

@@ -6,6 +6,7 @@ surface: at the borders between them depth goes on, and around all of them it ju
 
 from collections import Counter
 from collections.abc import Iterator
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ ALONE = 0.85  # relief of a piece that stands out by itself, which is not joined
 FINISHED = 0.8  # share of a set: a piece of so much that stands out by itself is a thing, with things on it
 LARGE = 0.02  # share of a set: pieces that may not stand out more than all of it
 MAX_SHARE = 0.5  # of all pixels: what has more is the room
+MAX_UNITED = 16  # sets whose unions are looked at
 MIN_AREA = 200  # pixels, over all photos, of a piece that a set is grown from
 
 
@@ -35,41 +37,66 @@ class Joined(NamedTuple):
 def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
     """Return the disjoint sets of pieces that are one thing, by their first pieces.
 
-    From each piece, large ones first, a set is grown and refined (`standing_out`). Sets that `_is_thing` accepts are
-    taken by how much more they stand out than their pieces do, times their area. sure: how well single masks fit each
-    piece; pieces that masks hold as a whole (`WHOLE`) or that stand out by themselves (`ALONE`) are left as they are.
+    From each piece, large ones first, a set is grown and refined (`standing_out`), and so are unions of the best sets.
+    Those that are one thing are taken by how much more they stand out than their pieces do, times their area. sure: how
+    well single masks fit each piece; pieces that masks hold as a whole (`WHOLE`) or that stand out by themselves
+    (`ALONE`) are left as they are, also small ones that lie on a thing and hide some of its outline.
     """
     outlines, areas = Outlines.of(found), found.areas.astype(np.float64)
     free, most = (sure < WHOLE) & (outlines.reliefs < ALONE), MAX_SHARE * areas.sum()
     seeds = [seed for seed in np.argsort(-areas, kind="stable").tolist() if free[seed] and areas[seed] >= MIN_AREA]
-    things: dict[tuple[int, ...], float] = {}
+    candidates = _Candidates(outlines, areas, free, most)
     for seed in seeds:
-        members = refined(outlines, grown(outlines, seed, areas, free, most), areas, free, most)
-        if len(members) > 1 and _is_thing(outlines, members, areas):
-            things[tuple(members.tolist())] = _gain(outlines, members, areas) * float(areas[members].sum())
+        candidates.add(grown(outlines, seed, areas, free, most))
+    for one, other in combinations(candidates.best(MAX_UNITED), 2):  # a head and a body, each the best around itself
+        candidates.add(np.union1d(one, other))
     taken, joined = np.zeros(len(areas), bool), []
-    for members in sorted(things, key=lambda members: (-things[members], members)):
-        if not taken[list(members)].any():
-            taken[list(members)] = True
-            joined.append(Joined(list(members), outlines.relief(np.array(members))))
+    for covered in candidates.best():
+        members = covered[free[covered]]
+        if not taken[members].any():
+            taken[members] = True
+            joined.append(Joined(members.tolist(), outlines.relief(covered)))
     return sorted(joined)
 
 
-def _gain(outlines: Outlines, members: Int64[np.ndarray, " k"], areas: Float64[np.ndarray, " n"]) -> float:
-    """Return how much more the set stands out than its pieces do, in the mean by area."""
-    return outlines.relief(members) - float(outlines.reliefs[members] @ areas[members] / areas[members].sum())
+class _Candidates:
+    """Sets of pieces that are one thing, by how much more they stand out than their pieces do, times their area."""
 
+    def __init__(
+        self, outlines: Outlines, areas: Float64[np.ndarray, " n"], free: Bool[np.ndarray, " n"], most: float
+    ) -> None:
+        self.outlines, self.areas, self.free, self.most = outlines, areas, free, most
+        self.worth: dict[tuple[int, ...], float] = {}
 
-def _is_thing(outlines: Outlines, members: Int64[np.ndarray, " k"], areas: Float64[np.ndarray, " n"]) -> bool:
-    relief, reliefs = outlines.relief(members), outlines.reliefs[members]
-    shares = areas[members] / areas[members].sum()
-    finished = (shares >= FINISHED) & (reliefs >= RELIEF)
-    return (
-        relief >= RELIEF
-        and _gain(outlines, members, areas) >= GAIN
-        and not finished.any()
-        and not (reliefs[shares >= LARGE] > relief).any()
-    )
+    def add(self, members: Int64[np.ndarray, " k"]) -> None:
+        """Refine a set, and keep it if it is one thing."""
+        covered = refined(self.outlines, members, self.areas, self.free, self.most)
+        if self._is_thing(covered):
+            self.worth[tuple(covered.tolist())] = self._gain(covered) * float(self.areas[covered].sum())
+
+    def best(self, count: int | None = None) -> list[Int64[np.ndarray, " c"]]:
+        """Return the sets that are worth most, or all; of equal ones the one with the lowest numbers first."""
+        ordered = sorted(self.worth, key=lambda covered: (-self.worth[covered], covered))
+        return [np.array(covered) for covered in ordered[:count]]
+
+    def _gain(self, covered: Int64[np.ndarray, " c"]) -> float:
+        """Return how much more a set stands out than its pieces do, in the mean by area."""
+        areas = self.areas[covered]
+        return self.outlines.relief(covered) - float(self.outlines.reliefs[covered] @ areas / areas.sum())
+
+    def _is_thing(self, covered: Int64[np.ndarray, " c"]) -> bool:
+        members = covered[self.free[covered]]
+        relief, reliefs = self.outlines.relief(covered), self.outlines.reliefs[members]
+        shares = self.areas[members] / self.areas[covered].sum()
+        finished = (shares >= FINISHED) & (reliefs >= RELIEF)
+        return (
+            len(members) > 1
+            and relief >= RELIEF
+            and self.outlines.holds(covered)
+            and self._gain(covered) >= GAIN
+            and not finished.any()
+            and not (reliefs[shares >= LARGE] > relief).any()
+        )
 
 
 def with_joined(tree: Tree, found: list[Joined]) -> Tree:

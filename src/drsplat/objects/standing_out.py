@@ -16,6 +16,7 @@ from .borders import Borders
 GOES_ON = 0.5  # least share of the borders within a set along which depth goes on
 FEW = 30  # pixels of outline that a relief is held against
 MAX_PIECES = 100  # of a thing
+SMALL = 0.1  # share of a set: what is no piece of it may lie on it up to this size
 SLACK = 1e-9
 
 
@@ -55,10 +56,14 @@ class Outlines:
 
     def relief(self, members: Int64[np.ndarray, " k"]) -> float:
         """Return the relief of a set of pieces."""
-        inside = np.ix_(members, members)
         front = self.fronts[members].sum() - self.front[members][:, members].sum()
-        level = self.levels[members].sum() - self.level[inside].sum()
+        level = self.levels[members].sum() - self.level[members][:, members].sum()
         return float(relief(front, level))
+
+    def holds(self, members: Int64[np.ndarray, " k"]) -> bool:
+        """Return whether depth goes on along enough of the borders between the pieces of a set."""
+        level, front = self.level[members][:, members].sum() / 2, self.front[members][:, members].sum()
+        return bool(level >= GOES_ON * (level + front))
 
 
 def relief(front: Float64[np.ndarray, "*s"], level: Float64[np.ndarray, "*s"]) -> Float64[np.ndarray, "*s"]:
@@ -130,12 +135,13 @@ def grown(
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
     of many pieces stands out little until most of it is there. Along half of the borders within the returned set depth
-    goes on (`GOES_ON`). free: pieces that may be added. most: area of a set.
+    goes on (`GOES_ON`). free: pieces that may be added; of others those that are small in the set (`SMALL`), as a bow on
+    a doll, which is whole by itself and hides some of the doll's outline. most: area of a set.
     """
     growing = _Growing(outlines, np.array([seed]))
     order, size, best, length = [seed], areas[seed], growing.relief, 1
     while len(order) < MAX_PIECES:
-        open_ = free & ~growing.within & (growing.beside > 0) & (size + areas <= most)
+        open_ = _fitting(areas, free, size, most) & ~growing.within & (growing.beside > 0)
         if not open_.any():
             break
         piece = int(np.where(open_, growing.reliefs(), -1).argmax())
@@ -147,6 +153,13 @@ def grown(
     return np.sort(np.array(order[:length]))
 
 
+def _fitting(
+    areas: Float64[np.ndarray, " n"], free: Bool[np.ndarray, " n"], size: float, most: float
+) -> Bool[np.ndarray, " n"]:
+    """Return which pieces may be added to a set of some area."""
+    return np.asarray((free | (areas <= SMALL * (size + areas))) & (size + areas <= most))
+
+
 def refined(
     outlines: Outlines,
     members: Int64[np.ndarray, " k"],
@@ -156,11 +169,11 @@ def refined(
 ) -> Int64[np.ndarray, " k"]:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
-    Arguments are those of `grown`, and depth still goes on along half of the borders within.
+    Arguments are those of `grown`. No step is taken after which depth does not go on along half of the borders within.
     """
     growing, size = _Growing(outlines, members), areas[members].sum()
     for _ in range(4 * MAX_PIECES):
-        open_ = free & (growing.beside > 0) & (size + areas <= most)
+        open_ = _fitting(areas, free, size, most) & (growing.beside > 0)
         open_ = (open_ & ~growing.within | growing.within & (np.count_nonzero(growing.within) > 1)) & growing.holding()
         reliefs = np.where(open_, growing.reliefs(), -1)
         piece = int(reliefs.argmax())
