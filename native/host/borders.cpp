@@ -27,8 +27,7 @@ std::vector<size_t> best_of_both(int32_t count, const std::vector<Border> &borde
     const double reached = border.score + tolerance;
     if (border.score >= threshold && reached >= best[border.a] && reached >= best[border.b]) found.push_back(e);
   }
-  std::stable_sort(found.begin(), found.end(),
-                   [&](size_t x, size_t y) { return borders[x].score > borders[y].score; });
+  std::stable_sort(found.begin(), found.end(), [&](size_t x, size_t y) { return borders[x].score > borders[y].score; });
   return found;
 }
 

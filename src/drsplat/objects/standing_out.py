@@ -58,7 +58,7 @@ class Outlines:
         """Return the relief of a set of pieces."""
         front = self.fronts[members].sum() - self.front[members][:, members].sum()
         level = self.levels[members].sum() - self.level[members][:, members].sum()
-        return float(relief(front, level))
+        return float(relief(np.array(front), np.array(level)))
 
     def holds(self, members: Int64[np.ndarray, " k"]) -> bool:
         """Return whether depth goes on along enough of the borders between the pieces of a set."""
@@ -88,7 +88,7 @@ class _Growing:
 
     @property
     def relief(self) -> float:
-        return float(relief(np.float64(self.front), np.float64(self.level)))
+        return float(relief(np.array(self.front), np.array(self.level)))
 
     @property
     def holds(self) -> bool:
@@ -135,8 +135,8 @@ def grown(
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
     of many pieces stands out little until most of it is there. Along half of the borders within the returned set depth
-    goes on (`GOES_ON`). free: pieces that may be added; of others those that are small in the set (`SMALL`), as a bow on
-    a doll, which is whole by itself and hides some of the doll's outline. most: area of a set.
+    goes on (`GOES_ON`). free: pieces that may be added. Of others those that are small in the set may (`SMALL`): a bow
+    on a doll is whole by itself, and hides some of the doll's outline. most: area of a set.
     """
     growing = _Growing(outlines, np.array([seed]))
     order, size, best, length = [seed], areas[seed], growing.relief, 1

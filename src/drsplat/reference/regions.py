@@ -94,10 +94,9 @@ class _Growing:
         up, heaviest = list(range(len(self.votes))), list(range(len(self.votes)))
         for (a, b), score in sorted(scores.items(), key=lambda item: -item[1]):
             if score >= threshold and score + self.rule.tolerance >= max(best[a], best[b]):
-                roots = _root(up, a), _root(up, b)
-                ends = heaviest[roots[0]], heaviest[roots[1]]
-                if roots[0] != roots[1] and (ends == (a, b) or self._agree(*ends, threshold)):
-                    low, high = sorted(roots)
+                low, high = sorted((_root(up, a), _root(up, b)))
+                ends = heaviest[_root(up, a)], heaviest[_root(up, b)]
+                if low != high and (ends == (a, b) or self._agree(*ends, threshold)):
                     up[high] = low
                     heaviest[low] = ends[1] if self._mass(ends[1]) > self._mass(ends[0]) else ends[0]
         roots = sorted({_root(up, r) for r in range(len(up))})
