@@ -1,6 +1,7 @@
 """How much better a query fits than a list of words."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,19 @@ def test_a_peak_above_many_words_has_to_be_higher_than_one_above_few() -> None:
     few, many = (contrast_of(texts[:2], texts[:count]).clear_margin for count in (CROWD - 1, CROWD))
     assert (values > middle_threshold(values, clear_margin=few)).sum() == PEAK
     assert not (values > middle_threshold(values, clear_margin=many)).any()
+
+
+def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:
+    """One row in 3,000, of 10 to PEAK; above a short list PEAK in any scene."""
+    texts = np.eye(CROWD, dtype=np.float32)
+
+    def peak(words: int, rows: int) -> int:
+        known = contrast_of(texts[:2], texts[:words])
+        scores, best = (np.broadcast_to(array[:1], (rows, array.shape[1])) for array in (known.scores, known.words))
+        return replace(known, scores=scores, words=best).peak
+
+    assert [peak(CROWD, rows) for rows in (2, 30_000, 60_000, 120_000, 10**7)] == [10, 10, 20, PEAK, PEAK]
+    assert [peak(CROWD - 1, rows) for rows in (2, 60_000, 10**7)] == [PEAK] * 3
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 50])

@@ -166,7 +166,7 @@ def refined(
     areas: Float64[np.ndarray, " n"],
     free: Bool[np.ndarray, " n"],
     most: float,
-) -> Int64[np.ndarray, " k"]:
+) -> Int64[np.ndarray, " c"]:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
     Arguments are those of `grown`. No step is taken after which depth does not go on along half of the borders within.

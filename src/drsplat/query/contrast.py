@@ -27,6 +27,7 @@ CLEAR_OF_MANY = 0.5  # the first of these for lists of CROWD words and more
 CLEAR_OF_KIND = 0.6  # and for words of one kind, such as colours, of which a photo has nearly all a little
 MANY = 50_000
 OWN, UPPER = 0.6, 0.7  # of the threshold against the level of the list, and of the way from the middle to the peak
+PEAK_SHARE, LEAST_PEAK = 1 / 3000, 10  # of the rows: a peak above a long list, in scenes of less than 120,000 rows
 TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
 Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
@@ -51,6 +52,13 @@ class Contrast:
     def clear_margin(self) -> float:
         """Spreads that the peak of a query has to stand above the list. Of few words one often fits nearly as well."""
         return CLEAR_OF_MANY if len(self.vectors) >= CROWD else CLEAR_MARGIN
+
+    @property
+    def peak(self) -> int:
+        """Rows that have to stand above the list. Of long lists fewer in small scenes, whose things have fewer rows."""
+        if len(self.vectors) < CROWD:
+            return PEAK
+        return min(PEAK, max(LEAST_PEAK, round(PEAK_SHARE * len(self.scores))))
 
     def height(self, peak: int = PEAK) -> float:
         """The cosine that enough rows for a thing reach with a word of the list, whichever fits them best."""

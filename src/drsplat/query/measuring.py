@@ -202,7 +202,7 @@ class Measuring:
         if np.isfinite(least):
             of_kind = known is not self.background.contrast
             return relevancy_threshold(values, clear_margin=CLEAR_OF_KIND if of_kind else known.clear_margin)
-        return middle_threshold(values, clear_margin=known.clear_margin)
+        return middle_threshold(values, known.peak, known.clear_margin)
 
     def _contrasted(
         self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
