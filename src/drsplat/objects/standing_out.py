@@ -63,12 +63,17 @@ class Outlines:
     def holds(self, members: Int64[np.ndarray, " k"]) -> bool:
         """Return whether depth goes on along enough of the borders between the pieces of a set."""
         level, front = self.level[members][:, members].sum() / 2, self.front[members][:, members].sum()
-        return bool(level >= GOES_ON * (level + front))
+        return bool(goes_on(np.array(level), np.array(front)))
 
 
 def relief(front: Float64[np.ndarray, "*s"], level: Float64[np.ndarray, "*s"]) -> Float64[np.ndarray, "*s"]:
     """Share of an outline, from its pixels in front and those where depth goes on; near 0 for a few pixels."""
     return np.asarray(front / (front + level + FEW))
+
+
+def goes_on(level: Float64[np.ndarray, "*s"], front: Float64[np.ndarray, "*s"]) -> Bool[np.ndarray, "*s"]:
+    """Return whether borders hold a set together, from their pixels where depth goes on and where it jumps."""
+    return np.asarray(level >= GOES_ON * (level + front))
 
 
 class _Growing:
@@ -92,8 +97,8 @@ class _Growing:
 
     @property
     def holds(self) -> bool:
-        """Whether depth goes on along enough of the borders within."""
-        return self.inner_level >= GOES_ON * (self.inner_level + self.inner_front)
+        """True where depth goes on along enough of the borders within."""
+        return bool(goes_on(np.array(self.inner_level), np.array(self.inner_front)))
 
     def reliefs(self) -> Float64[np.ndarray, " n"]:
         """Return the relief of the set once each piece alone is added to it, or taken out of it."""
@@ -103,8 +108,8 @@ class _Growing:
 
     def holding(self) -> Bool[np.ndarray, " n"]:
         """Return for each of these sets whether depth goes on along enough of the borders within."""
-        level = self.inner_level + self._signs * self.beside
-        return np.asarray(level >= GOES_ON * (level + self.inner_front + self._signs * (self.before + self.behind)))
+        sign = self._signs
+        return goes_on(self.inner_level + sign * self.beside, self.inner_front + sign * (self.before + self.behind))
 
     @property
     def _signs(self) -> Float64[np.ndarray, " n"]:
