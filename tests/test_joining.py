@@ -14,7 +14,7 @@ from drsplat.field.objects import GROUP, PART, THING, check_forest
 from drsplat.objects.borders import Borders, borders
 from drsplat.objects.choosing import Tree
 from drsplat.objects.joining import RELIEF, Joined, join, with_joined
-from drsplat.objects.standing_out import Outlines, grown, refined
+from drsplat.objects.standing_out import FEW, Outlines, PieceSet, grown, refined
 from splat_captures import look_at
 
 SIZE = 200
@@ -208,10 +208,8 @@ def test_a_head_and_a_body_that_are_each_the_best_around_themselves_are_united()
     halves = {(0, 4): (60, 1000), (1, 4): (60, 1000), (0, 1): (700, 0), (2, 4): (60, 1000), (3, 4): (60, 1000),
               (2, 3): (700, 0), (0, 2): (120, 0), (1, 3): (120, 0)}  # fmt: skip
     found = known(halves, FOUR)
-    outlines, areas = Outlines.of(found), found.areas.astype(float)
-    free, most = np.array([True] * 4 + [False]), 40_000.0
-    head = refined(outlines, np.array([0, 1]), areas, free, most)
-    assert head.tolist() == [0, 1]
+    head = refined(Outlines.of(found), np.array([0, 1]), np.array([True] * 4 + [False]))
+    assert head.members.tolist() == [0, 1]
     (thing,) = join(found, np.full(5, UNSURE))
     assert thing.members == [0, 1, 2, 3]
 
@@ -229,9 +227,24 @@ def test_what_stands_out_by_itself_stays_a_thing() -> None:
 
 def test_relief_of_a_set_leaves_out_what_is_within() -> None:
     outlines = Outlines.of(known(DOLL, [4000, 3000, 3000, 90_000]))
-    members = np.array([0, 1, 2])
-    assert outlines.relief(members) == pytest.approx(2300 / 2460)
-    assert outlines.relief(np.array([0])) == pytest.approx(1000 / (1000 + 550 + 30)) == outlines.reliefs[0]
+    assert PieceSet(outlines, np.array([0, 1, 2])).relief == pytest.approx(2300 / 2460)
+    assert PieceSet(outlines, np.array([0])).relief == pytest.approx(1000 / (1000 + 550 + 30)) == outlines.reliefs[0]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 10), st.lists(st.integers(0, 9), max_size=30))
+def test_a_set_that_changes_is_the_set_counted_anew(seed: int, count: int, changes: list[int]) -> None:
+    outlines = Outlines.of(a_mesh(np.random.default_rng(seed), count))
+    changed, members = PieceSet(outlines, np.array([0])), {0}
+    for piece in changes:
+        if piece < count and members ^ {piece}:
+            changed.change(piece)
+            members ^= {piece}
+    assert changed.members.tolist() == sorted(members)
+    assert changed.area == outlines.areas[sorted(members)].sum()
+    front, level, inner_front, inner_level = counted(outlines, members)
+    assert changed.relief == front / (front + level + FEW)
+    assert changed.holds == (inner_level >= inner_front)
 
 
 @settings(max_examples=40, deadline=None)
@@ -239,25 +252,28 @@ def test_relief_of_a_set_leaves_out_what_is_within() -> None:
 def test_refining_ends_where_no_single_change_helps(seed: int, count: int) -> None:
     """Whatever set it begins with; and a set is never less than the seed that it is grown from."""
     rng = np.random.default_rng(seed)
-    found = a_mesh(rng, count)
-    outlines, areas = Outlines.of(found), found.areas.astype(float)
-    free, most = np.ones(count + 1, bool), float(areas[:-1].sum())
-    begun = grown(outlines, int(rng.integers(count)), areas, free, most)
-    ended = refined(outlines, begun, areas, free, most)
-    assert outlines.relief(ended) >= outlines.relief(begun) - 1e-9
+    outlines, free = Outlines.of(a_mesh(rng, count)), np.ones(count + 1, bool)
+    begun = PieceSet(outlines, grown(outlines, int(rng.integers(count)), free))
+    ended = refined(outlines, begun.members, free)
+    assert ended.holds
+    assert ended.relief >= begun.relief - 1e-9
     for piece in range(count):
-        changed = np.setxor1d(ended, [piece])
-        touches = outlines.level[[piece]][:, ended].sum() > 0 or piece in ended
-        if len(changed) and touches and areas[changed].sum() <= most and holds_by_counting(outlines, changed):
-            assert outlines.relief(changed) <= outlines.relief(ended) + 1e-6
-    assert outlines.holds(ended) == holds_by_counting(outlines, ended) is True
+        changed = PieceSet(outlines, np.setxor1d(ended.members, [piece]))
+        touches = ended.beside[piece] > 0 or ended.within[piece]
+        if len(changed.members) and touches and changed.holds:
+            assert changed.relief <= ended.relief + 1e-6
 
 
-def holds_by_counting(outlines: Outlines, members: np.ndarray) -> bool:
-    """Whether depth goes on along half of the borders between some pieces, counted one by one."""
-    pairs = [(a, b) for a in members for b in members]
-    level = sum(outlines.level[a, b] for a, b in pairs) / 2
-    return bool(level >= sum(outlines.front[a, b] for a, b in pairs))
+def counted(outlines: Outlines, members: set[int]) -> tuple[float, float, float, float]:
+    """Pixels of the outline of some pieces in front and level, and of the borders within, counted one by one."""
+    front, level = outlines.front.toarray(), outlines.level.toarray()
+    others = set(range(len(front))) - members
+    out = [(a, b) for a in members for b in others]
+    within = [(a, b) for a in members for b in members]
+    return (
+        sum(front[a, b] for a, b in out), sum(level[a, b] for a, b in out),
+        sum(front[a, b] for a, b in within), sum(level[a, b] for a, b in within) / 2,
+    )  # fmt: skip
 
 
 def a_mesh(rng: np.random.Generator, count: int) -> Borders:

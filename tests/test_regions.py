@@ -66,7 +66,7 @@ def a_link() -> tuple[csr_array, np.ndarray, np.ndarray]:
     dense = np.zeros((7, 7), np.float32)
     for view in range(3):
         dense[:3, 2 * view] = dense[4:, 2 * view + 1] = 10
-    dense[:3, 6] = dense[4:, 6] = 0.4
+    dense[:3, 6] = dense[4:, 6] = 0.02
     dense[3, 6] = 2.0
     return csr_array(dense), np.array([0, 0, 1, 1, 2, 2, 3], np.int32), np.tile(np.eye(2, dtype=np.float32)[:1], (7, 1))
 

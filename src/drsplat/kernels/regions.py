@@ -34,7 +34,7 @@ class MergeRule:
     tolerance: float = 0.02
     rounds: int = 2
     smallest: int = 30
-    linked: float = 0.5
+    linked: float = 0.25
 
 
 class Forest(NamedTuple):

@@ -11,19 +11,18 @@ from math import fsum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Int64
 
 from ..field.objects import PART, THING
 from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners
-from .standing_out import Outlines, grown, refined
+from .standing_out import Outlines, PieceSet, grown, refined
 
 RELIEF, GAIN = 0.7, 0.1  # least relief of a thing, and over the mean of its pieces by area
 WHOLE = 0.6  # sureness of what single masks hold as a whole, which is not joined
 ALONE = 0.85  # relief of a piece that stands out by itself, which is not joined
 FINISHED = 0.8  # share of a set: a piece of so much that stands out by itself is a thing, with things on it
 LARGE = 0.02  # share of a set: pieces that may not stand out more than all of it
-MAX_SHARE = 0.5  # of all pixels: what has more is the room
 MAX_UNITED = 16  # sets whose unions are looked at
 MIN_AREA = 200  # pixels, over all photos, of a piece that a set is grown from
 
@@ -43,60 +42,57 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
     well single masks fit each piece; pieces that masks hold as a whole (`WHOLE`) or that stand out by themselves
     (`ALONE`) are left as they are, also small ones that lie on a thing and hide some of its outline.
     """
-    outlines, areas = Outlines.of(found), found.areas.astype(np.float64)
-    free, most = (sure < WHOLE) & (outlines.reliefs < ALONE), MAX_SHARE * areas.sum()
-    seeds = [seed for seed in np.argsort(-areas, kind="stable").tolist() if free[seed] and areas[seed] >= MIN_AREA]
-    candidates = _Candidates(outlines, areas, free, most)
-    for seed in seeds:
-        candidates.add(grown(outlines, seed, areas, free, most))
+    outlines = Outlines.of(found)
+    free = (sure < WHOLE) & (outlines.reliefs < ALONE)
+    candidates = _Candidates(outlines, free)
+    for seed in np.argsort(-outlines.areas, kind="stable").tolist():
+        if free[seed] and outlines.areas[seed] >= MIN_AREA:
+            candidates.add(grown(outlines, seed, free))
     for one, other in combinations(candidates.best(MAX_UNITED), 2):  # a head and a body, each the best around itself
-        candidates.add(np.union1d(one, other))
-    taken, joined = np.zeros(len(areas), bool), []
-    for covered in candidates.best():
-        members = covered[free[covered]]
+        candidates.add(np.union1d(one.members, other.members))
+    taken, joined = np.zeros(len(free), bool), []
+    for best in candidates.best():
+        members = np.array(best.members)[free[best.members]]
         if not taken[members].any():
             taken[members] = True
-            joined.append(Joined(members.tolist(), outlines.relief(covered)))
+            joined.append(Joined(members.tolist(), best.relief))
     return sorted(joined)
 
 
 class _Candidates:
     """Sets of pieces that are one thing, by how much more they stand out than their pieces do, times their area."""
 
-    def __init__(
-        self, outlines: Outlines, areas: Float64[np.ndarray, " n"], free: Bool[np.ndarray, " n"], most: float
-    ) -> None:
-        self.outlines, self.areas, self.free, self.most = outlines, areas, free, most
-        self.worth: dict[tuple[int, ...], float] = {}
+    def __init__(self, outlines: Outlines, free: Bool[np.ndarray, " n"]) -> None:
+        self.outlines, self.free = outlines, free
+        self.found: dict[tuple[int, ...], tuple[float, float]] = {}  # what a set is worth, and its relief
 
     def add(self, members: Int64[np.ndarray, " k"]) -> None:
         """Refine a set, and keep it if it is one thing."""
-        covered = refined(self.outlines, members, self.areas, self.free, self.most)
+        covered = refined(self.outlines, members, self.free)
         if self._is_thing(covered):
-            self.worth[tuple(covered.tolist())] = self._gain(covered) * float(self.areas[covered].sum())
+            self.found[tuple(covered.members.tolist())] = self._gain(covered) * covered.area, covered.relief
 
-    def best(self, count: int | None = None) -> list[Int64[np.ndarray, " c"]]:
+    def best(self, count: int | None = None) -> list[Joined]:
         """Return the sets that are worth most, or all; of equal ones the one with the lowest numbers first."""
-        ordered = sorted(self.worth, key=lambda covered: (-self.worth[covered], covered))
-        return [np.array(covered) for covered in ordered[:count]]
+        ordered = sorted(self.found, key=lambda members: (-self.found[members][0], members))
+        return [Joined(list(members), self.found[members][1]) for members in ordered[:count]]
 
-    def _gain(self, covered: Int64[np.ndarray, " c"]) -> float:
+    def _gain(self, covered: PieceSet) -> float:
         """Return how much more a set stands out than its pieces do, in the mean by area; the same bits anywhere."""
-        areas = self.areas[covered]
-        return self.outlines.relief(covered) - fsum(self.outlines.reliefs[covered] * areas) / float(areas.sum())
+        members = covered.members
+        return covered.relief - fsum(self.outlines.reliefs[members] * self.outlines.areas[members]) / covered.area
 
-    def _is_thing(self, covered: Int64[np.ndarray, " c"]) -> bool:
-        members = covered[self.free[covered]]
-        relief, reliefs = self.outlines.relief(covered), self.outlines.reliefs[members]
-        shares = self.areas[members] / self.areas[covered].sum()
+    def _is_thing(self, covered: PieceSet) -> bool:
+        members = covered.members[self.free[covered.members]]
+        reliefs, shares = self.outlines.reliefs[members], self.outlines.areas[members] / covered.area
         finished = (shares >= FINISHED) & (reliefs >= RELIEF)
         return (
             len(members) > 1
-            and relief >= RELIEF
-            and self.outlines.holds(covered)
+            and covered.relief >= RELIEF
+            and covered.holds
             and self._gain(covered) >= GAIN
             and not finished.any()
-            and not (reliefs[shares >= LARGE] > relief).any()
+            and not (reliefs[shares >= LARGE] > covered.relief).any()
         )
 
 

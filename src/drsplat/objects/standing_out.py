@@ -16,28 +16,31 @@ from .borders import Borders
 GOES_ON = 0.5  # least share of the borders within a set along which depth goes on
 FEW = 30  # pixels of outline that a relief is held against
 MAX_PIECES = 100  # of a thing
+MAX_SHARE = 0.5  # of the area of all pieces: what has more is the room
 SMALL = 0.1  # share of a set: what is no piece of it may lie on it up to this size
 SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """Borders between all pieces, in pixels over all photos; whole numbers, so that sums are exact.
+    """Pieces and the borders between all of them, in pixels over all photos; whole numbers, so that sums are exact.
 
-    front: (n, n), where the piece of a row is in front of that of a column, depth jumping between them. back: its
-    transpose. level: (n, n), symmetric, where depth goes on.
+    areas: of each piece. front: (n, n), where the piece of a row is in front of that of a column, depth jumping between
+    them. back: its transpose. level: (n, n), symmetric, where depth goes on.
     """
 
+    areas: Float64[np.ndarray, " n"]
     front: csr_array
     back: csr_array
     level: csr_array
 
     @classmethod
     def of(cls, found: Borders) -> "Outlines":
+        """Return the outlines of pieces whose borders were found in photos."""
         shape = (len(found.areas),) * 2
         level = csr_array((found.levels.astype(np.float64), (found.front, found.back)), shape=shape)
         front = csr_array(((found.lengths - found.levels).astype(np.float64), (found.front, found.back)), shape=shape)
-        return cls(front, csr_array(front.T), csr_array(level + level.T))
+        return cls(found.areas.astype(np.float64), front, csr_array(front.T), csr_array(level + level.T))
 
     @cached_property
     def fronts(self) -> Float64[np.ndarray, " n"]:
@@ -52,47 +55,47 @@ class Outlines:
     @cached_property
     def reliefs(self) -> Float64[np.ndarray, " n"]:
         """Relief of each piece alone."""
-        return np.asarray(relief(self.fronts, self.levels))
+        return relief(self.fronts, self.levels)
 
-    def relief(self, members: Int64[np.ndarray, " k"]) -> float:
-        """Return the relief of a set of pieces."""
-        front = self.fronts[members].sum() - self.front[members][:, members].sum()
-        level = self.levels[members].sum() - self.level[members][:, members].sum()
-        return float(relief(np.array(front), np.array(level)))
-
-    def holds(self, members: Int64[np.ndarray, " k"]) -> bool:
-        """Return whether depth goes on along enough of the borders between the pieces of a set."""
-        level, front = self.level[members][:, members].sum() / 2, self.front[members][:, members].sum()
-        return bool(goes_on(np.array(level), np.array(front)))
+    @cached_property
+    def largest(self) -> float:
+        """Pixels that a set may have at most."""
+        return MAX_SHARE * float(self.areas.sum())
 
 
-def relief(front: Float64[np.ndarray, "*s"], level: Float64[np.ndarray, "*s"]) -> Float64[np.ndarray, "*s"]:
-    """Share of an outline, from its pixels in front and those where depth goes on; near 0 for a few pixels."""
+def relief(front: Float64[np.ndarray, " *s"], level: Float64[np.ndarray, " *s"]) -> Float64[np.ndarray, " *s"]:
+    """Return the relief of an outline, from its pixels in front and those where depth goes on; near 0 for a few."""
     return np.asarray(front / (front + level + FEW))
 
 
-def goes_on(level: Float64[np.ndarray, "*s"], front: Float64[np.ndarray, "*s"]) -> Bool[np.ndarray, "*s"]:
+def goes_on(level: Float64[np.ndarray, " *s"], front: Float64[np.ndarray, " *s"]) -> Bool[np.ndarray, " *s"]:
     """Return whether borders hold a set together, from their pixels where depth goes on and where it jumps."""
     return np.asarray(level >= GOES_ON * (level + front))
 
 
-class _Growing:
-    """A set of pieces, and of each piece what of its border is with the set."""
+class PieceSet:
+    """A set of pieces that can be added to and taken from, with its outline and the borders within it.
+
+    before, behind, beside: pixels of the border of each piece with the set where the piece is in front of the set,
+    where it is behind the set, and where depth goes on.
+    """
 
     def __init__(self, outlines: Outlines, members: Int64[np.ndarray, " k"]) -> None:
         self.outlines = outlines
-        self.within = np.zeros(len(outlines.fronts), bool)
+        self.within = np.zeros(len(outlines.areas), bool)
         self.before, self.behind, self.beside = (np.zeros(len(self.within)) for _ in range(3))
-        self.front = self.level = self.inner_front = self.inner_level = 0.0
+        self.area = self.front = self.level = self.inner_front = self.inner_level = 0.0
         for piece in members.tolist():
             self.change(piece)
 
     @property
     def members(self) -> Int64[np.ndarray, " k"]:
+        """Numbers of the pieces, ascending."""
         return np.flatnonzero(self.within)
 
     @property
     def relief(self) -> float:
+        """Relief of all pieces together."""
         return float(relief(np.array(self.front), np.array(self.level)))
 
     @property
@@ -100,90 +103,88 @@ class _Growing:
         """True where depth goes on along enough of the borders within."""
         return bool(goes_on(np.array(self.inner_level), np.array(self.inner_front)))
 
-    def reliefs(self) -> Float64[np.ndarray, " n"]:
+    def changes(self, free: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " c"]:
+        """Return the pieces that may be added or taken out: pieces of the set, and what depth goes on to from it.
+
+        free: pieces that may be added. Of others those that are small in the set may (`SMALL`): a bow on a doll is
+        whole by itself, and hides some of the doll's outline. Nothing is added that makes the set too large.
+        """
+        pieces = np.flatnonzero(self.within | (self.beside > 0))
+        areas, within = self.outlines.areas[pieces], self.within[pieces]
+        together = self.area + areas
+        fits = (free[pieces] | (areas <= SMALL * together)) & (together <= self.outlines.largest)
+        return pieces[within | fits]
+
+    def reliefs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
         """Return the relief of the set once each piece alone is added to it, or taken out of it."""
-        sign = self._signs
-        front = self.front + sign * (self.outlines.fronts - self.behind - self.before)
-        return relief(front, self.level + sign * (self.outlines.levels - 2 * self.beside))
+        sign = self._signs(pieces)
+        front = self.outlines.fronts[pieces] - self.behind[pieces] - self.before[pieces]
+        level = self.outlines.levels[pieces] - 2 * self.beside[pieces]
+        return relief(self.front + sign * front, self.level + sign * level)
 
-    def holding(self) -> Bool[np.ndarray, " n"]:
+    def holding(self, pieces: Int64[np.ndarray, " c"]) -> Bool[np.ndarray, " c"]:
         """Return for each of these sets whether depth goes on along enough of the borders within."""
-        sign = self._signs
-        return goes_on(self.inner_level + sign * self.beside, self.inner_front + sign * (self.before + self.behind))
-
-    @property
-    def _signs(self) -> Float64[np.ndarray, " n"]:
-        return np.where(self.within, -1.0, 1.0)
+        sign = self._signs(pieces)
+        jumps = self.before[pieces] + self.behind[pieces]
+        return goes_on(self.inner_level + sign * self.beside[pieces], self.inner_front + sign * jumps)
 
     def change(self, piece: int) -> None:
         """Add a piece, or take it out."""
-        sign = float(self._signs[piece])
+        sign = -1.0 if self.within[piece] else 1.0
         before, behind, beside = self.before[piece], self.behind[piece], self.beside[piece]
+        self.area += sign * float(self.outlines.areas[piece])
         self.front += sign * float(self.outlines.fronts[piece] - behind - before)
         self.level += sign * float(self.outlines.levels[piece] - 2 * beside)
         self.inner_front += sign * float(before + behind)
         self.inner_level += sign * float(beside)
         for sums, rows in (
-            (self.before, self.outlines.front),
-            (self.behind, self.outlines.back),
+            (self.before, self.outlines.back),
+            (self.behind, self.outlines.front),
             (self.beside, self.outlines.level),
         ):
             part = slice(rows.indptr[piece], rows.indptr[piece + 1])
             sums[rows.indices[part]] += sign * rows.data[part]
         self.within[piece] ^= True
 
+    def _signs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
+        return np.where(self.within[pieces], -1.0, 1.0)
 
-def grown(
-    outlines: Outlines, seed: int, areas: Float64[np.ndarray, " n"], free: Bool[np.ndarray, " n"], most: float
-) -> Int64[np.ndarray, " k"]:
+
+def grown(outlines: Outlines, seed: int, free: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " k"]:
     """Return the set that stands out most of those that come about as pieces are added to a seed, best first.
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
     of many pieces stands out little until most of it is there. Along half of the borders within the returned set depth
-    goes on (`GOES_ON`). free: pieces that may be added. Of others those that are small in the set may (`SMALL`): a bow
-    on a doll is whole by itself, and hides some of the doll's outline. most: area of a set.
+    goes on (`GOES_ON`). free: see `PieceSet.changes`.
     """
-    growing = _Growing(outlines, np.array([seed]))
-    order, size, best, length = [seed], areas[seed], growing.relief, 1
+    growing = PieceSet(outlines, np.array([seed]))
+    order, best, length = [seed], growing.relief, 1
     while len(order) < MAX_PIECES:
-        open_ = _fitting(areas, free, size, most) & ~growing.within & (growing.beside > 0)
-        if not open_.any():
+        pieces = growing.changes(free)
+        pieces = pieces[~growing.within[pieces]]
+        if not len(pieces):
             break
-        piece = int(np.where(open_, growing.reliefs(), -1).argmax())
+        piece = int(pieces[growing.reliefs(pieces).argmax()])
         growing.change(piece)
         order.append(piece)
-        size += areas[piece]
         if growing.relief > best and growing.holds:
             best, length = growing.relief, len(order)
     return np.sort(np.array(order[:length]))
 
 
-def _fitting(
-    areas: Float64[np.ndarray, " n"], free: Bool[np.ndarray, " n"], size: float, most: float
-) -> Bool[np.ndarray, " n"]:
-    """Return which pieces may be added to a set of some area."""
-    return np.asarray((free | (areas <= SMALL * (size + areas))) & (size + areas <= most))
-
-
-def refined(
-    outlines: Outlines,
-    members: Int64[np.ndarray, " k"],
-    areas: Float64[np.ndarray, " n"],
-    free: Bool[np.ndarray, " n"],
-    most: float,
-) -> Int64[np.ndarray, " c"]:
+def refined(outlines: Outlines, members: Int64[np.ndarray, " k"], free: Bool[np.ndarray, " n"]) -> PieceSet:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
-    Arguments are those of `grown`. No step is taken after which depth does not go on along half of the borders within.
+    No step is taken after which depth does not go on along half of the borders within. free: see `PieceSet.changes`.
     """
-    growing, size = _Growing(outlines, members), areas[members].sum()
+    growing = PieceSet(outlines, members)
     for _ in range(4 * MAX_PIECES):
-        open_ = _fitting(areas, free, size, most) & (growing.beside > 0)
-        open_ = (open_ & ~growing.within | growing.within & (np.count_nonzero(growing.within) > 1)) & growing.holding()
-        reliefs = np.where(open_, growing.reliefs(), -1)
-        piece = int(reliefs.argmax())
-        if reliefs[piece] <= growing.relief + SLACK:
+        pieces = growing.changes(free)
+        if np.count_nonzero(growing.within) == 1:
+            pieces = pieces[~growing.within[pieces]]
+        pieces = pieces[growing.holding(pieces)]
+        reliefs = growing.reliefs(pieces)
+        if not len(pieces) or reliefs.max() <= growing.relief + SLACK:
             break
-        size += -areas[piece] if growing.within[piece] else areas[piece]
-        growing.change(piece)
-    return growing.members
+        growing.change(int(pieces[reliefs.argmax()]))
+    return growing

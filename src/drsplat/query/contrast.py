@@ -39,7 +39,7 @@ class Contrast:
 
     vectors: their unit embeddings. usual: the mean picture, times TILT. spread: standard deviation of cosines of words
     with pictures once the means of both are taken off: the unit of margins. scores, words: per row the best of the
-    list, best first, and which ones they are.
+    list, best first, and which ones they are. of_kind: the words are of one kind, such as colours, and no broad list.
     """
 
     vectors: Float32[np.ndarray, "n D"]
@@ -47,10 +47,13 @@ class Contrast:
     spread: float
     scores: Float32[np.ndarray, "r t"]
     words: UInt16[np.ndarray, "r t"]
+    of_kind: bool = False
 
     @property
     def clear_margin(self) -> float:
         """Spreads that the peak of a query has to stand above the list. Of few words one often fits nearly as well."""
+        if self.of_kind:
+            return CLEAR_OF_KIND
         return CLEAR_OF_MANY if len(self.vectors) >= CROWD else CLEAR_MARGIN
 
     @property
@@ -87,7 +90,7 @@ class Contrast:
         return bool(to_words > to_pictures)
 
     def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
-        """What the words reach at other unit features, held against the same pictures."""
+        """Return what the words reach at other unit features, held against the same pictures."""
         scores, words = _best_words(self.vectors, self.usual, len(features), lambda some: some @ features.T)
         return replace(self, scores=scores, words=words)
 
@@ -122,14 +125,16 @@ def contrast_of_kind(field: LanguageField, vectors: Float32[np.ndarray, "n D"], 
 
     What is usual counts half for them too: a scene of greys in all lights takes some of its black and white for grey.
     """
-    return _contrast(field, vectors, threads)
+    return replace(_contrast(field, vectors, threads), of_kind=True)
 
 
-def contrast_of(features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"]) -> Contrast:
-    """The same of unit features without a field, which are the pictures as well."""
+def contrast_of(
+    features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], *, of_kind: bool = False
+) -> Contrast:
+    """Score words at unit features without a field; the features are the pictures of the scene as well."""
     usual, spread = _usual(features, vectors)
     scores, words = _best_words(vectors, usual, len(features), lambda some: some @ features.T)
-    return Contrast(vectors, usual, spread, scores, words)
+    return Contrast(vectors, usual, spread, scores, words, of_kind)
 
 
 def relevancy_threshold(

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..masks.crops import crop
 from .answer import Answer
-from .contrast import CLEAR_OF_KIND, Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
+from .contrast import Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .naming import doubt_of
 from .query import Cut, Query
@@ -52,18 +52,18 @@ class Background:
 
     @cached_property
     def kept_contrast(self) -> Contrast | None:
-        """Of the list that the field keeps: no encoder is needed for it."""
+        """The list that the field keeps, scored: no encoder is needed for it."""
         kept = self.field.contrast
         return None if kept is None else contrast(self.field, kept.embeddings, threads=self.threads)
 
     @cached_property
     def contrast(self) -> Contrast | None:
-        """What a list of words reaches at each Gaussian; None where no list is known."""
+        """A list of words, scored at each Gaussian; None where no list is known."""
         vectors = list_vectors(self.encoder)
         return contrast(self.field, vectors, threads=self.threads) if len(vectors) else None
 
     def contrast_for(self, text: str | None) -> Contrast | None:
-        """What a text competes with: the words of its own kind where the encoder says so, else a list of words."""
+        """Return what a text competes with: words of its own kind where the encoder says so, else a list of words."""
         if self.kept_contrast is not None:
             return self.kept_contrast
         rivals = rival_vectors(self.encoder, text)
@@ -190,7 +190,7 @@ class Measuring:
     def _list_threshold(
         self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
     ) -> float:
-        """As relevancies have it, or the highest where cosines are too low for this scene.
+        """Return the threshold of values that were compared with a list; the highest where cosines are too low.
 
         An encoder with a least peak knows few words, which lie far apart: what fits better than all of them is meant.
         """
@@ -200,8 +200,7 @@ class Measuring:
         if peak_score(scores) <= least:
             return float(values.max())
         if np.isfinite(least):
-            of_kind = known is not self.background.contrast
-            return relevancy_threshold(values, clear_margin=CLEAR_OF_KIND if of_kind else known.clear_margin)
+            return relevancy_threshold(values, clear_margin=known.clear_margin)
         return middle_threshold(values, known.peak, known.clear_margin)
 
     def _contrasted(

@@ -128,34 +128,37 @@ class Surroundings:
         if own is not None:
             return cosines, COSINE, threshold_above(cosines, own, CUT_OF_OBJECTS, peak=ONE), ENCODER
         text = None if query.text is None else split_negation(query.text)[0]
-        contrasted = None if text is None else self._contrasted(text, vector, objects, cosines)
-        if contrasted is not None:
-            return contrasted, RELEVANCY, self._list_threshold(cosines, contrasted), LIST
+        known = None if text is None else self._contrast_for(text)
+        contrasted = None if known is None else self._contrasted(known, vector, objects, cosines)
+        if known is not None and contrasted is not None:
+            return contrasted, RELEVANCY, self._list_threshold(known, cosines, contrasted), LIST
         return cosines, COSINE, self._automatic(vector, cosines), AUTO
 
-    def _contrasted(
-        self, text: str, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
-    ) -> Float32[np.ndarray, " o"] | None:
+    def _contrast_for(self, text: str) -> Contrast | None:
+        """Return what a text competes with: words of its own kind where the encoder says so, else a list of words."""
         rivals = rival_vectors(self.encoder, text)
-        known = self.contrast if rivals is None or not len(self.usual) else contrast_of(self.usual, rivals)
-        values = (
-            None if known is None else known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
-        )
+        if rivals is None or not len(self.usual):
+            return self.contrast
+        return contrast_of(self.usual, rivals, of_kind=True)
+
+    def _contrasted(
+        self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
+    ) -> Float32[np.ndarray, " o"] | None:
+        values = known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
         if values is None:
             return None
         values = objects.best(values)
-        return whole(cosines, values, ONE) if rivals is None and np.isfinite(self._least) else values
+        is_sum = np.isfinite(least_peak(self.encoder, known, ONE)) and not known.of_kind
+        return whole(cosines, values, ONE) if is_sum else values
 
-    @cached_property
-    def _least(self) -> float:
-        return least_peak(self.encoder, self.contrast, ONE)
-
-    def _list_threshold(self, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"]) -> float:
-        """As relevancies have it, or the highest where nothing stands out, or no cosine is high enough."""
-        least = relevancy_threshold(values, ONE)
+    def _list_threshold(
+        self, known: Contrast, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"]
+    ) -> float:
+        """Return the threshold; the highest value where nothing stands out, or no cosine is high enough."""
+        least = relevancy_threshold(values, ONE, known.clear_margin)
         if not len(values) or least != RELEVANCY_THRESHOLD:
             return least
-        if cosines.max() <= self._least:
+        if cosines.max() <= least_peak(self.encoder, known, ONE):
             return float(values.max())
         return threshold_above(values, LEAST_OF_OBJECTS, CUT_OF_OBJECTS, peak=ONE)
 

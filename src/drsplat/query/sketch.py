@@ -211,13 +211,13 @@ class _Usual(Background):
         return None if kept is None else self._of_list(kept.embeddings)
 
     def contrast_of_kind(self, vectors: Float32[np.ndarray, "n D"]) -> Contrast:
-        return self._of_list(vectors)
+        return self._of_list(vectors, of_kind=True)
 
-    def _of_list(self, words: Float32[np.ndarray, "n D"]) -> Contrast:
+    def _of_list(self, words: Float32[np.ndarray, "n D"], *, of_kind: bool = False) -> Contrast:
         code, evidence = self.field.code, self.field.evidence
         assert isinstance(code, _Copies)
         assert evidence is not None
-        known = contrast_of(evidence.embeddings, words).at(code.vectors)
+        known = contrast_of(evidence.embeddings, words, of_kind=of_kind).at(code.vectors)
         return replace(known, scores=known.scores[code.of_row], words=known.words[code.of_row])
 
 
