@@ -15,7 +15,7 @@ from drsplat import Answer, Query, Scene
 from drsplat.field.labels import LabelFile
 from drsplat.field.objects import PART
 from drsplat.query import tasks
-from drsplat.query.wholes import by_object, highest_share
+from drsplat.query.wholes import by_object, for_comparing, highest_share
 from drsplat.query.wholes import with_objects as of_objects
 from known_objects import CENTERS, EACH, TEST, with_objects
 
@@ -91,6 +91,23 @@ def test_pieces_are_right_below_their_thing(scene: Scene) -> None:
             node = int(objects.parents[node])
         parts = [node for node in way if objects.levels[node] == PART]
         assert pieces[row] == (parts[-1] if parts and things[row] >= 0 else -1)
+
+
+def test_parts_of_a_thing_of_nothing_else_choose_their_classes_for_themselves(scene: Scene) -> None:
+    """Box 0 is its two halves; once some rows are in no half, it has one mean."""
+    objects = scene.field.objects
+    thing, (one, other) = objects.things[0], np.flatnonzero(objects.parents == objects.things[0])
+    values = np.arange(len(scene.field), dtype=np.float32)
+    halves = [objects.node_of == node for node in (one, other)]
+    got = for_comparing(scene.field, values)
+    for half in halves:
+        np.testing.assert_allclose(got[half], values[half].mean(), rtol=1e-6)
+    node_of = objects.node_of.copy()
+    node_of[:100] = thing
+    whole = replace(scene.field, objects=replace(objects, node_of=node_of))
+    assert (whole.objects.single_of()[:EACH] == thing).all()
+    np.testing.assert_allclose(for_comparing(whole, values)[:EACH], values[:EACH].mean(), rtol=1e-6)
+    np.testing.assert_array_equal(for_comparing(replace(scene.field, objects=None), values), values)
 
 
 def test_a_field_without_objects_has_the_values_themselves(scene: Scene) -> None:

@@ -111,9 +111,23 @@ class Objects:
 
     def piece_of(self) -> Int32[np.ndarray, " R"]:
         """Return per row of the field the part right below a thing that it belongs to, -1 for none."""
-        nodes = np.arange(self.num_nodes, dtype=np.int32)
-        below = (self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING)
-        return self._by_row(self._handed_down(np.where(below, nodes, np.int32(-1))), np.int32(-1))
+        return self._belonging(self._right_below)
+
+    def single_of(self) -> Int32[np.ndarray, " R"]:
+        """Return per row of the field the node that answers as one: its thing, or the part right below a thing that is
+        nothing but its parts, as what was joined from pieces is. -1 for loose rows."""
+        has_own = np.bincount(self.node_of[self.node_of >= 0], minlength=self.num_nodes) > 0
+        return self._belonging((self.levels == THING) & has_own | self._right_below & ~has_own[self.parents])
+
+    @property
+    def _right_below(self) -> Bool[np.ndarray, " T"]:
+        """Parts of a thing that are no parts of another part."""
+        return np.asarray((self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING))
+
+    def _belonging(self, chosen: Bool[np.ndarray, " T"]) -> Int32[np.ndarray, " R"]:
+        """Return per row the chosen node that it belongs to, -1 for none."""
+        nodes = np.where(chosen, np.arange(self.num_nodes, dtype=np.int32), np.int32(-1))
+        return self._by_row(self._handed_down(nodes), np.int32(-1))
 
     def rows(self, node: int) -> Int64[np.ndarray, " r"]:
         """Rows of the field in a node and in all below it, ascending.

@@ -40,26 +40,28 @@ def for_comparing(
     """Return values per row by which classes are compared, of which one has to be the best: an object has its mean.
 
     Of cosines, with their unit query, it is the mean of that and of the cosine with the object's best descriptor, which
-    the masks that hold nothing else have most part in. Loose rows keep their own.
+    the masks that hold nothing else have most part in. Of a thing that is nothing but its parts, as what was joined
+    from pieces is, each part chooses for itself: one surface may be of two classes. Loose rows keep their own.
     """
     if field.objects is None or not len(values):
         return values
-    numbers = field.objects.thing_of() + 1  # 0: loose
-    means = np.bincount(numbers, values, minlength=1) / np.maximum(np.bincount(numbers, minlength=1), 1)
+    numbers = field.objects.single_of() + 1  # 0: loose
+    count = field.objects.num_nodes + 1
+    means = np.bincount(numbers, values, minlength=count) / np.maximum(np.bincount(numbers, minlength=count), 1)
     if query is not None:
-        means[1:] = (means[1:] + _best_descriptors(field.objects, query)[: len(means) - 1]) / 2
+        means[1:] = (means[1:] + _best_descriptors(field.objects, query)) / 2
     return np.where(numbers > 0, means.astype(np.float32)[numbers], values)
 
 
-def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " o"]:
-    """Return per object the highest cosine of a query with one of its descriptors."""
+def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " T"]:
+    """Return per node the highest cosine of a query with one of its descriptors."""
     cosines = objects.descriptors @ (query / np.linalg.norm(query))
     starts = objects.descriptor_starts
     best = np.full(objects.num_nodes, -1, np.float32)
     (some,) = np.nonzero(np.diff(starts))
     if len(some):
         best[some] = np.maximum.reduceat(cosines, starts[some])
-    return np.asarray(best[objects.things])
+    return best
 
 
 def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
