@@ -93,6 +93,20 @@ def test_the_built_in_encoder_finds_what_it_names_and_nothing_else() -> None:
     assert not any(ranked(encoder, Query("red vase"), objects(*weak[1:3, None]), vectors)[1])
 
 
+def test_a_colour_has_to_stand_as_clearly_above_the_others_as_in_a_scene() -> None:
+    """What is red and a little pink is red; where it is 0.45 to 0.6 spreads above pink, neither is said."""
+    encoder, selected = MiniEncoder(), {}
+    red, pink, blue = encoder.encode_texts([f"something {color}" for color in ("red", "pink", "blue")])
+    for share in np.linspace(0, 1, 41):
+        pictures = np.stack([red + share * pink, blue]).astype(np.float32)
+        pictures /= np.linalg.norm(pictures, axis=1, keepdims=True)
+        values, meant = ranked(encoder, Query("something red"), objects(*pictures[:, None]), pictures)
+        selected[float(np.log(values[0] / (1 - values[0])))] = meant
+    assert [True, False] in [meant for margin, meant in selected.items() if margin > 0.6]
+    assert not any(any(meant) for margin, meant in selected.items() if 0.45 < margin < 0.6)
+    assert any(0.45 < margin < 0.6 for margin in selected)
+
+
 def test_relevancy() -> None:
     words = WordEncoder().encode_texts(["red mug", "lamp", "stuff"])
     described = objects(*words[:, None])

@@ -255,7 +255,7 @@ class Objects:
 def check_forest(
     node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"], levels: UInt8[np.ndarray, " T"]
 ) -> None:
-    """Whether nodes stand after all that is in them, and levels grow on the way up.
+    """Check that nodes stand after all that is in them, and that levels grow on the way up.
 
     Raises: InputError.
     """

@@ -181,7 +181,7 @@ class Measuring:
         if own is not None:
             return self._measured(query, scores, (own, ENCODER))
         known = None if self.cut.measures_relevancy else self.background.contrast_for(text)
-        values = None if known is None else self._contrasted(known, query, scores, text)
+        values = None if known is None else self._contrasted(known, query, scores)
         if known is None or values is None:
             return self._measured(query, scores, (None, AUTO))
         default = self._list_threshold(known, scores, values), LIST
@@ -204,12 +204,14 @@ class Measuring:
         return middle_threshold(values, known.peak, known.clear_margin)
 
     def _contrasted(
-        self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
+        self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
     ) -> Float32[np.ndarray, " r"] | None:
-        """`whole` only of encoders whose texts are sums of words, see `least_peak`; a colour has no halves."""
-        background = self.background
+        """Return relevancies, `whole` where the texts of an encoder are sums of words; None where nothing compares.
+
+        See `least_peak`. A colour has no halves.
+        """
         values = known.relevancy(query, scores)
-        is_sum = np.isfinite(background.least_peak) and rival_vectors(background.encoder, text) is None
+        is_sum = np.isfinite(self.background.least_peak) and not known.of_kind
         return whole(scores, values) if values is not None and is_sum else values
 
     def _measured(
@@ -256,7 +258,7 @@ class Measuring:
 
 
 def own_threshold(encoder: Encoder) -> float | None:
-    """Of an encoder whose cosines mean something, and which is not to be contrasted with a list."""
+    """Return the threshold of an encoder whose cosines mean something, and which needs no list to be held against."""
     return None if hasattr(encoder, "nouns") else getattr(encoder, "threshold", None)
 
 

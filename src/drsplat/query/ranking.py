@@ -38,12 +38,12 @@ class Described:
 
     @classmethod
     def of(cls, parts: Sequence[Float32[np.ndarray, "_ D"]], dim: int) -> "Described":
-        """Of the descriptors of each object."""
+        """Return objects from the descriptors of each; `dim` numbers each."""
         rows = np.concatenate([np.empty((0, dim), np.float32), *parts])
         return cls(rows, np.append(0, np.cumsum([len(part) for part in parts], dtype=np.int64)))
 
     def best(self, values: Float32[np.ndarray, " P"]) -> Float32[np.ndarray, " o"]:
-        """Of values of descriptors the highest of each object."""
+        """Return the highest of each object's values of descriptors."""
         if len(self.starts) < 2:
             return np.empty(0, np.float32)
         return np.asarray(np.maximum.reduceat(values, self.starts[:-1]), np.float32)
@@ -64,7 +64,7 @@ class Ranked(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What objects are held against. source: makes the encoder of queries; raises where there is none.
+    """Everything that objects are held against. source: makes the encoder of queries; raises where there is none.
 
     embedded: who made the descriptors. usual: unit descriptors spread over all objects.
     """
@@ -81,7 +81,7 @@ class Surroundings:
 
     @cached_property
     def contrast(self) -> Contrast | None:
-        """What a list of words reaches; None where no list is known."""
+        """A list of words, scored at the usual descriptors; None where no list is known."""
         vectors = list_vectors(self.encoder)
         return contrast_of(self.usual, vectors) if len(vectors) and len(self.usual) else None
 
