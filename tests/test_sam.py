@@ -16,7 +16,15 @@ from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraEr
 from drsplat.masks.masks import LEVELS, Segmenter, cut_masks
 from drsplat.masks.selection import mask_maps
 from drsplat.models import sam
-from drsplat.models.mask_geometry import box_nms, crop_boxes, cut_by_crop, point_grid, without_small_regions
+from drsplat.models.mask_geometry import (
+    box_nms,
+    crop_boxes,
+    cut_by_crop,
+    open_points,
+    point_grid,
+    spread,
+    without_small_regions,
+)
 from drsplat.models.point_masks import Found, PointMaskSettings, PointSegmenter
 
 # --- where points are asked, which boxes and regions stay -----------------------------------------
@@ -211,6 +219,52 @@ def test_crops_are_asked_and_their_masks_put_in_place():
     assert predictor.asked[1] == ((80, 120), 16)
 
 
+def test_coarse_to_fine_finds_what_a_fine_grid_finds_and_asks_less():
+    shapes = [(5, 5, 45, 45), (60, 5, 110, 100), (130, 40, 190, 110), (150, 8, 156, 13)]
+    settings = replace(NO_CROPS, points_per_side=32, min_region=0)
+    grid, rounds = Drawn(*shapes), Drawn(*shapes)
+    expected = PointSegmenter(grid, settings).segment(placed(120, 200))
+    levels = PointSegmenter(rounds, replace(settings, first_points_per_side=4)).segment(placed(120, 200))
+    assert boxes_of(levels) == boxes_of(expected) == dict.fromkeys(LEVELS, sorted(shapes))
+    assert rounds.asked[0] == ((120, 200), 16)
+    assert len(rounds.asked) == 4  # 4, 8, 16 and 32 a side
+    assert sum(count for _, count in rounds.asked) < 0.8 * sum(count for _, count in grid.asked)
+
+
+def test_what_a_part_explains_is_not_asked_again_and_what_only_a_group_does_is():
+    inner, outer = (0, 0, 100, 120), (0, 0, 200, 120)
+    parts, groups = Drawn(inner, outer), Drawn(inner, outer, scores=(0.1, 0.9, 0.9))
+    settings = replace(NO_CROPS, points_per_side=4, first_points_per_side=2)
+    PointSegmenter(parts, settings).segment(placed(120, 200))
+    assert parts.asked == [((120, 200), 4)]
+    PointSegmenter(groups, settings).segment(placed(120, 200))
+    assert groups.asked == [((120, 200), 4), ((120, 200), 16)]
+
+
+def test_no_more_points_are_asked_than_allowed_and_they_are_spread():
+    nothing = Drawn()
+    settings = replace(NO_CROPS, points_per_side=16, first_points_per_side=4, most_points=50)
+    PointSegmenter(nothing, settings).segment(placed(120, 200))
+    assert [count for _, count in nothing.asked] == [16, 34]
+    kept = spread(point_grid(8), 16)
+    assert len(kept) == 16
+    assert len(np.unique(kept[:, 1])) == 8
+    np.testing.assert_array_equal(spread(point_grid(3), None), point_grid(3))
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrays(np.bool_, st.tuples(st.integers(1, 24), st.integers(1, 24))), st.integers(1, 9))
+def test_open_points_are_those_of_the_grid_whose_cells_are_mostly_not_explained(explained, side):
+    height, width = explained.shape
+    expected = []
+    for x, y in point_grid(side) * (width, height):
+        x0, x1 = max(int(np.floor(x - width / 2 / side)), 0), min(int(np.ceil(x + width / 2 / side)), width)
+        y0, y1 = max(int(np.floor(y - height / 2 / side)), 0), min(int(np.ceil(y + height / 2 / side)), height)
+        if not explained[min(int(y), height - 1), min(int(x), width - 1)] and explained[y0:y1, x0:x1].mean() <= 0.5:
+            expected.append((x, y))
+    np.testing.assert_array_equal(open_points(side, explained), np.array(expected).reshape(-1, 2))
+
+
 def test_masks_are_painted_from_sure_to_unsure():
     """The order of the source: an unsure mask paints over a sure one that it overlaps."""
 
@@ -241,6 +295,8 @@ def test_an_image_without_pixels_is_refused():
     ("changed", "said"),
     [
         ({"points_per_side": 0}, "points_per_side: expected at least 1"),
+        ({"first_points_per_side": 0}, "first_points_per_side: expected at least 1"),
+        ({"most_points": 0}, "most_points: expected at least 1"),
         ({"crop_layers": 5}, "crop_layers"), ({"min_region": -1}, "min_region"),
         ({"crop_overlap": 1.0}, "crop_overlap"), ({"levels": ("huge",)}, "levels: expected some"),
         ({"levels": ()}, "levels"),

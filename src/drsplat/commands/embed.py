@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .leaving_out import add_without, left_out
 from .options import add_capture_options, add_invert_masks, add_overwrite, count, tracker, up_to, views_of, words
+from .parts import parts_of
 
 if TYPE_CHECKING:
+    from ..embedding.embed import EmbeddingReport
     from ..encoders import ImageEncoder
+    from ..formats.feature_files import Form
     from ..formats.langsplat import FeatureFolder
     from ..masks.masks import Segmenter
     from ..models.point_masks import PointMaskSettings
+    from ..scene.gaussians import Gaussians
+    from ..scene.views import View
 
 SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register"
 EXAMPLES = """\
   drsplat embed capture
-  drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --levels large
+  drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --points auto --crop-layers 0 \\
+      --scene model --views auto --crops objects
   drsplat embed capture --segmenter graph --encoder drsplat-mini
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
 A stopped run resumes when the same command is given again, without --overwrite."""
-DAILY = ("output", "segmenter", "encoder", "levels", "device", "overwrite")
+DAILY = ("output", "segmenter", "encoder", "scene", "views", "crops", "device", "overwrite")
 SEGMENTER = "facebook/sam-vit-huge"
 ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
@@ -33,6 +40,9 @@ ENCODER_HELP = (
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 MOST_POINTS = 1024  # on a side
+AUTO, ALL = "auto", "all"
+COARSE_TO_FINE = {"first_points_per_side": 4, "points_per_side": 64, "most_points": 128}
+"""Rounds of 4, 8, 16, 32 and 64 points a side, where no mask explains the photo yet."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
     _add_method(parser.add_argument_group("method"))
+    _add_scene(parser.add_argument_group("with the scene, which makes it faster"))
     add_capture_options(parser)
     add_invert_masks(parser)
     add_without(parser)
@@ -70,13 +81,13 @@ def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
         "--levels", choices=tuple(_LEVELS),
         help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
-        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four; graph "
-        "has only these)",
+        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four, with "
+        "--crops objects large; graph has only these)",
     )  # fmt: skip
     method.add_argument(
-        "--points", type=up_to(MOST_POINTS), metavar="N",
-        help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared (default: 32, "
-        "LangSplat's)",
+        "--points", type=_auto_or(up_to(MOST_POINTS)), metavar="N",
+        help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared. auto asks coarse to "
+        "fine, only where no mask explains the photo yet, 128 points at most (default: 32, LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--crop-layers", type=int, choices=range(3),
@@ -89,6 +100,29 @@ def _add_method(method: argparse._ArgumentGroup) -> None:
     )  # fmt: skip
 
 
+def _add_scene(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--scene",
+        metavar="SCENE",
+        help="Gaussians of the same photos, as `drsplat train` leaves them; it must not move",
+    )
+    parser.add_argument(
+        "--views", type=_auto_or(count, ALL), default=ALL, metavar="N",
+        help="how many photos are embedded: all; N, those that show most of the scene together; or auto, as many as "
+        "show what matters often enough (default: all; others need --scene)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--crops", choices=("masks", "objects"), default="masks",
+        help="what is embedded: each mask of each photo; or, of large masks, the best few crops of each object of the "
+        "scene, some tenth of them (default: masks; objects needs --scene)",
+    )  # fmt: skip
+
+
+def _auto_or(number: Callable[[str], int], *others: str) -> Callable[[str], int | str]:
+    """Return the parser of an option that is a number, `auto` or one of some other words."""
+    return lambda text: text if text in (AUTO, *others) else number(text)
+
+
 def add_device(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
@@ -97,7 +131,6 @@ def add_device(parser: argparse._ActionsContainer) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..embedding.embed import embed
     from ..progress import Stopwatch
     from ..system import peak_memory_bytes
 
@@ -105,25 +138,26 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     views = views_of(arguments, arguments.capture)
     without = left_out([view.name for view in views], arguments.without)
     views = [view for view in views if view.name not in without]
+    scene = _scene(arguments)
     output = _output_folder(arguments)
     segmenter = _segmenter(arguments)
     encoder = image_encoder(arguments)
     watch.lap("load")
-    report = embed(
-        views, output, segmenter, encoder,
-        max_height=arguments.max_height, overwrite=arguments.overwrite,
-        form="langsplat" if arguments.langsplat else "compact", track=tracker(arguments),
-    )  # fmt: skip
+    chosen, seen = _chosen_views(arguments, views, scene)
+    report = _embedded(arguments, chosen, output, segmenter, encoder, scene)
     watch.lap("embed")
     made = report.photos - report.reused
     return {
         "output": str(output),
         "num_photos": report.photos,
+        "num_photos_not_chosen": len(views) - len(chosen),
+        "seen_share": seen,
         "left_out": sorted(without),
         "num_photos_reused": report.reused,
         "num_photos_redone": report.redone,
         "changes": list(report.changes),
         "num_masks": sum(report.masks.values()),
+        "num_crops": report.crops,
         "masks_per_level": dict(report.masks),
         "num_empty_masks": report.empty_masks,
         "encoder": encoder.identity.name,
@@ -132,6 +166,68 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "photos_per_second": made / watch.seconds["embed"],
         "peak_memory_bytes": peak_memory_bytes(),
     }
+
+
+def _scene(arguments: argparse.Namespace) -> Gaussians | None:
+    """Return the scene of --scene; None where none is given and none is needed.
+
+    Raises: InputError: one is needed, or it moves.
+    """
+    from ..errors import InputError
+    from ..formats.scenes import read_gaussians
+
+    if arguments.scene is not None:
+        return read_gaussians(arguments.scene)
+    needed = {"--views": arguments.views != ALL, "--crops": arguments.crops == "objects"}
+    for option, is_needed in needed.items():
+        if is_needed:
+            raise InputError(
+                f"{option} {getattr(arguments, option[2:])} needs the scene of the photos: give --scene SCENE"
+            )
+    return None
+
+
+def _chosen_views(
+    arguments: argparse.Namespace, views: list[View], scene: Gaussians | None
+) -> tuple[list[View], float | None]:
+    """Return the views of --views, and the share of what all show that they have seen often enough; None for all."""
+    from ..embedding.view_choice import ENOUGH, choose_views
+
+    if arguments.views == ALL or scene is None:
+        return views, None
+    enough, most = (ENOUGH, None) if arguments.views == AUTO else (1.0, arguments.views)
+    choice = choose_views(
+        scene, views, enough=enough, most=most, threads=arguments.threads, track=tracker(arguments)
+    )  # fmt: skip
+    return sorted(choice.views, key=lambda view: view.name), choice.seen[-1] if choice.seen else 0.0
+
+
+def _embedded(
+    arguments: argparse.Namespace,
+    views: list[View],
+    output: Path,
+    segmenter: Segmenter | FeatureFolder,
+    encoder: ImageEncoder,
+    scene: Gaussians | None,
+) -> EmbeddingReport:
+    """Embed the crops of --crops. Raises: InputError: --masks keeps masks that are embedded one by one."""
+    from ..embedding.embed import embed
+    from ..embedding.objects_first import embed_objects
+    from ..errors import InputError
+    from ..masks.masks import Segmenter
+
+    form: Form = "langsplat" if arguments.langsplat else "compact"
+    track, overwrite, max_height = tracker(arguments), arguments.overwrite, arguments.max_height
+    if arguments.crops == "masks" or scene is None:
+        return embed(
+            views, output, segmenter, encoder, max_height=max_height, overwrite=overwrite, form=form, track=track
+        )
+    if not isinstance(segmenter, Segmenter):
+        raise InputError("--masks embeds every mask again: drop --crops objects")
+    return embed_objects(
+        views, output, segmenter, encoder, scene, parts=parts_of(output), max_height=max_height, overwrite=overwrite,
+        form=form, threads=arguments.threads, track=track,
+    )  # fmt: skip
 
 
 def interrupted(arguments: argparse.Namespace) -> str:
@@ -151,13 +247,21 @@ def show(answer: dict[str, Any]) -> None:
         f"embedded: {answer['output']}",
         {
             "photos": f"{said(answer['num_photos'])} ({said(answer['num_photos_reused'])} from an earlier run{anew})",
+            "not chosen": _not_chosen(answer),
             "masks": f"{said(answer['num_masks'])} ({said(answer['masks_per_level'])})",
+            "embedded crops": said(answer["num_crops"]),
             "empty masks": said(answer["num_empty_masks"]),
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
             "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
             "peak memory": size_said(answer["peak_memory_bytes"]),
         },
     )
+
+
+def _not_chosen(answer: dict[str, Any]) -> str:
+    if answer["seen_share"] is None:
+        return "none: all photos are embedded"
+    return f"{answer['num_photos_not_chosen']:,} photos; the chosen ones show {answer['seen_share']:.0%} of what all do"
 
 
 def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
@@ -207,8 +311,11 @@ def point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
 
     asked = {"points_per_side": arguments.points, "crop_layers": arguments.crop_layers}
     given = {name: value for name, value in asked.items() if value is not None}
+    if given.get("points_per_side") == AUTO:
+        given |= COARSE_TO_FINE
     if arguments.segmenter != GraphSegmenter.name:
-        return PointMaskSettings(**given, levels=_LEVELS[arguments.levels or "four"])
+        default = "large" if arguments.crops == "objects" else "four"
+        return PointMaskSettings(**given, levels=_LEVELS[arguments.levels or default])
     if given or arguments.levels == "four":
         raise InputError(
             "--segmenter graph has masks of one level and no point grid: leave out --points, "

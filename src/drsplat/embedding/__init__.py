@@ -1,4 +1,4 @@
-"""Photos to features on disk: the masks of each photo embedded, resumable.
+"""Photos to features on disk: which photos, which masks and which crops of them are embedded; resumable.
 
-Imports `encoders`, `scene`, `masks`, `formats`, `codes` and `query`.
+Imports `encoders`, `scene`, `masks`, `formats`, `codes`, `evidence`, `objects`, `registration` and `query`.
 """

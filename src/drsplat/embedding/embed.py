@@ -44,14 +44,15 @@ MAX_HEIGHT = 1080
 @dataclass(frozen=True)
 class EmbeddingReport:
     """photos: that now have features; reused: of them, finished before; redone: made anew over older
-    files. masks: by level. empty_masks: left out because they had no pixels. changes: settings that
-    differ from those of the older files.
+    files. masks: by level. crops: that were embedded. empty_masks: left out because they had no pixels. changes:
+    settings that differ from those of the older files.
     """
 
     photos: int
     reused: int
     redone: int
     masks: Mapping[str, int]
+    crops: int
     empty_masks: int
     changes: tuple[str, ...]
 
@@ -112,10 +113,21 @@ def embed(
             _rewrite(record, stem, form)
         for stem in track(pending, "embedding photos"):
             _store(record, stem, photos[stem], _embedded(rasters[stem], stem, segmenter, encoder), form)
-        _record_words(record.folder, encoder)
-        _tell_leftovers(record)
-    masks, empty_masks = _totals(record, list(photos))
-    return EmbeddingReport(len(photos), len(photos) - len(pending), redone, masks, empty_masks, record.changes)
+        finish_folder(record, encoder)
+    return report_of(record, list(photos), len(pending), redone)
+
+
+def finish_folder(record: EmbeddingRecord, encoder: ImageEncoder) -> None:
+    """Write the words that queries are contrasted with, and warn of files that are of other settings."""
+    _record_words(record.folder, encoder)
+    _tell_leftovers(record)
+
+
+def report_of(record: EmbeddingRecord, stems: Sequence[str], made: int, redone: int) -> EmbeddingReport:
+    """Return the report of a folder. made: photos of this run."""
+    masks, empty_masks = _totals(record, stems)
+    crops = sum(masks.values())
+    return EmbeddingReport(len(stems), len(stems) - made, redone, masks, crops, empty_masks, record.changes)
 
 
 def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
@@ -225,6 +237,22 @@ def _embedded(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
     return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)
+
+
+def finish_photo(
+    record: EmbeddingRecord,
+    stem: str,
+    photo: str,
+    mask_ids: Int32[np.ndarray, "*levels h w"],
+    rows: Float32[np.ndarray, "n d"],
+    form: Form,
+) -> None:
+    """Write the features of a photo whose masks are of one level, and note them.
+
+    photo: hash of all that decides what they are.
+    """
+    one_level = mask_ids if mask_ids.ndim == 2 else mask_ids[-1]
+    _store(record, stem, photo, _Embedded(mask_ids, rows, level_counts(one_level), 0), form)
 
 
 def _store(record: EmbeddingRecord, stem: str, photo: str, found: _Embedded, form: Form) -> None:

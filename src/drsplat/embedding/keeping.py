@@ -1,10 +1,13 @@
 """Masks that a folder of features has already: another encoder embeds them, and their ids stay."""
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 from scipy.ndimage import find_objects
 
-from ..encoders import ImageEncoder
+from ..encoders import EncoderIdentity, ImageEncoder
 from ..errors import MismatchError
 from ..formats.checksums import hash_file
 from ..formats.embedding_record import read_settings
@@ -15,6 +18,30 @@ from ..scene.photos import load_image
 from ..scene.views import View, same_aspect
 
 
+class WithoutEmbedding:
+    """An encoder that gives every mask the vector (1): W can be made of such features."""
+
+    identity = EncoderIdentity("none", 1)
+
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n 1"]:
+        return np.ones((len(images), 1), np.float32)
+
+
+class ChosenMasks(FeatureFolder):
+    """A folder's masks without those whose crops are not embedded. chosen: mask ids by photo."""
+
+    def __init__(self, directory: Path, chosen: Mapping[str, Int32[np.ndarray, " c"]]) -> None:
+        super().__init__(directory, LEVELS.index("large"))
+        self.chosen = chosen
+
+    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+        """Return the maps of a photo, -1 where a mask is left out, and its vectors."""
+        mask_ids, embeddings = super().stored(name)
+        is_chosen = np.zeros(len(embeddings) + 1, np.bool_)  # the last is that of -1
+        is_chosen[self.chosen[name]] = True
+        return np.where(is_chosen[mask_ids], mask_ids, np.int32(-1)), embeddings
+
+
 def kept_identity(folder: FeatureFolder) -> dict[str, object]:
     """Who made the masks, as `embed` notes it."""
     settings = read_settings(folder.directory)
@@ -22,8 +49,11 @@ def kept_identity(folder: FeatureFolder) -> dict[str, object]:
 
 
 def masks_hash(folder: FeatureFolder, stem: str) -> str:
-    """Of the file that holds a photo's masks."""
-    return hash_file(folder.files(stem)[-1])
+    """Return a hash of the file that holds a photo's masks, and of which of them are chosen."""
+    digest = hash_file(folder.files(stem)[-1])
+    if isinstance(folder, ChosenMasks):
+        return f"{digest} {','.join(map(str, folder.chosen[stem].tolist()))}"
+    return digest
 
 
 def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.ndarray, "*levels h w"], View]:

@@ -20,6 +20,30 @@ def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
     return np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
 
 
+def open_points(side: int, explained: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "p 2"]:
+    """Return the points of a grid (x, y in pixels) that are not explained, nor half of the pixels in their cells.
+
+    Where nothing is explained that is the whole grid. Slivers between masks are not asked for.
+    """
+    height, width = explained.shape
+    points = point_grid(side) * (width, height)
+    column, row = np.minimum(points.astype(np.int64), (width - 1, height - 1)).T
+    reach = np.array([width, height]) / (2 * side)
+    x0, y0 = np.maximum(np.floor(points - reach), 0).astype(np.int64).T
+    x1, y1 = np.minimum(np.ceil(points + reach), (width, height)).astype(np.int64).T
+    sums = np.pad(explained.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    covered = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
+    is_open = ~explained[row, column] & (2 * covered <= (x1 - x0) * (y1 - y0))
+    return np.asarray(points[is_open])
+
+
+def spread(points: Float64[np.ndarray, "p 2"], most: int | None) -> Float64[np.ndarray, "q 2"]:
+    """Return all points, or `most` of them evenly spread over their order."""
+    if most is None or len(points) <= most:
+        return points
+    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
+
+
 def crop_boxes(height: int, width: int, layers: int, overlap: float) -> list[tuple[int, Box]]:
     """The whole image as layer 0, then of layer n 2**n x 2**n crops that overlap, column by column.
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from ..errors import InputError
 from ..masks.masks import LEVELS, Masks, tight_box
 from ..masks.selection import mask_nms
-from .mask_geometry import Box, box_nms, crop_boxes, cut_by_crop, point_grid, without_small_regions
+from .mask_geometry import Box, box_nms, crop_boxes, cut_by_crop, open_points, spread, without_small_regions
 
 _OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
 
@@ -27,6 +27,8 @@ class PointMaskSettings:
     """
 
     points_per_side: int = 32  # LangSplat
+    first_points_per_side: int | None = None  # a coarser grid to begin with; None: the whole grid, as LangSplat has it
+    most_points: int | None = None  # of a crop, all rounds together; where there are more, evenly spread ones
     min_predicted_iou: float = 0.7  # LangSplat; kept if above
     min_stability: float = 0.85  # LangSplat; kept if not below
     stability_offset: float = 1.0  # segment-anything; logits above and below the mask's edge
@@ -43,9 +45,16 @@ class PointMaskSettings:
     points_per_batch: int = 64  # segment-anything; of memory only
 
     def __post_init__(self) -> None:
-        for name in ("points_per_side", "crop_points_divisor", "points_per_batch"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        for name in (
+            "points_per_side",
+            "first_points_per_side",
+            "most_points",
+            "crop_points_divisor",
+            "points_per_batch",
+        ):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(f"{name}: expected at least 1, got {value}")
         if not 0 <= self.crop_layers <= 4 or self.min_region < 0:
             raise InputError("crop_layers: expected 0 to 4, and min_region: 0 or more")
         if not 0 <= self.crop_overlap < 1:
@@ -57,6 +66,15 @@ class PointMaskSettings:
     def outputs(self) -> tuple[int, ...]:
         """Which of the three masks of a point the levels need."""
         return tuple(sorted({output for level in self.levels for output in _OUTPUTS[level]}))
+
+    def sides(self, layer: int) -> Iterator[int]:
+        """Yield the points per side of each round on a crop of this layer, each round's twice those of the last."""
+        last = max(1, self.points_per_side // self.crop_points_divisor**layer)
+        side = last if self.first_points_per_side is None else self.first_points_per_side
+        while side < last:
+            yield side
+            side *= 2
+        yield last
 
 
 class Found(NamedTuple):
@@ -131,20 +149,33 @@ class PointSegmenter:
         return {level: self._level(some, (height, width), len(crops) > 1, cleaned) for level, some in kept.items()}
 
     def _in_crop(self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int) -> list[_Candidate]:
+        """Return what passes of a crop, asked in rounds of finer and finer grids where nothing explains it yet.
+
+        A pixel is explained by a mask of the finest answer that is wanted: by its part, where parts are.
+        """
         x0, y0, x1, y1 = crop
-        side = max(1, self.settings.points_per_side // self.settings.crop_points_divisor**layer)
-        points = point_grid(side) * (x1 - x0, y1 - y0)
         pixels = np.ascontiguousarray(image[y0:y1, x0:x1])
-        return [
-            candidate
-            for found in self.predictor.find(pixels, points, self.settings)
-            for candidate in self._passing(found, crop, image.shape[:2])
-        ]
+        explained = np.zeros(pixels.shape[:2], np.bool_)
+        passing: list[_Candidate] = []
+        left = self.settings.most_points
+        for side in self.settings.sides(layer):
+            points = spread(open_points(side, explained), left)
+            left = None if left is None else left - len(points)
+            if not len(points):
+                continue
+            for found in self.predictor.find(pixels, points, self.settings):
+                passing += self._passing(found, crop, image.shape[:2])
+                finest = found.output == self.settings.outputs[0]
+                explained |= found.masks[self._good(found) & finest].any(0)
+        return passing
+
+    def _good(self, found: Found) -> Bool[np.ndarray, " n"]:
+        s = self.settings
+        return np.asarray((found.predicted_iou > s.min_predicted_iou) & (found.stability >= s.min_stability))
 
     def _passing(self, found: Found, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
-        s, (left, top, right, bottom) = self.settings, crop
-        good = (found.predicted_iou > s.min_predicted_iou) & (found.stability >= s.min_stability)
-        for i in np.flatnonzero(good & np.isin(found.output, s.outputs)):
+        left, top, right, bottom = crop
+        for i in np.flatnonzero(self._good(found) & np.isin(found.output, self.settings.outputs)):
             tight = tight_box(found.masks[i])
             if tight is None:
                 continue

@@ -89,13 +89,16 @@ class SamPredictor:
     def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
         self.model, self.frame, self.device = model.to(device), frame, device
         self.identity: Mapping[str, object] = dict(identity)
+        self._last: tuple[np.ndarray | None, Any] = None, None
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
-        """See PointPredictor. The image is encoded once; batches of points are decoded."""
+        """See PointPredictor. An image is encoded once, also if it is asked again; batches of points are decoded."""
         size = crop.shape[:2]
-        features = fitting(self._features, [crop], "photos")[0]
+        if self._last[0] is not crop:
+            self._last = crop, fitting(self._features, [crop], "photos")[0]
+        features = self._last[1]
         asked = self.frame.scaled_points(points, *size)
         for start in range(0, len(asked), settings.points_per_batch):
             batch = asked[start : start + settings.points_per_batch]

@@ -51,6 +51,11 @@ def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads:
     )
 
 
+def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
+    """Return (T, M) the summed weight of all rows of a node, those below it included, in each mask."""
+    return _weights(evidence, _inside(tree.parents), tree.node_of)
+
+
 def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 0) -> Objects:
     """The objects of a field for one of some of its photos (`field_during`): the same nodes, with the same numbers,
     boxes and masks; their rows are those that it has, their descriptors of what those photos show.

@@ -49,12 +49,26 @@ def find_objects(
     field.check_scene(gaussians)
     if field.evidence is None:
         raise InputError("objects are found in the evidence, and this field was saved without: register again")
-    forest = grow(of_few_views(field.evidence), gaussians.means[field.gaussian_ids], threads=threads)
-    tree = choose(forest, len(field), SMALLEST)
     cameras = cameras_of(field) if views is None else views
-    if cameras:
-        tree = of_pieces(tree, gaussians, field.gaussian_ids, cameras, threads=threads)
+    tree = find_tree(field.evidence, gaussians, field.gaussian_ids, cameras, threads=threads)
     return describe(field, gaussians, tree, threads=threads)
+
+
+def find_tree(
+    evidence: Evidence, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
+) -> Tree:
+    """Return the parts, things and groups of a scene. Where masks have equal embeddings, W alone decides.
+
+    Args:
+        evidence: W, a row for each of `ids`, none of them empty.
+        gaussians: the scene.
+        ids: the Gaussians of the rows.
+        views: whose cameras tell which pieces are one thing; none: pieces stay as they are.
+        threads: 0 for all cores; the same bits at any number.
+    """
+    forest = grow(of_few_views(evidence), gaussians.means[ids], threads=threads)
+    tree = choose(forest, len(ids), SMALLEST)
+    return of_pieces(tree, gaussians, ids, views, threads=threads) if views else tree
 
 
 def of_pieces(

@@ -1,0 +1,150 @@
+"""Photos to language features where the scene is there: masks, W, objects, then a few crops of each object.
+
+The masks and the vectors of the chosen crops are folders of features of their own, so each photo is kept once finished.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from ..codes import Track, untracked
+from ..encoders import ImageEncoder, identity_json
+from ..errors import InputError
+from ..evidence.evidence import Evidence
+from ..formats.claiming import claimed_folder
+from ..formats.embedding_record import finished_photos, open_record
+from ..formats.feature_files import Form
+from ..formats.langsplat import FeatureFolder, read_features
+from ..masks.masks import Segmenter
+from ..registration import register
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
+from .embed import MAX_HEIGHT, EmbeddingReport, embed, finish_folder, finish_photo, report_of
+from .keeping import ChosenMasks, WithoutEmbedding, masks_hash
+from .shared_crops import CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE, share_crops
+
+ALGORITHM = "1"
+"""Version of everything here that decides what is written."""
+MASKS, WEIGHTS, CROPS = "masks", "weights", "crops"
+
+
+def embed_objects(
+    views: Sequence[View],
+    output_dir: str | Path,
+    segmenter: Segmenter,
+    encoder: ImageEncoder,
+    gaussians: Gaussians,
+    *,
+    parts: str | Path,
+    max_height: int | None = MAX_HEIGHT,
+    overwrite: bool = False,
+    form: Form = "compact",
+    threads: int = 0,
+    track: Track = untracked,
+) -> EmbeddingReport:
+    """Write the features of every view as `embed` does, but embed only a few crops of each object of the scene.
+
+    A mask that shows a part, thing or group of the scene takes the vectors of up to CROPS_PER_OBJECT of its masks,
+    half of it that of the nearest camera. A mask that shows none is embedded itself.
+
+    Args:
+        views: with photos.
+        output_dir: folder for the features.
+        segmenter: one that gives masks of one level, `large`.
+        encoder: makes the vectors of crops.
+        gaussians: the scene, which stands still.
+        parts: folder for masks, weights and crops, which later runs go on from.
+        max_height, overwrite, form, track: as of `embed`.
+        threads: 0 for all cores; the result does not depend on it.
+
+    Raises:
+        InputError: as `embed`; masks of several levels.
+    """
+    parts = Path(parts)
+    embed(
+        views, parts / MASKS, segmenter, WithoutEmbedding(), max_height=max_height, overwrite=overwrite, track=track
+    )  # fmt: skip
+    masks = read_features(parts / MASKS)
+    _check_level(masks)
+    by_stem = {stem: view for view in views if (stem := masks.key(view.name)) is not None}
+    settings = {
+        "segmenter": dict(segmenter.identity),
+        "encoder": identity_json(encoder.identity),
+        "max_height": max_height,
+        "algorithm": ALGORITHM,
+        "crops": [CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE],
+        "scene": gaussians.fingerprint,
+    }
+    digest = _digest(masks, by_stem)
+    with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
+        photos = dict.fromkeys(by_stem, digest)
+        pending = [stem for stem in photos if not record.is_finished(stem, digest)]
+        redone = sum(record.has_files(stem) for stem in pending)
+        if pending:
+            rows = _vectors(by_stem, masks, encoder, gaussians, parts, threads, track)
+            for stem in pending:
+                finish_photo(record, stem, digest, masks.stored(stem)[0], rows[stem], form)
+        finish_folder(record, encoder)
+    crops = sum(photo.masks.get("large", 0) for photo in finished_photos(parts / CROPS).values())
+    return replace(report_of(record, list(photos), len(pending), redone), crops=crops)
+
+
+def _check_level(masks: FeatureFolder) -> None:
+    """Raises: InputError: masks of several levels, of which only one is registered."""
+    for name in masks:
+        mask_ids = masks.stored(name)[0]
+        if mask_ids.ndim == 3 and (mask_ids != mask_ids[-1]).any():
+            raise InputError(
+                "crops of objects are of one level of masks, and these have four: take a segmenter of the large ones "
+                "alone (--levels large), or embed each mask (--crops masks)"
+            )
+
+
+def _digest(masks: FeatureFolder, stems: Mapping[str, View]) -> str:
+    """Return a hash of all masks: what any photo's vectors depend on."""
+    known = " ".join(f"{stem} {masks_hash(masks, stem)}" for stem in sorted(stems))
+    return hashlib.blake2b(known.encode(), digest_size=16).hexdigest()
+
+
+def _vectors(
+    by_stem: Mapping[str, View],
+    masks: FeatureFolder,
+    encoder: ImageEncoder,
+    gaussians: Gaussians,
+    parts: Path,
+    threads: int,
+    track: Track,
+) -> dict[str, Float32[np.ndarray, "n d"]]:
+    """Return a vector for each mask of each photo."""
+    views = list(by_stem.values())
+    evidence = register(gaussians, views, masks, parts=parts / WEIGHTS, threads=threads, track=track).evidence
+    shared = share_crops(evidence, gaussians, views, threads=threads)
+    columns = _columns_by_stem(evidence, masks)
+    is_chosen = np.zeros(len(evidence.masks), np.bool_)
+    is_chosen[shared.chosen] = True
+    chosen = {stem: evidence.masks.ids[some[is_chosen[some]]] for stem, some in columns.items()}
+    crops = _embedded_crops(by_stem, ChosenMasks(masks.directory, chosen), parts / CROPS, encoder, track)
+    known = np.zeros((len(is_chosen), encoder.identity.dim), np.float32)
+    for stem, some in columns.items():
+        own = some[is_chosen[some]]
+        known[own] = crops.stored(stem)[1][evidence.masks.ids[own]]
+    rows = shared.embeddings(known[shared.chosen])
+    return {stem: rows[some] for stem, some in columns.items()}
+
+
+def _columns_by_stem(evidence: Evidence, masks: FeatureFolder) -> dict[str, np.ndarray]:
+    """Return the columns of each photo, in the order of its mask ids."""
+    keys = [str(masks.key(name)) for name in evidence.masks.view_names]
+    return {key: np.flatnonzero(evidence.masks.views == number) for number, key in enumerate(keys)}
+
+
+def _embedded_crops(
+    by_stem: Mapping[str, View], chosen: ChosenMasks, folder: Path, encoder: ImageEncoder, track: Track
+) -> FeatureFolder:
+    embed(list(by_stem.values()), folder, chosen, encoder, max_height=None, track=track)
+    return read_features(folder)

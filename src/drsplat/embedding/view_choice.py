@@ -1,0 +1,126 @@
+"""Which photos are enough: a greedy choice after which all that matters has been seen often enough.
+
+Scene and poses are known before any mask is made, so how much a photo shows is known, too.
+"""
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Integer
+from scipy.sparse import csc_array
+
+from ..codes import Track, untracked
+from ..evidence.aggregation import Sampling
+from ..evidence.columns import scenery_of
+from ..scene.gaussians import Gaussians
+from ..scene.views import View
+
+SIGHTS = 3.0
+"""Photos in which a Gaussian is seen often enough; one that shows it smaller than the best counts for less."""
+ENOUGH = 0.95
+"""Share of what all photos give together."""
+LONGER_SIDE = 252
+"""Pixels of the longer side of the photos that are looked at: only what is visible counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewChoice:
+    """Photos in the order in which they were chosen, and what they show.
+
+    Attributes:
+        views: the chosen ones.
+        seen: share of what all photos show that has been seen often enough, after each of them.
+    """
+
+    views: list[View]
+    seen: list[float]
+
+
+def choose_views(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    *,
+    enough: float = ENOUGH,
+    most: int | None = None,
+    threads: int = 0,
+    track: Track = untracked,
+) -> ViewChoice:
+    """Choose views greedily until Gaussians have been seen often enough.
+
+    A Gaussian matters by its blending weight in all photos. A sight counts by its weight in the photo, in parts of that
+    in its best photo, and a Gaussian needs SIGHTS of them. What photos show together has diminishing returns
+    (submodular), so the greedy choice is within 1 - 1/e of the best one of its length.
+
+    Args:
+        gaussians: the scene, which stands still.
+        views: the cameras; photos are not opened.
+        enough: share of the score of all views at which the choice ends.
+        most: views at most; None for as many as it takes.
+        threads: 0 for all cores; the result does not depend on it.
+        track: shows progress.
+
+    Source: Nemhauser, Wolsey and Fisher 1978; evaluated lazily as by Minoux 1978.
+    """
+    sights = _sights(gaussians, views, threads, track)
+    order, seen = _greedy(sights.shares, sights.matter, enough, len(views) if most is None else most)
+    return ViewChoice([views[number] for number in order], seen)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sights:
+    """shares: (N, V) weight of each Gaussian in each view, in parts of its best. matter: its weight in all."""
+
+    shares: csc_array
+    matter: Float64[np.ndarray, " n"]
+
+
+def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Track) -> _Sights:
+    scenery, sampling = scenery_of(gaussians), Sampling()
+    ids, weights = [np.empty(0, np.int64)], [np.empty(0)]
+    for view in track(views, "looking at what photos show"):
+        small = replace(view, distortion=None).limited(LONGER_SIDE)
+        everything = np.zeros((small.height, small.width), np.int32)
+        triples = sampling.triples(scenery.seen(small).splats, small, everything, threads)
+        ids.append(triples.gaussian_ids.astype(np.int64))
+        weights.append(triples.weights.astype(np.float64))
+    starts = np.cumsum([len(some) for some in ids])
+    data, rows = np.concatenate(weights), np.concatenate(ids)
+    best, matter = np.zeros(len(gaussians)), np.bincount(rows, data, len(gaussians)).astype(np.float64)
+    np.maximum.at(best, rows, data)
+    return _Sights(csc_array((data / best[rows], rows, starts), shape=(len(gaussians), len(views))), matter)
+
+
+def _greedy(
+    shares: csc_array, matter: Float64[np.ndarray, " n"], enough: float, most: int
+) -> tuple[list[int], list[float]]:
+    """Return the views in order, and the share of the score of all of them after each."""
+    have = np.zeros(len(matter))
+
+    def rows_and_sights(view: int) -> tuple[Integer[np.ndarray, " r"], Float64[np.ndarray, " r"]]:
+        own = slice(*shares.indptr[view : view + 2])
+        return shares.indices[own], shares.data[own]
+
+    def gain(view: int) -> float:
+        rows, sights = rows_and_sights(view)
+        return float(matter[rows] @ (np.minimum(have[rows] + sights, SIGHTS) - np.minimum(have[rows], SIGHTS)))
+
+    total = float(matter @ np.minimum(shares.sum(axis=1), SIGHTS))
+    waiting = [(-gain(view), view) for view in range(shares.shape[1])]
+    heapq.heapify(waiting)
+    order: list[int] = []
+    seen: list[float] = []
+    score = 0.0
+    while waiting and len(order) < most and score < enough * total:
+        _, view = heapq.heappop(waiting)
+        current = gain(view)  # gains only fall, so the first that is still first is the best
+        if waiting and -current > waiting[0][0]:
+            heapq.heappush(waiting, (-current, view))
+            continue
+        rows, sights = rows_and_sights(view)
+        have[rows] += sights
+        score += current
+        order.append(view)
+        seen.append(score / total)
+    return order, seen
