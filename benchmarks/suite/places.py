@@ -6,12 +6,12 @@ A place knows what its Gaussians belong to and which masks the photos have, and 
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32
+from jaxtyping import Bool, Float32, Float64, Int32
 from PIL import Image
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
@@ -19,6 +19,8 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_gaussians, read_views, register
+from drsplat.embedding.shared_crops import SharedCrops
+from drsplat.evidence.changing import without_views
 from drsplat.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.formats.checksums import hash_file
 from drsplat.formats.tensors import read_tensors, write_tensors
@@ -49,7 +51,8 @@ class Place:
     shows. labels: the thing of each Gaussian, mass: its weight in photos whose truth is known, 0 where it is not.
     things: by name. nameless: cells of the rest of a capture. cameras: of all photos. views: whose truth is known, as
     their photos are stored. shown: what each pixel of one of these shows, -1 for nothing and numbers beyond those of
-    `things` for the rest. inputs: name of the kept file, which says what the place was registered from.
+    `things` for the rest. inputs: name of the kept file, which says what the place was registered from. photos: that
+    are looked at; None: all. crops: which of their masks stand for which; None: each for itself.
     """
 
     name: str
@@ -64,6 +67,18 @@ class Place:
     views: list[View]
     shown: Ids
     inputs: str
+    photos: Set[str] | None = None
+    crops: SharedCrops | None = None
+
+    def evidence_of(self, embeddings: Float32[np.ndarray, "m D"]) -> Evidence:
+        """Return the evidence of the place's photos with embeddings that were drawn for the masks of all."""
+        evidence = replace(self.evidence, embeddings=embeddings)
+        if self.photos is not None:
+            gone = np.array([name not in self.photos for name in evidence.masks.view_names])
+            evidence = without_views(evidence, gone)
+        if self.crops is None:
+            return evidence
+        return replace(evidence, embeddings=self.crops.embeddings(evidence.embeddings[self.crops.chosen]))
 
 
 def room(folder: Path, kind: str, kept: Path) -> Place:

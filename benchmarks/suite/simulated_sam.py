@@ -38,19 +38,20 @@ class Answers:
 
 
 class SimulatedSam:
-    """A `PointPredictor` of the photos of one room. asked: how many points so far."""
+    """A `PointPredictor` of the photos of one room. asked: how many points so far. views: the photos."""
 
     def __init__(self, scene: BenchScene) -> None:
         self.identity: Mapping[str, object] = {"name": "simulated SAM", "scene": scene.name}
         self.asked = 0
         self._scene, self._on = scene, stands_on(scene)
-        self._views = {_hash(load_image(view)): view for view in scene.views}
+        self.views = scene.views
+        self._by_photo = {_hash(load_image(view)): view for view in scene.views}
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
         """Yield the three answers of each point. The crop has to be a whole photo of the room."""
-        view = self._views[_hash(crop)]
+        view = self._by_photo[_hash(crop)]
         answers = self._answers(view)
         for x, y in points.astype(np.int64):
             self.asked += 1

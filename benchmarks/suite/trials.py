@@ -89,7 +89,7 @@ def trial(place: Place, words: Vocabulary, kind: str, wrong: float, seed: int) -
         shown[thing] = rng.choice(pictures.of_nothing, 1)
     masks = _pictures_of_masks(place, shown, pictures, wrong, rng)
     embeddings = unit(pictures.vectors[masks] + pictures.noise(rng, len(masks)))
-    field = field_of(replace(place, evidence=replace(place.evidence, embeddings=embeddings)), words.encoder.identity)
+    field = field_of(replace(place, evidence=place.evidence_of(embeddings)), words.encoder.identity)
     labels = place.labels[field.gaussian_ids]
     truth = np.array([meaning.get(label, -1) for label in labels.tolist()])
     mass = place.mass[field.gaussian_ids]

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .parts import parts_of
 from .scan_answers import answered
 from .stages import Stage, VerbLine, verb_line
 from .train import planned_iterations
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
 CPU_SIDE = 800  # pixels of the longer side of photos that a CPU trains on
-SAM_ON_A_CPU = {"points": "16", "crop-layers": "0"}  # half a minute for a photo, not many
+SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "views": "auto", "crops": "objects"}
+"""Options of embed: few photos, points and crops, which the trained scene tells."""
 UNKNOWN_PHOTOS = 100  # of a video whose frames are not chosen yet
 SECONDS = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Of a photo, in training of an iteration, on two cores: what the time that is left is guessed by at first."""
@@ -75,7 +77,7 @@ def planned(
     stages = [
         *([] if has_poses else [_capturing(source, output / CAPTURE, common)]),
         Stage("train", train, (output / MODEL,)),
-        Stage("embed", embed, (output / FEATURES,)),
+        Stage("embed", embed, (output / FEATURES, parts_of(output / FEATURES))),
         Stage("register", register, (output / FIELD, output / f"{FIELD}.parts"), run=_registered),
         Stage("objects", verb_line("objects", [str(output)], common), run=_counted),
         Stage("view", view, (output / PAGE,), run=lambda line: answered(line, encoder, common)),
@@ -89,7 +91,6 @@ def planned(
 def _registered(line: argparse.Namespace) -> dict[str, Any]:
     """Run register; a field without parts is of a run that was killed when all but a note was made."""
     from . import register
-    from .parts import parts_of
 
     if not parts_of(line.output).is_dir():
         shutil.rmtree(line.output, ignore_errors=True)
@@ -151,6 +152,7 @@ def _embedding(
     arguments: argparse.Namespace, capture: str, output: Path, common: Sequence[str], before: Mapping[str, Any] | None
 ) -> tuple[VerbLine, ModelChoice, list[str]]:
     """Return the line of embed, its models, and what was asked for, of which "auto" may mean others elsewhere."""
+    from ..formats.scan_record import MODEL
     from ..scanning.choosing import AUTO, ModelChoice, choose_models
     from .embed import point_settings
 
@@ -168,7 +170,7 @@ def _embedding(
         choice = choose_models(asked[0], asked[1], first.arguments.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}
     if asked[0] == AUTO and choice.segmenter.startswith("facebook/sam2"):
-        defaults |= SAM_ON_A_CPU
+        defaults |= SAM_ON_A_CPU | {"scene": str(output / MODEL)}
     line = verb_line("embed", given, common, defaults)
     point_settings(line.arguments)  # or the error that says which options do not go together
     return line, choice, asked
