@@ -1,24 +1,35 @@
-"""Mask NMS beside a plain loop, and what segmenting an image costs with SAM 2's smallest model.
+"""What a photo costs with `graph`, mask NMS beside a plain loop, and what an image costs with SAM 2's smallest model.
 
-    python benchmarks/bench_masks.py [--masks 300] [--rounds 5] [--points 32] [--crop-layers 0] [--skip-models]
-                                     [--model sam2.1-tiny sam-base sam-huge] [--device cpu] [--size 1920x1080]
+    python benchmarks/bench_masks.py [--photo FILE ...] [--masks 300] [--rounds 5] [--points 32] [--crop-layers 0]
+                                     [--skip-models] [--model sam2.1-tiny sam-base sam-huge] [--device cpu]
+                                     [--size 1920x1080]
 
-The model has the architecture of SAM 2.1 Hiera tiny, or of SAM ViT-B or ViT-H, and random weights. Its
-time to encode and to decode is that of trained weights; that of enlarging and choosing masks depends on
-how many pass the thresholds: the run with thresholds at the median of the model's own scores passes
-about half of all, more than a photo does. CPU seconds are of all threads.
+The stages of `graph` are timed in turns with their twins on NumPy and scikit-image, on one thread: the least CPU
+seconds of all rounds, their mean over the photos. Without --photo it cuts a made picture of 640x480 pixels. The model
+has the architecture of SAM 2.1 Hiera tiny, or of SAM ViT-B or ViT-H, and random weights. Its time to encode and to
+decode is that of trained weights; that of enlarging and choosing masks depends on how many pass the thresholds: the run
+with thresholds at the median of the model's own scores passes about half of all, more than a photo does. CPU seconds
+are of all threads.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from machine import arguments
+from machine import arguments, forget_peak, resident_mib
+from PIL import Image
+from skimage.segmentation import felzenszwalb
 
+from drsplat.kernels import photo_regions as native
 from drsplat.masks.masks import Masks, cut_masks
 from drsplat.masks.selection import mask_nms
+from drsplat.models.graph import GraphSegmenter, regions
+from drsplat.models.graph.network import layers_of
+from drsplat.reference import photo_network
+from drsplat.reference import photo_regions as twin
+from drsplat.reference.photo_merging import Merging
 
 HEIGHT, WIDTH = 1080, 1920
 
@@ -52,6 +63,98 @@ def nms_by_loop(masks: Masks) -> np.ndarray:
             gone[j] |= of_i < 0.5 and of_j >= 0.85
             gone[i] |= of_i >= 0.85 and of_j < 0.5
     return np.flatnonzero(~gone)
+
+
+class Stages:
+    """The stages of `graph` for one photo; each is given what those before it made, by name."""
+
+    def __init__(self, image: np.ndarray) -> None:
+        segmenter = GraphSegmenter(threads=1)
+        self.image, self.rule, settings = image, segmenter.rule, segmenter.settings
+        self.layers, share = layers_of(segmenter.network), regions.working_share(image[..., 0].size)
+        self.limits = float(self.rule.threshold[0]), settings.least_area * share, settings.least_width
+        self.scale, self.least = regions.SCALE * share, round(regions.LEAST_AREA * share)
+
+    def twins(self) -> dict[str, Callable[[dict], object]]:
+        return {
+            "colours": lambda _: twin.lab_colors(self.image),
+            "small regions": lambda made: felzenszwalb(
+                made["colours"] / native.LAB_STEPS, self.scale, regions.SIGMA, self.least
+            ).astype(np.int32),
+            "network": lambda _: photo_network.look(self.image, self.layers),
+            "sums": lambda made: twin.region_graph(made["small regions"], made["colours"], made["network"]),
+            "merging": lambda made: self._merged_by_twin(made["sums"]),
+        }
+
+    def natives(self) -> dict[str, Callable[[dict], object]]:
+        return {
+            "colours": lambda _: native.lab_colors(self.image, threads=1),
+            "small regions": lambda made: native.small_regions(made["colours"], self.scale / 255, self.least),
+            "network": lambda _: native.look(self.image, self.layers, threads=1),
+            "sums": lambda made: native.region_graph(made["small regions"], made["colours"], made["network"]),
+            "merging": lambda made: native.merged_regions(made["sums"], self.rule.parts, *self.limits),
+        }
+
+    def _merged_by_twin(self, graph: native.RegionGraph) -> np.ndarray:
+        merging = Merging(graph, self.rule.likelihood)
+        merging.merge_above(self.limits[0])
+        merging.merge_small(*self.limits[1:])
+        return merging.labels()
+
+
+def done(stages: dict[str, Callable[[dict], object]]) -> tuple[dict[str, Any], np.ndarray]:
+    """What all stages make, and the CPU seconds of each."""
+    made: dict[str, Any] = {}
+    seconds = []
+    for name, stage in stages.items():
+        start = time.process_time()
+        made[name] = stage(made)
+        seconds.append(time.process_time() - start)
+    return made, np.array(seconds)
+
+
+def peak_growth(run: Callable[[], object]) -> float:
+    """MiB that a run takes at most beyond what the process holds."""
+    forget_peak()
+    before = resident_mib(peak=False)
+    run()
+    return resident_mib(peak=True) - before
+
+
+def made_picture() -> np.ndarray:
+    """Overlapping discs in light from above, with noise."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:480, :640]
+    picture = np.full((480, 640, 3), 140.0)
+    for radius in rng.uniform(10, 120, 60):
+        middle, color = rng.uniform(0, (480, 640)), rng.uniform(30, 230, 3)
+        light = 1 - 0.4 * np.clip((y - middle[0]) / radius, 0, 1)
+        disc = np.hypot(y - middle[0], x - middle[1]) < radius
+        picture[disc] = (light[..., None] * color)[disc]
+    return np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
+
+
+def bench_graph(photos: Sequence[str], rounds: int) -> None:
+    images = [np.asarray(Image.open(photo).convert("RGB")) for photo in photos] or [made_picture()]
+    seconds, ties, others = np.zeros((2, 5)), 0, 0
+    for image in images:
+        stages = Stages(np.ascontiguousarray(regions.working_image(image)))
+        least = np.full((2, 5), np.inf)
+        for _ in range(rounds):
+            (before, first), (after, second) = done(stages.twins()), done(stages.natives())
+            least = np.minimum(least, [first, second])
+        seconds += least / len(images)
+        ties += bool((before["small regions"] != after["small regions"]).any())
+        others += bool((before["merging"][before["small regions"]] != after["merging"][after["small regions"]]).any())
+    print(f"graph, {len(images)} photos, CPU seconds of one, least of {rounds}: twin, native")
+    for name, (slow, fast) in zip([*stages.natives(), "all"], np.c_[seconds, seconds.sum(1)].T, strict=True):
+        print(f"{name:<44} {slow:8.3f} {fast:8.3f}")
+    print(
+        f"{ties} photos with other small regions, where scikit-image takes equal ones otherwise; {others} other masks"
+    )
+    peaks = [peak_growth(lambda made=made: done(made)) for made in (stages.natives(), stages.twins())]
+    print(f"memory of the last photo at most {peaks[1]:.0f} and {peaks[0]:.0f} MiB")
+    timed("segment, with masks at full size", lambda: GraphSegmenter(threads=1).segment(images[-1]), rounds)
 
 
 HUGE = {
@@ -137,8 +240,9 @@ def _waited(device: str, run: Callable[[], object]) -> None:
 def main() -> None:
     args = arguments(
         __doc__, masks=300, rounds=5, points=32, crop_layers=0, skip_models=False, model=["sam2.1-tiny"],
-        device=("cpu", "cuda"), size="1920x1080",
+        device=("cpu", "cuda"), size="1920x1080", photo=[""],
     )  # fmt: skip
+    bench_graph([photo for photo in args.photo if photo], args.rounds)
     bench_nms(args.masks, args.rounds)
     width, height = map(int, args.size.split("x"))
     for name in [] if args.skip_models else args.model:

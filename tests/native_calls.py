@@ -248,6 +248,39 @@ def merges(rogue: Rogue) -> Call:
     return partial(_native.agglomerate, *given, rule, rogue.how()[0])
 
 
+def photos(rogue: Rogue) -> Call:
+    height, width = int(rogue.one((0, 1, 2, 33))), int(rogue.one((1, 5, 40)))
+    if rogue.rng.random() < 0.5:
+        image = rogue.whole(0, 256, (height, width, int(rogue.one((3, 3, 3, 2)))), "u1")
+        widths = [12, *(int(rogue.one((1, 5, 16))) for _ in range(7))]
+        inputs = [9 * n for n in widths[:5]] + [9 * (widths[3] + widths[5]), 9 * widths[6], widths[7]]
+        shapes = zip(inputs, [*widths[1:], int(rogue.one((36, 36, 36, 37)))], strict=True)
+        layers = tuple(rogue.floats(*part) for shape in shapes for part in (shape, shape[1:]))
+        how = rogue.how()
+        return rogue.one((partial(_native.look, image, layers, *how), partial(_native.lab_colors, image, *how)))
+    lab, borders = rogue.whole(-2000, 2000, (height, width, 3), "i4"), rogue.whole(0, 256, (height, width), "i4")
+    labels = rogue.whole(0, int(rogue.one((1, 3, 300))), (height, width), "i4")
+    seen = labels, lab, borders, rogue.whole(-4000, 4000, (height, width, 8), "i4")
+    scale, least = rogue.one((0.0, 15.0, 1e30, np.nan, -1.0)), rogue.one(LIMITS)
+    return rogue.one((partial(_native.small_regions, lab, scale, least), partial(_native.photo_graph, *seen)))
+
+
+def things(rogue: Rogue) -> Call:
+    n, units = int(rogue.one((0, 1, 2, 20, 60))), int(rogue.one((0, 1, 8, 9, 56)))
+    ends = np.sort(rogue.rng.integers(0, max(n, 1), (int(rogue.one((0, 1, 50, 200))), 2)), axis=1)
+    pairs = np.unique(ends[ends[:, 0] < ends[:, 1]], axis=0).astype("i4")
+    sums = rogue.rng.integers(0, rogue.one((1, 2, 300)), (n, 55)).astype(float)
+    borders = rogue.rng.integers(0, rogue.one((2, 90)), (len(pairs), 5)).astype(float)
+    boxes = rogue.rng.integers(-9, 9, (n, 4)).astype(float)
+    graph = tuple(map(rogue.spoiled, (sums, boxes, pairs, borders)))
+    shapes = (42,), (42,), (42, units), (units,), (units,), (1,)
+    rule = tuple(rogue.spoiled(rogue.rng.standard_normal(shape)) for shape in shapes)
+    limits = rogue.one((0.0, 0.5, -1.0, np.nan)), rogue.one((0.0, 60.0, np.inf)), rogue.one((0.0, 2.5, np.nan))
+    pixels = rogue.one((1.0, 900.0, 0.0, -1.0))
+    call = rogue.one((_native.merged_regions, _native.pair_likelihoods))
+    return partial(call, graph, pixels, rule, *(limits if call is _native.merged_regions else ()), rogue.isa())
+
+
 def codes(rogue: Rogue) -> Call:
     n, length, dim = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 4, 128))), int(rogue.one((0, 1, 3, 64))))
     given = rogue.floats(n, length * dim), rogue.floats(length, 256, dim)
@@ -315,6 +348,10 @@ FAMILIES = (
     boxes,
     columns,
     merges,
+    photos,
+    photos,
+    things,
+    things,
     codes,
     training,
     training,

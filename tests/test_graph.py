@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from safetensors.numpy import load_file
-from scipy.ndimage import correlate
 from skimage.segmentation import find_boundaries
 from world.segmenter.network import both, first_rule, learn_rule, padded
 from world.segmenter.scenes import Photo, halved
@@ -22,31 +21,33 @@ from world.segmenter.tuning import case, learned, save_rule
 
 from drsplat.cli import main
 from drsplat.errors import InputError
+from drsplat.kernels import available_isas
+from drsplat.kernels.photo_regions import (
+    AREA,
+    AROUND,
+    BORDER_STEPS,
+    LENGTH,
+    TRAIT_STEPS,
+    TRAITS,
+    RegionGraph,
+    Sight,
+    lab_colors,
+    merged_regions,
+    pair_likelihoods,
+    region_graph,
+)
 from drsplat.masks.masks import Masks, Segmenter
 from drsplat.masks.selection import paint
 from drsplat.models.graph import GraphSegmenter
-from drsplat.models.graph.features import OF_NETWORK, pair_features
-from drsplat.models.graph.merging import Merging
-from drsplat.models.graph.network import BORDER_STEPS, LEVELS, TRAIT_STEPS, TRAITS, Sight, look, shipped_network
-from drsplat.models.graph.regions import WORKING_PIXELS, enlarged, lab_colors, small_regions, working_image
+from drsplat.models.graph.network import look, shipped_network
+from drsplat.models.graph.regions import WORKING_PIXELS, enlarged, small_regions, working_image
 from drsplat.models.graph.rule import MergeRule, shipped_rule
 from drsplat.models.graph.segmenter import GraphSettings, label_masks, segment_labels
-from drsplat.models.graph.statistics import (
-    AREA,
-    AROUND,
-    FRAME,
-    HISTOGRAM,
-    LENGTH,
-    SEEN,
-    STEP,
-    TRAIT,
-    TRAIT_SQUARE,
-    TRAIT_STEP,
-    RegionGraph,
-    region_graph,
-)
 from drsplat.models.point_masks import PointMaskSettings
 from drsplat.models.sam import load_segmenter
+from drsplat.reference.photo_features import OF_NETWORK, pair_features
+from drsplat.reference.photo_merging import Merging
+from test_views_hostile import unchecked_types
 
 NETWORK = shipped_network()[0]
 Y, X = np.mgrid[:240, :320]
@@ -157,63 +158,17 @@ def test_working_images_have_the_photos_shape_and_bounded_size() -> None:
 
 @given(st.integers(1, 30), st.integers(1, 30), st.integers(1, 4), st.integers(1, 4))
 def test_enlarged_labels_are_those_of_the_nearest_pixel(h: int, w: int, m: int, n: int) -> None:
-    labels = np.arange(h * w).reshape(h, w)
+    labels = np.arange(h * w, dtype=np.int32).reshape(h, w)
     assert_array_equal(enlarged(labels, h * m, w * n), labels.repeat(m, 0).repeat(n, 1))
 
 
-# Sums
-
-
-def plain_graph(labels: np.ndarray, lab: np.ndarray, sight: Sight) -> dict[tuple[int, int], list[float]]:
-    """Borders pixel by pixel: length, colour steps, what the network says, steps of traits."""
-    height, width = labels.shape
-    found: dict[tuple[int, int], list[float]] = {}
-    for y, x in np.ndindex(height, width):
-        for dy, dx in ((0, 1), (1, 0)):
-            if y + dy >= height or x + dx >= width or labels[y, x] == labels[y + dy, x + dx]:
-                continue
-            pair = sorted((int(labels[y, x]), int(labels[y + dy, x + dx])))
-            inner = max(y - dy, 0), max(x - dx, 0)
-            outer = min(y + 2 * dy, height - 1), min(x + 2 * dx, width - 1)
-            entry = found.setdefault((pair[0], pair[1]), [0.0, 0.0, 0.0, 0.0])
-            entry[0] += 1
-            entry[2] += sight.borders[y, x] + sight.borders[y + dy, x + dx]
-            for place, values in ((1, lab), (3, sight.traits)):
-                entry[place] += np.rint(np.sqrt(float(((values[inner] - values[outer]).astype(float) ** 2).sum())))
-    return found
-
-
-@settings(max_examples=15, deadline=None)
-@given(IMAGES)
-def test_sums_are_those_of_plain_loops(image: np.ndarray) -> None:
-    lab = lab_colors(image)
-    labels = small_regions(lab)
-    sight = look(image, NETWORK)
-    graph = region_graph(labels, lab, sight)
-    expected = plain_graph(labels, lab, sight)
-    assert [tuple(pair) for pair in graph.pairs.tolist()] == sorted(expected)
-    for pair, border in zip(graph.pairs.tolist(), graph.borders, strict=True):
-        assert_array_equal(border[[LENGTH, STEP, SEEN, TRAIT_STEP]], expected[pair[0], pair[1]])
-    for i, sums in enumerate(graph.sums):
-        mask = labels == i
-        assert sums[AREA] == mask.sum()
-        assert_array_equal(sums[1:4], lab[mask].sum(0))
-        assert_array_equal(sums[4:7], (lab[mask].astype(float) ** 2).sum(0))
-        assert sums[AROUND] == sum(n for pair, (n, *_) in expected.items() if i in pair)
-        rows, columns = np.nonzero(mask)
-        box = (columns.min(), rows.min(), -columns.max() - 1, -rows.max() - 1)
-        assert_array_equal(graph.boxes[i], box)
-        assert sums[HISTOGRAM].sum() == 3 * mask.sum()
-        assert_array_equal(sums[TRAIT], sight.traits[mask].sum(0))
-        assert sums[TRAIT_SQUARE] == (sight.traits[mask].astype(float) ** 2).sum()
-    assert graph.sums[:, FRAME].sum() == 2 * sum(labels.shape)
+# Features
 
 
 @settings(max_examples=15, deadline=None)
 @given(IMAGES)
 def test_features_do_not_depend_on_the_order_of_a_pair(image: np.ndarray) -> None:
-    lab = lab_colors(image)
-    graph = region_graph(small_regions(lab), lab, look(image, NETWORK))
+    _, graph = graph_of(image)
     sums, boxes = graph.sums[graph.pairs.T], graph.boxes[graph.pairs.T]
     uneven = sums[0, :, AREA] != sums[1, :, AREA]
     found = pair_features(sums, boxes, graph.borders, graph.pixels)
@@ -223,47 +178,6 @@ def test_features_do_not_depend_on_the_order_of_a_pair(image: np.ndarray) -> Non
 
 
 # The network
-
-
-def test_what_the_network_sees_is_that_of_plain_loops() -> None:
-    image = blocks(np.random.default_rng(1), 33, 40, 7)
-    sight = look(image, NETWORK)
-    assert sight.borders.shape == (33, 40)
-    assert sight.traits.shape == (33, 40, TRAITS)
-    padded = np.pad(image, ((0, 31), (0, 24), (0, 0)), mode="edge").astype(np.float64) / 127.5 - 1
-    out = plain_network(padded)
-    borders, traits = BORDER_STEPS / (1 + np.exp(-out[0])), out[1:] * TRAIT_STEPS
-    assert_allclose(sight.borders, borders[:33, :40], atol=0.51)
-    assert_allclose(sight.traits, traits[:, :33, :40].transpose(1, 2, 0), atol=0.51)
-
-
-def plain_network(pixels: np.ndarray) -> np.ndarray:
-    """(9, h, w), channel by channel, in float64."""
-    x = np.stack([pixels[y::2, x::2, channel] for channel in range(3) for y in (0, 1) for x in (0, 1)])
-    x, seen = plain_layer(x, "stem"), []
-    for level in range(LEVELS):
-        if level:
-            x = np.max([x[:, y::2, x0::2] for y in (0, 1) for x0 in (0, 1)], axis=0)
-        x = plain_layer(plain_layer(x, f"down{level}a"), f"down{level}b")
-        seen.append(x)
-    for level in reversed(range(LEVELS - 1)):
-        x = np.concatenate([seen[level], np.kron(x, np.ones((2, 2)))])
-        x = plain_layer(plain_layer(x, f"up{level}a"), f"up{level}b")
-    last = np.tensordot(NETWORK["head.weight"].T, x, 1) + NETWORK["head.bias"][:, None, None]
-    out = np.zeros((len(last) // 4, 2 * x.shape[1], 2 * x.shape[2]))
-    for place, channel in enumerate(last):
-        out[place // 4, place // 2 % 2 :: 2, place % 2 :: 2] = channel
-    return out
-
-
-def plain_layer(x: np.ndarray, name: str) -> np.ndarray:
-    weight, bias = NETWORK[f"{name}.weight"].astype(float), NETWORK[f"{name}.bias"].astype(float)
-    kernels = weight.reshape(3, 3, len(x), -1)
-    out = np.zeros((kernels.shape[3], *x.shape[1:])) + bias[:, None, None]
-    for place, kernel in enumerate(kernels.transpose(3, 2, 0, 1)):
-        for channel, taps in zip(x, kernel, strict=True):
-            out[place] += correlate(channel, taps, mode="constant")
-    return np.maximum(out, 0)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (31, 33)])
@@ -320,41 +234,82 @@ def contracted(whole: RegionGraph, owner: np.ndarray) -> RegionGraph:
             borders[a, b] = borders.get((a, b), 0) + border
     pairs = sorted(borders)
     rows = np.array([borders[pair] for pair in pairs]).reshape(-1, whole.borders.shape[1])
-    return RegionGraph(whole.pixels, sums, boxes, np.array(pairs, int).reshape(-1, 2), rows)
+    return RegionGraph(whole.pixels, sums, boxes, np.array(pairs, np.int32).reshape(-1, 2), rows)
 
 
-@settings(max_examples=25, deadline=None)
-@given(IMAGES, st.sampled_from([0.1, 0.5, 0.9]))
-def test_merging_is_that_of_plain_loops(image: np.ndarray, threshold: float) -> None:
-    rule = shipped_rule()[0]
-    lab = lab_colors(image)
-    labels = small_regions(lab)
-    graph = region_graph(labels, lab, look(image, NETWORK))
+def merged_by_twin(graph: RegionGraph, rule: MergeRule, threshold: float, area: float, width: float) -> np.ndarray:
     merging = Merging(graph, rule.likelihood)
     merging.merge_above(threshold)
-    assert_array_equal(merging.labels()[labels], merged_plainly(labels, graph, rule, threshold))
+    merging.merge_small(area, width)
+    return merging.labels()
+
+
+def merged_natively(graph: RegionGraph, rule: MergeRule, threshold: float, area: float, width: float) -> np.ndarray:
+    return merged_regions(graph, rule.parts, threshold, area, width)
+
+
+def graph_of(image: np.ndarray) -> tuple[np.ndarray, RegionGraph]:
+    lab = lab_colors(image)
+    labels = small_regions(lab)
+    return labels, region_graph(labels, lab, look(image, NETWORK))
+
+
+@pytest.mark.parametrize("merged", [merged_by_twin, merged_natively])
+@settings(max_examples=25, deadline=None)
+@given(IMAGES, st.sampled_from([0.1, 0.5, 0.9]))
+def test_merging_is_that_of_plain_loops(merged, image: np.ndarray, threshold: float) -> None:
+    rule = shipped_rule()[0]
+    labels, graph = graph_of(image)
+    found = merged(graph, rule, threshold, 0.0, 0.0)
+    assert_array_equal(found[labels], merged_plainly(labels, graph, rule, threshold))
+
+
+@pytest.mark.parametrize("isa", available_isas())
+@settings(max_examples=25, deadline=None)
+@given(IMAGES, st.sampled_from([0.3, 0.6, 0.9]), st.floats(0, 90), st.floats(0, 4))
+def test_native_merging_is_the_twins(isa: str, image: np.ndarray, threshold: float, area: float, width: float) -> None:
+    rule = shipped_rule()[0]
+    _, graph = graph_of(image)
+    found = merged_regions(graph, rule.parts, threshold, area, width, isa=isa)
+    assert_array_equal(found, merged_by_twin(graph, rule, threshold, area, width))
+
+
+@pytest.mark.parametrize("isa", available_isas())
+def test_native_likelihoods_are_the_twins(isa: str) -> None:
+    rule = shipped_rule()[0]
+    _, graph = graph_of(blocks(np.random.default_rng(2), 90, 120, 7))
+    ends = graph.pairs.T
+    features = pair_features(graph.sums[ends], graph.boxes[ends], graph.borders, graph.pixels)
+    found = pair_likelihoods(graph, rule.parts, isa=isa)
+    assert len(np.unique(found)) > 50
+    assert_allclose(found, rule.likelihood(features), rtol=0, atol=1.01e-6)
+
+
+def test_a_graph_or_rule_of_other_shapes_is_refused() -> None:
+    rule = shipped_rule()[0]
+    _, graph = graph_of(flat_squares()[0])
+    for wrong in ({"pairs": graph.pairs[::-1]}, {"borders": graph.borders[1:]}, {"sums": graph.sums[:, :9]}):
+        with unchecked_types(), pytest.raises(InputError, match="regions: expected"):
+            merged_regions(replace(graph, **wrong), rule.parts, 0.5, 0.0, 0.0)
+    with unchecked_types(), pytest.raises(InputError, match="rule of 42 features"):
+        pair_likelihoods(graph, replace(rule, hidden=rule.hidden[1:]).parts)
 
 
 @settings(max_examples=15, deadline=None)
 @given(IMAGES, st.floats(2, 200))
 def test_no_small_region_stays(image: np.ndarray, least: float) -> None:
-    lab = lab_colors(image)
-    labels = small_regions(lab)
-    merging = Merging(region_graph(labels, lab, look(image, NETWORK)), shipped_rule()[0].likelihood)
-    merging.merge_small(least)
-    areas = np.bincount(merging.labels()[labels].ravel())
+    labels, graph = graph_of(image)
+    areas = np.bincount(merged_regions(graph, shipped_rule()[0].parts, 1.0, least, 0.0)[labels].ravel())
     assert areas.min() >= min(least, labels.size)
 
 
 def test_no_narrow_region_stays() -> None:
-    labels = np.zeros((40, 40), np.int64)
+    labels = np.zeros((40, 40), np.int32)
     labels[:, 20:22], labels[:, 22:] = 1, 2
     lab = np.random.default_rng(0).integers(0, 1600, (40, 40, 3)).astype(np.int32)
     graph = region_graph(labels, lab, Sight(np.zeros((40, 40), np.int32), np.zeros((40, 40, TRAITS), np.int32)))
     for width, count in ((1.9, 3), (2.1, 2)):
-        merging = Merging(graph, shipped_rule()[0].likelihood)
-        merging.merge_small(0.0, width)
-        assert merging.labels().max() + 1 == count
+        assert merged_regions(graph, shipped_rule()[0].parts, 1.0, 0.0, width).max() + 1 == count
 
 
 def test_everything_merges_at_threshold_zero_and_nothing_at_one() -> None:
@@ -368,7 +323,7 @@ def test_everything_merges_at_threshold_zero_and_nothing_at_one() -> None:
 
 
 def test_masks_of_labels() -> None:
-    labels = np.array([[2, 2, 5], [0, 5, 5]])
+    labels = np.array([[2, 2, 5], [0, 5, 5]], np.int32)
     masks = label_masks(labels)
     assert_array_equal(masks.areas, [3, 2, 1])
     assert_array_equal(paint(masks), [[1, 1, 0], [2, 0, 0]])

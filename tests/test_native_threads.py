@@ -44,6 +44,20 @@ def trained() -> list[np.ndarray]:
     return [image, alpha, *gradients, stepped, *moments]
 
 
+def photographed() -> list[np.ndarray]:
+    """All that becomes of a photo."""
+    image = np.random.default_rng(0).integers(0, 256, (40, 50, 3), np.uint8)
+    lab = _native.lab_colors(image, INSIDE, "")
+    labels = _native.small_regions(lab, 4.0, 9).reshape(40, 50)
+    sizes = [(108, 8), (72, 8), (72, 8), (72, 8), (72, 8), (144, 8), (72, 8), (8, 36)]
+    layers = tuple(floats(*part) for size in sizes for part in (size, size[1:]))
+    sight = _native.look(image, layers, INSIDE, "")
+    sums, boxes, pairs, borders = _native.photo_graph(labels, lab, *sight)
+    graph = sums.reshape(-1, 55), boxes.reshape(-1, 4), pairs.reshape(-1, 2), borders.reshape(-1, 5)
+    rule = tuple(floats(*shape).astype(float) for shape in ((42,), (42,), (42, 9), (9,), (9,), (1,)))
+    return [lab, labels, *sight, *graph, _native.merged_regions(graph, 2000.0, rule, 0.5, 60.0, 2.5, "")]
+
+
 def calls() -> list[Callable[[], object]]:
     given, rng, how = splats(), np.random.default_rng(0), (INSIDE, "")
     segments = rng.integers(-1, 9, (HEIGHT, WIDTH)).astype(np.int32)
@@ -75,6 +89,7 @@ def calls() -> list[Callable[[], object]]:
         lambda: [_native.weighted_rows(starts, columns, floats(4000), floats(300, 32), *how)],
         lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
         lambda: [_native.pq_encode(floats(800, 32), floats(8, 256, 4), *how)],
+        photographed,
         trained,
     ]
 

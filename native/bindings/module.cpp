@@ -8,6 +8,7 @@ NB_MODULE(_native, m) {
   bind_algebra(m);
   bind_boxes(m);
   bind_mixture(m);
+  bind_photos(m);
   bind_regions(m);
   bind_scan(m);
   bind_splatting(m);

@@ -6,6 +6,7 @@
 void bind_algebra(nanobind::module_ &);
 void bind_boxes(nanobind::module_ &);
 void bind_mixture(nanobind::module_ &);
+void bind_photos(nanobind::module_ &);
 void bind_regions(nanobind::module_ &);
 void bind_scan(nanobind::module_ &);
 void bind_splatting(nanobind::module_ &);

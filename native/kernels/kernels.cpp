@@ -12,6 +12,9 @@
 #include "kernels/mixture_encoding.h"
 #include "kernels/mixture_scan.h"
 #include "kernels/mixture_search.h"
+#include "kernels/photo_colors.h"
+#include "kernels/photo_network.h"
+#include "kernels/photo_rule.h"
 #include "kernels/pq.h"
 #include "kernels/projection.h"
 #include "kernels/training_tiles.h"
@@ -24,6 +27,8 @@ namespace drsplat::DRSPLAT_ISA {
 
 static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table,
                                                table_place,    mixture_scores,  mixture_best,    kTileQueries};
+
+static const PhotoKernels photo_kernels = {lab_colors, convolve_row, pair_likelihoods};
 
 extern const ScanKernels scan_table;  // scan_kernels.cpp
 extern const Kernels table;
@@ -47,6 +52,7 @@ const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
                        loss_gradient,
                        adam,
                        &scan_table,
-                       &mixture_kernels};
+                       &mixture_kernels,
+                       &photo_kernels};
 
 }  // namespace drsplat::DRSPLAT_ISA

@@ -123,6 +123,7 @@ constexpr int kAdamHead = 3;
 
 struct ScanKernels;     // scan_kernels.h
 struct MixtureKernels;  // mixture_kernels.h
+struct PhotoKernels;    // photo_kernels.h
 
 struct Kernels {
   const char *name;
@@ -159,6 +160,7 @@ struct Kernels {
 
   const ScanKernels *scan;
   const MixtureKernels *mixture;
+  const PhotoKernels *photo;
 };
 
 }  // namespace drsplat

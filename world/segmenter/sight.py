@@ -20,7 +20,8 @@ from PIL import Image
 from safetensors.numpy import save_file
 from torch import Tensor, nn
 
-from drsplat.models.graph.network import LEVELS, TRAITS
+from drsplat.kernels.photo_regions import TRAITS
+from drsplat.models.graph.network import LEVELS
 
 from .scenes import Photo, photos
 

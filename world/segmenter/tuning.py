@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from safetensors.numpy import save_file
 
-from drsplat.models.graph.features import OF_NETWORK
-from drsplat.models.graph.merging import Likelihood, Merging
+from drsplat.kernels.photo_regions import AREA, RegionGraph, lab_colors, region_graph
 from drsplat.models.graph.network import Tensors, look, shipped_network
-from drsplat.models.graph.regions import lab_colors, small_regions, working_image
+from drsplat.models.graph.regions import small_regions, working_image
 from drsplat.models.graph.rule import MergeRule, read_rule
 from drsplat.models.graph.segmenter import GraphSettings, merged
-from drsplat.models.graph.statistics import AREA, RegionGraph, region_graph
+from drsplat.reference.photo_features import OF_NETWORK
+from drsplat.reference.photo_merging import Likelihood, Merging
 
 from .network import both, first_rule, learn_rule, padded
 from .scenes import Photo, photos, with_smaller

@@ -7,6 +7,8 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Float64
 
+from ...kernels.photo_regions import PairRule
+
 DIGITS = 6  # that count: the last bits of a product depend on the processor
 
 
@@ -21,6 +23,11 @@ class MergeRule:
     output: Float64[np.ndarray, " h"]
     output_bias: Float64[np.ndarray, " 1"]
     threshold: Float64[np.ndarray, " 1"]
+
+    @property
+    def parts(self) -> PairRule:
+        """All but the threshold, as the native code takes them."""
+        return self.center, self.width, self.hidden, self.hidden_bias, self.output, self.output_bias
 
     def likelihood(self, features: Float64[np.ndarray, "e f"]) -> Float64[np.ndarray, " e"]:
         """0 to 1, rounded to DIGITS."""

@@ -4,15 +4,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from jaxtyping import Int64, UInt8
+from jaxtyping import Int32, UInt8
 
 from ...errors import InputError
+from ...kernels.photo_regions import RegionGraph, lab_colors, merged_regions, region_graph
 from ...masks.masks import Masks
 from . import regions
-from .merging import Merging
 from .network import Tensors, look, shipped_network
 from .rule import MergeRule, shipped_rule
-from .statistics import RegionGraph, region_graph
 
 
 @dataclass(frozen=True)
@@ -70,24 +69,22 @@ class GraphSegmenter:
 
 def segment_labels(
     image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, weights: Tensors, settings: GraphSettings, *, threads: int = 0
-) -> Int64[np.ndarray, "h w"]:
+) -> Int32[np.ndarray, "h w"]:
     """Return the number of each pixel's thing, from 0."""
-    lab = regions.lab_colors(image)
+    lab = lab_colors(image, threads=threads)
     labels = regions.small_regions(lab)
     owner = merged(region_graph(labels, lab, look(image, weights, threads=threads)), rule, settings)
-    return np.asarray(owner[labels], np.int64)
+    return np.asarray(owner[labels], np.int32)
 
 
-def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Int64[np.ndarray, " n"]:
+def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Int32[np.ndarray, " n"]:
     """The thing that each region belongs to, from 0."""
-    merging, threshold = Merging(graph, rule.likelihood), settings.threshold
-    merging.merge_above(float(rule.threshold[0]) if threshold is None else threshold)
+    threshold = float(rule.threshold[0]) if settings.threshold is None else settings.threshold
     least_area = settings.least_area * regions.working_share(graph.pixels)
-    merging.merge_small(least_area, settings.least_width)
-    return merging.labels()
+    return merged_regions(graph, rule.parts, threshold, least_area, settings.least_width)
 
 
-def label_masks(labels: Int64[np.ndarray, "h w"]) -> Masks:
+def label_masks(labels: Int32[np.ndarray, "h w"]) -> Masks:
     """A mask per number that occurs, largest first, of equal ones the lower number."""
     from scipy.ndimage import find_objects
 

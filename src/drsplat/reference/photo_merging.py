@@ -1,4 +1,4 @@
-"""Regions that belong together become one, the surest pair first."""
+"""The twin of `kernels.photo_regions.merged_regions`, for any likelihood: regions become one, the surest pair first."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from .features import pair_features
-from .statistics import AREA, AROUND, LENGTH, RegionGraph
+from ..kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
+from .photo_features import pair_features
 
 Likelihood = Callable[[Float64[np.ndarray, "e f"]], Float64[np.ndarray, " e"]]
 

@@ -3,14 +3,14 @@
 import numpy as np
 from jaxtyping import Float64
 
-from .network import BORDER_STEPS, TRAIT_STEPS
-from .regions import LAB_STEPS
-from .statistics import (
+from ..kernels.photo_regions import (
     AREA,
     AROUND,
     BINS,
+    BORDER_STEPS,
     FRAME,
     HISTOGRAM,
+    LAB_STEPS,
     LENGTH,
     MEAN,
     SEEN,
@@ -21,6 +21,7 @@ from .statistics import (
     TRAIT,
     TRAIT_SQUARE,
     TRAIT_STEP,
+    TRAIT_STEPS,
 )
 
 OF_NETWORK = 6  # the last features: what the network sees

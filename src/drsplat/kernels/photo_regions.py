@@ -1,0 +1,151 @@
+"""A photo to regions of like colour, what a network sees of them, and which are one thing (native).
+
+All sums are of whole numbers, so that they do not depend on order: colours are in steps of 1 / LAB_STEPS of CIELAB,
+traits in steps of 1 / TRAIT_STEPS, borders in steps of 1 / BORDER_STEPS.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, UInt8
+
+from .. import _native
+from ..errors import InputError
+from .splatting import _checked_isa
+
+LAB_STEPS = 16
+TRAITS = 8
+TRAIT_STEPS, BORDER_STEPS = 32, 255
+MOST = 127 * TRAIT_STEPS
+
+BINS = 12  # of each channel's histogram
+AREA, MEAN, SQUARE, FRAME, AROUND, TEXTURE = 0, slice(1, 4), slice(4, 7), 7, 8, 9
+HISTOGRAM = slice(10, 10 + 3 * BINS)
+TRAIT = slice(HISTOGRAM.stop, HISTOGRAM.stop + TRAITS)
+TRAIT_SQUARE = TRAIT.stop
+COLUMNS = TRAIT_SQUARE + 1
+LENGTH, STEP, STEP_CHROMA, SEEN, TRAIT_STEP = range(5)
+
+Layers = tuple[Float32[np.ndarray, "..."], ...]
+PairRule = tuple[Float64[np.ndarray, "..."], ...]
+"""center and width of each feature, hidden weights (features, units) and their bias, output weights and their bias."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """borders: how likely a pixel touches another thing, 0 to BORDER_STEPS. traits: near for pixels of one thing."""
+
+    borders: Int32[np.ndarray, "h w"]
+    traits: Int32[np.ndarray, "h w t"]
+
+
+@dataclass(frozen=True, eq=False)
+class RegionGraph:
+    """Regions of an image and which of them touch.
+
+    sums: columns as named above: pixels, colours and their squares, pixels at the image's frame, length of the border
+    to other regions, texture, histograms, traits and their squares. boxes: x0, y0, -x1, -y1. pairs: first below second,
+    in order. borders: length in pixel sides, sum of colour steps across, of chroma alone, what the network says of the
+    pixels on both sides, steps of traits.
+    """
+
+    pixels: int
+    sums: Float64[np.ndarray, "n c"]
+    boxes: Float64[np.ndarray, "n 4"]
+    pairs: Int32[np.ndarray, "e 2"]
+    borders: Float64[np.ndarray, "e 5"]
+
+
+def lab_colors(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0, isa: str = "") -> Int32[np.ndarray, "h w 3"]:
+    """Return CIELAB in steps of 1 / LAB_STEPS; the same on any processor.
+
+    Raises: InputError: an image without pixels, or of 2^16 or more to a side.
+    """
+    try:
+        return np.asarray(_native.lab_colors(np.ascontiguousarray(image), threads, _checked_isa(isa)))
+    except ValueError as error:
+        raise InputError(f"colours: expected {error}") from None
+
+
+def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> Int32[np.ndarray, "h w"]:
+    """Return a number for each region, from 0 in the order of their first pixels, every one in one piece.
+
+    scale: how unlike neighbours must be, in CIELAB units times pixels: higher, larger regions. least: pixels of a
+    region. Neighbours that differ equally are merged in a fixed order: side by side, above each other, diagonally, each
+    by rows.
+
+    Raises: InputError: as lab_colors.
+    Source: Felzenszwalb and Huttenlocher 2004, Efficient graph-based image segmentation; with sigma 0.5.
+    """
+    try:
+        return np.asarray(_native.small_regions(np.ascontiguousarray(lab), scale, least)).reshape(lab.shape[:2])
+    except ValueError as error:
+        raise InputError(f"regions: expected {error}") from None
+
+
+def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0, isa: str = "") -> Sight:
+    """Return what a U-Net sees in an image of any size; the same bits at any `threads`.
+
+    layers: weights (9 * inputs, outputs), rows in the order of row, column, channel, and bias of each 3x3 convolution
+    and ReLU in turn: the first, two for each level down, two for each level up; then of the head (inputs, 4 (1 +
+    TRAITS)): for each pixel of a 2x2 block, rows first, within each channel. The photo's 2x2 blocks come in like that.
+
+    Raises: InputError: as lab_colors, or layers that do not fit together.
+    """
+    given = tuple(np.ascontiguousarray(layer) for layer in layers)
+    try:
+        borders, traits = _native.look(np.ascontiguousarray(image), given, threads, _checked_isa(isa))
+    except ValueError as error:
+        raise InputError(f"network: expected {error}") from None
+    return Sight(np.asarray(borders), np.asarray(traits))
+
+
+def region_graph(labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
+    """Return the sums over regions and over the borders between them.
+
+    labels: from 0, every number up to the largest in use.
+
+    Raises: InputError: as lab_colors, labels below 0, or arrays of different sizes.
+    """
+    arrays = (np.ascontiguousarray(array) for array in (labels, lab, sight.borders, sight.traits))
+    try:
+        sums, boxes, pairs, borders = map(np.asarray, _native.photo_graph(*arrays))
+    except ValueError as error:
+        raise InputError(f"regions: expected {error}") from None
+    return RegionGraph(
+        labels.size, sums.reshape(-1, COLUMNS), boxes.reshape(-1, 4), pairs.reshape(-1, 2), borders.reshape(-1, 5)
+    )
+
+
+def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Float64[np.ndarray, " e"]:
+    """Return how likely the regions of each pair belong to one thing, 0 to 1, rounded to six digits.
+
+    Raises: InputError: a graph or rule of other shapes, pairs that are not in order.
+    """
+    try:
+        return np.asarray(_native.pair_likelihoods(_arrays(graph), graph.pixels, rule, _checked_isa(isa)))
+    except ValueError as error:
+        raise InputError(f"regions: expected {error}") from None
+
+
+def merged_regions(
+    graph: RegionGraph, rule: PairRule, threshold: float, least_area: float, least_width: float, *, isa: str = ""
+) -> Int32[np.ndarray, " n"]:
+    """Return the thing of each region, from 0 in the order of the lowest region of each.
+
+    The likeliest pair is merged, of equal ones the first, until none is above the threshold. Then regions with fewer
+    pixels than least_area, or narrower than least_width as a strip of their area and border to others, go to their
+    likeliest neighbour, smallest first.
+
+    Raises: InputError: as pair_likelihoods.
+    Twin: reference.photo_merging.Merging.
+    """
+    limits = threshold, least_area, least_width
+    try:
+        return np.asarray(_native.merged_regions(_arrays(graph), graph.pixels, rule, *limits, _checked_isa(isa)))
+    except ValueError as error:
+        raise InputError(f"regions: expected {error}") from None
+
+
+def _arrays(graph: RegionGraph) -> tuple[np.ndarray, ...]:
+    return tuple(np.ascontiguousarray(array) for array in (graph.sums, graph.boxes, graph.pairs, graph.borders))
