@@ -1,10 +1,10 @@
-"""Photos to language features: masks, their crops, their embeddings; one photo at a time.
+"""Photos to language features: masks, their crops, their embeddings; of other models, one photo at a time.
 
 What a folder was made with, and which of its files are finished, is kept in an `embedding.json`
 beside them. Features count as finished only with an entry there that fits them and their photo.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -34,6 +34,7 @@ from ..scene.photo_masks import load_mask, views_with_something
 from ..scene.photos import load_image
 from ..scene.views import View
 from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
+from .side_by_side import Threaded, photos_at_once, side_by_side
 
 ALGORITHM = "1"  # of everything here that decides what is written; a new one makes all files anew
 WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
@@ -74,7 +75,8 @@ def embed(
     masks of photos leave out is in no mask: one that lies mostly there is dropped, others lose those pixels, and photos
     that are left out as a whole get no files. Finished photos are not touched: a run that was killed loses at most the
     photo it was at. Where a setting differs from the folder's, everything is made anew, each file replaced when its
-    successor is complete. Memory holds one photo at a time.
+    successor is complete. Memory holds one photo at a time; the built-in models take as many at once as they have
+    threads, up to 8, and a kill then loses those.
     form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; what is finished in the other form
     is rewritten, not made anew.
     segmenter: who cuts photos into masks; or features of the same photos, whose masks are kept with their ids, on their
@@ -111,8 +113,9 @@ def embed(
         redone = sum(record.has_files(stem) for stem in pending)
         for stem in sorted(photos.keys() - pending):
             _rewrite(record, stem, form)
-        for stem in track(pending, "embedding photos"):
-            _store(record, stem, photos[stem], _embedded(rasters[stem], stem, segmenter, encoder), form)
+        with closing(_all_embedded(rasters, pending, segmenter, encoder)) as embedded:
+            for stem, found in zip(track(pending, "embedding photos"), embedded, strict=True):
+                _store(record, stem, photos[stem], found, form)
         finish_folder(record, encoder)
     return report_of(record, list(photos), len(pending), redone)
 
@@ -223,6 +226,16 @@ def _with_masks(rasters: Mapping[str, View], folder: FeatureFolder) -> dict[str,
         text = f"{len(missing)} of {len(rasters)} photos have no masks in {folder.directory}: {listed(missing)}"
         warn(text, DrSplatWarning, stacklevel=4)
     return found
+
+
+def _all_embedded(
+    rasters: Mapping[str, View], stems: Sequence[str], segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder
+) -> Generator[_Embedded]:
+    """Photos in order, several at a time where both models are built in."""
+    at_once = min(photos_at_once([segmenter, encoder]), max(len(stems), 1))
+    if at_once > 1 and isinstance(segmenter, Threaded) and isinstance(encoder, Threaded):
+        segmenter, encoder = segmenter.on_one_thread(), encoder.on_one_thread()
+    yield from side_by_side(lambda stem: _embedded(rasters[stem], stem, segmenter, encoder), stems, at_once)
 
 
 def _embedded(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder) -> _Embedded:

@@ -45,7 +45,7 @@ class GraphSegmenter:
     name = "graph"
 
     def __init__(self, settings: GraphSettings | None = None, *, threads: int = 0) -> None:
-        self.settings, self._threads = settings or GraphSettings(), threads
+        self.settings, self.threads = settings or GraphSettings(), threads
         self.network, seen = shipped_network()
         self.rule, weights = shipped_rule()
         self.identity: Mapping[str, object] = {
@@ -53,6 +53,10 @@ class GraphSegmenter:
             "scale": regions.SCALE, "sigma": regions.SIGMA, "region_area": regions.LEAST_AREA,
             "working_pixels": regions.WORKING_PIXELS, **asdict(self.settings),
         }  # fmt: skip
+
+    def on_one_thread(self) -> "GraphSegmenter":
+        """The same segmenter, for several threads to ask at once."""
+        return GraphSegmenter(self.settings, threads=1)
 
     def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
         """Masks of `large`, largest first; together they are the whole image.
@@ -63,7 +67,7 @@ class GraphSegmenter:
         if not height * width:
             raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
         working = regions.working_image(image)
-        labels = segment_labels(working, self.rule, self.network, self.settings, threads=self._threads)
+        labels = segment_labels(working, self.rule, self.network, self.settings, threads=self.threads)
         return {"large": label_masks(regions.enlarged(labels, height, width))}
 
 

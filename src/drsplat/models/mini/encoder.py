@@ -40,13 +40,17 @@ class MiniEncoder:
 
         folder = files(__package__)
         data = (folder / "mini.safetensors").read_bytes()
-        self._threads = threads
+        self.threads = threads
         self._weights = {name: array.astype(np.float32) for name, array in load(data).items()}
         # A file of its own, which is no part of the identity: it changes what is asked and not what masks are embedded
         # as, so that fields made before it stay valid.
         self._photo_colors: np.ndarray = load((folder / "photo_colors.safetensors").read_bytes())["photo_colors"]
         weights = hashlib.blake2b(data, digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
+
+    def on_one_thread(self) -> "MiniEncoder":
+        """The same encoder, for several threads to ask at once."""
+        return MiniEncoder(threads=1)
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
         """Raises: InputError: a text with a word that it was not taught, or without any word."""
@@ -55,7 +59,7 @@ class MiniEncoder:
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
         """Square crops on a black background; others are made square by black borders."""
         rows = [
-            embed_images(_pixels(images[at : at + BATCH]), self._weights, threads=self._threads)
+            embed_images(_pixels(images[at : at + BATCH]), self._weights, threads=self.threads)
             for at in range(0, len(images), BATCH)
         ]
         return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
