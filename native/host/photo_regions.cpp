@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <memory>
 #include <utility>
 
 namespace drsplat {
@@ -57,8 +58,7 @@ void blur_across(Planes &planes) {
     for (size_t y = 0; y < planes.height; y++) {
       double *row = planes.row(c, y);
       for (size_t i = 0; i < width + 4; i++)
-        if (i < 2 || i >= width + 2) wide[i] = row[mirrored((ptrdiff_t)i - 2, width)];
-      std::copy_n(row, width, wide.begin() + 2);
+        wide[i] = row[i < 2 || i >= width + 2 ? mirrored((ptrdiff_t)i - 2, width) : i - 2];
       for (size_t x = 0; x < width; x++)
         row[x] = blurred(wide[x + 2], wide[x + 1] + wide[x + 3], wide[x] + wide[x + 4]);
     }
@@ -70,12 +70,13 @@ struct Edge {
   uint32_t place;
 };
 
-// Costs of most photos differ in these bits: 18 of the mantissa in 16 powers of two from 1/64. Costs are positive, so
+// Costs of most photos differ in these bits: 18 of the mantissa in 16 powers of two from 1/512. Costs are positive, so
 // that they are in the order of their bits.
 constexpr int kDigit = 11;
 constexpr uint64_t kDigits = 1 << kDigit, kMost = kDigits * kDigits - 1;
 constexpr int kDropped = 52 - 18;
-constexpr uint64_t kFirst = (uint64_t)(1023 - 6) << 18;
+constexpr uint64_t kFirst = (uint64_t)(1023 - 9) << 18;
+constexpr ptrdiff_t kFew = 16;  // places that an edge is moved by itself
 
 uint64_t key_of(double cost) {
   uint64_t bits;
@@ -84,60 +85,88 @@ uint64_t key_of(double cost) {
   return bits <= kFirst ? 0 : std::min(bits - kFirst, kMost);
 }
 
-using Counts = std::array<uint32_t, kDigits>;
-
-void place_by_digit(const std::vector<Edge> &from, std::vector<Edge> &to, Counts &counts, int shift) {
-  uint32_t before = 0;
-  for (uint32_t &count : counts) before += std::exchange(count, before);
-  for (const Edge &edge : from) to[counts[(key_of(edge.cost) >> shift) % kDigits]++] = edge;
-}
-
-// By cost; equal ones keep their order.
-void sort(std::vector<Edge> &edges) {
-  std::vector<Edge> other(edges.size());
+// Both digits of keys are counted while edges are put in, so that they are only read to be moved.
+struct Edges {
+  using Counts = std::array<uint32_t, kDigits>;
+  std::unique_ptr<Edge[]> values, moved;
+  size_t count = 0;
   Counts low{}, high{};
-  for (const Edge &edge : edges) {
-    const uint64_t key = key_of(edge.cost);
+
+  explicit Edges(size_t most) : values(new Edge[most]), moved(new Edge[most]) {}
+  Edge *begin() { return values.get(); }
+  Edge *end() { return values.get() + count; }
+
+  void add(double cost, uint32_t place) {
+    const uint64_t key = key_of(cost);
     low[key % kDigits]++, high[key >> kDigit]++;
+    values[count++] = {cost, place};
   }
-  place_by_digit(edges, other, low, 0);
-  place_by_digit(other, edges, high, kDigit);
-  const auto cheaper = [](const Edge &x, const Edge &y) { return x.cost < y.cost; };
-  for (auto begin = edges.begin(); begin != edges.end();) {
-    auto end = begin + 1;
-    bool sorted = true;
-    for (const uint64_t key = key_of(begin->cost); end != edges.end() && key_of(end->cost) == key; ++end)
-      sorted = sorted && end[-1].cost <= end->cost;
-    if (!sorted) std::stable_sort(begin, end, cheaper);
-    begin = end;
+
+  // By cost; equal ones keep their order.
+  void sort() {
+    move_by_digit(low, 0);
+    move_by_digit(high, kDigit);
+    for (Edge *next = begin() + 1; next < end(); next++)
+      if (next->cost < next[-1].cost) next = put_in_place(next);
+  }
+
+  void move_by_digit(Counts &counts, int shift) {
+    uint32_t before = 0;
+    for (uint32_t &n : counts) before += std::exchange(n, before);
+    for (const Edge &edge : *this) moved[counts[(key_of(edge.cost) >> shift) % kDigits]++] = edge;
+    values.swap(moved);
+  }
+
+  // The last edge that is then in its place: this one, or where many have the same key, the last of them.
+  Edge *put_in_place(Edge *unsorted) {
+    const Edge edge = *unsorted;
+    Edge *place = unsorted;
+    for (; place > begin() && edge.cost < place[-1].cost && unsorted - place < kFew; place--) *place = place[-1];
+    *place = edge;
+    return unsorted - place < kFew ? unsorted : sort_alike(unsorted, key_of(edge.cost));
+  }
+
+  Edge *sort_alike(Edge *within, uint64_t key) {
+    Edge *first = within, *last = within + 1;
+    while (first > begin() && key_of(first[-1].cost) == key) first--;
+    while (last < end() && key_of(last->cost) == key) last++;
+    std::stable_sort(first, last, [](const Edge &x, const Edge &y) { return x.cost < y.cost; });
+    return last - 1;
+  }
+};
+
+// Neighbours in one direction: to pixels of the rows and columns, from those so far below and to the right.
+struct Direction {
+  size_t first_column, rows, columns;
+  int down, right;
+};
+
+void add_edges(const Planes &colors, const Direction &to, uint32_t number, std::vector<double> &costs, Edges &edges) {
+  for (size_t y = 0; y < to.rows; y++) {
+    const double *a[3], *b[3];
+    for (size_t c = 0; c < 3; c++) {
+      a[c] = colors.row(c, y) + to.first_column;
+      b[c] = colors.row(c, y + (size_t)to.down) + ((ptrdiff_t)to.first_column + to.right);
+    }
+    for (size_t x = 0; x < to.columns; x++) {
+      const double l = b[0][x] - a[0][x], u = b[1][x] - a[1][x], v = b[2][x] - a[2][x];
+      costs[x] = std::sqrt(l * l + u * u + v * v);
+    }
+    const auto pixel = (uint32_t)(y * colors.width + to.first_column);
+    for (size_t x = 0; x < to.columns; x++) edges.add(costs[x], 4 * (pixel + (uint32_t)x) + number);
   }
 }
 
-std::vector<Edge> edges_of(const Planes &colors) {
+Edges edges_of(const Planes &colors) {
   const size_t height = colors.height, width = colors.width;
-  std::vector<Edge> edges;
-  edges.reserve(4 * height * width);
+  Edges edges(4 * height * width);
   std::vector<double> costs(width);
-  const auto add = [&](uint32_t direction, size_t first_row, size_t first_column, size_t rows, size_t columns, int down,
-                       int right) {
-    for (size_t y = first_row; y < first_row + rows; y++) {
-      const double *a[3], *b[3];
-      for (size_t c = 0; c < 3; c++)
-        a[c] = colors.row(c, y) + first_column,
-        b[c] = colors.row(c, y + (size_t)down) + (ptrdiff_t)first_column + right;
-      for (size_t x = 0; x < columns; x++) {
-        const double l = b[0][x] - a[0][x], u = b[1][x] - a[1][x], v = b[2][x] - a[2][x];
-        costs[x] = std::sqrt(l * l + u * u + v * v);
-      }
-      const auto pixel = (uint32_t)(y * width + first_column);
-      for (size_t x = 0; x < columns; x++) edges.push_back({costs[x], 4 * (pixel + (uint32_t)x) + direction});
-    }
-  };
-  add(0, 0, 0, height, width - 1, 0, 1);
-  add(1, 0, 0, height - 1, width, 1, 0);
-  add(2, 0, 0, height - 1, width - 1, 1, 1);
-  add(3, 0, 1, height - 1, width - 1, 1, -1);
-  sort(edges);
+  const Direction directions[4] = {{0, height, width - 1, 0, 1},
+                                   {0, height - 1, width, 1, 0},
+                                   {0, height - 1, width - 1, 1, 1},
+                                   {1, height - 1, width - 1, 1, -1}};
+  for (uint32_t number = 0; number < 4; number++) add_edges(colors, directions[number], number, costs, edges);
+  edges.sort();
   return edges;
 }
 
@@ -174,18 +203,18 @@ struct Growing {
   }
 
   // Merges what is alike, and keeps the edges that do not merge anything, in order.
-  void merge_alike(std::vector<Edge> &edges) {
+  void merge_alike(Edges &edges) {
     size_t kept = 0;
     for (const Edge &edge : edges) {
       const auto [a, b] = ends(edge);
       if (a == b) continue;
       if (edge.cost < std::min(nodes[a].limit, nodes[b].limit)) unite(a, b, edge.cost);
-      else edges[kept++] = edge;
+      else edges.values[kept++] = edge;
     }
-    edges.resize(kept);
+    edges.count = kept;
   }
 
-  void merge_small(const std::vector<Edge> &edges, int32_t least) {
+  void merge_small(Edges &edges, int32_t least) {
     for (const Edge &edge : edges) {
       const auto [a, b] = ends(edge);
       if (a != b && (nodes[a].size < least || nodes[b].size < least)) unite(a, b, 0);
@@ -219,7 +248,7 @@ void lab_colors(const Kernels &kernels, const uint8_t *rgb, size_t pixels, int t
 std::vector<int32_t> small_regions(const int32_t *lab, int32_t height, int32_t width, double scale, int32_t least) {
   Planes colors = blurred_down(colors_of(lab, (size_t)height, (size_t)width));
   blur_across(colors);
-  std::vector<Edge> edges = edges_of(colors);
+  Edges edges = edges_of(colors);
   Growing growing((size_t)height * (size_t)width, (uint32_t)width, scale);
   growing.merge_alike(edges);
   growing.merge_small(edges, least);
