@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models.add_argument(
         "--segmenter", type=words, metavar="NAME",
         help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder; or graph, built in, no model to "
-        f"download, under a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on a CPU take "
+        f"download, a fifth of a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on a CPU take "
         "graph, or facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
     )  # fmt: skip
     models.add_argument(

@@ -1,4 +1,4 @@
-"""Photos to language features: masks, their crops, their embeddings; of other models, one photo at a time.
+"""Photos to language features: masks, their crops, their embeddings; one photo at a time, or a few.
 
 What a folder was made with, and which of its files are finished, is kept in an `embedding.json`
 beside them. Features count as finished only with an entry there that fits them and their photo.
