@@ -25,6 +25,7 @@ from drsplat.kernels import (
 from drsplat.reference import scan as reference_scan
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
+FUSED = [isa for isa in available_isas() if isa in ("v3", "v4", "v4_vbmi")]  # multiply and add with one rounding
 HYBRID = Scanning(error=2e-3, wide=16)
 
 
@@ -72,6 +73,22 @@ def test_scores_are_those_of_the_twin(isa: str, subvectors: int, queries: int) -
     assert_allclose(scan_scores(rows, tables, Scanning(isa=isa)), exact, rtol=0, atol=1e-4)
     rough = scan_scores(rows, tables, HYBRID._replace(isa=isa))
     assert_allclose(rough, exact, rtol=0, atol=2e-3)
+
+
+@pytest.mark.skipif(len(FUSED) < 2, reason="this machine has at most one of them")
+@pytest.mark.parametrize("how", [Scanning(), HYBRID])
+@pytest.mark.parametrize(("subvectors", "queries"), [(7, 1), (128, 3), (128, 20), (300, 5)])
+def test_instruction_sets_agree_to_the_bit(how: Scanning, subvectors: int, queries: int) -> None:
+    """Bytes by shuffles, and whole numbers by loads: sums of steps are exact, whichever way they are added up."""
+    rows, tables = drawn(subvectors, 1000, subvectors, queries, coarse=queries)
+    tables.luts[:, 3] *= 50
+    answers = [
+        (scan_scores(rows, tables, how._replace(isa=isa)), *scan_best(rows, tables, how._replace(isa=isa)))
+        for isa in FUSED
+    ]
+    for answer in answers[1:]:
+        for a, b in zip(answers[0], answer, strict=True):
+            assert_array_equal(a, b)
 
 
 @every_isa

@@ -1,9 +1,9 @@
 // Look-ups in tables of bytes (AVX-512 VBMI): 64 codes in two vpermi2b.
 //
-// An entry is rounded to a whole number of steps above the lowest of its table, and the digits of that number
-// are summed apart, as planes of bytes: the lowest digit to base 128 or 256, the others to base 256. Bytes of
-// several sub-vectors are added as bytes while they fit ("packed"), then widened to 16 bits, where bits 8-15
-// count the odd rows too; these are also summed apart, and taken out at the end.
+// The digits of an entry, counted in steps (scan_steps.h), are summed apart, as planes of bytes: the lowest digit to
+// base 128 or 256, the others to base 256. Bytes of several sub-vectors are added as bytes while they fit ("packed"),
+// then widened to 16 bits, where bits 8-15 count the odd rows too; these are also summed apart, and taken out at the
+// end.
 // Source: Andre et al. 2015, 2017 (PQ Fast Scan, Quick ADC) for sums in small integers of shuffled tables;
 // tables of all 256 entries in registers, and planes, are ours.
 
@@ -11,12 +11,11 @@ constexpr uint32_t kPlanes = 3;
 #pragma once
 #include "kernels/isa.h"
 #include "kernels/scan_kernels.h"
+#include "kernels/scan_steps.h"
 
 namespace drsplat::DRSPLAT_ISA {
 
-constexpr uint32_t kTile = 32;              // sub-vectors whose codes stay in the L1 cache
-constexpr uint32_t kChunk = 256;            // sub-vectors whose bytes fit a 16-bit sum
-constexpr float kMaxSteps = (1 << 23) - 2;  // what digits of 7, 8 and 8 bits hold
+constexpr uint32_t kTile = 32;  // sub-vectors whose codes stay in the L1 cache
 
 struct Step {        // one table of 256 bytes
   uint16_t in_tile;  // its sub-vector, within the tile
@@ -26,10 +25,10 @@ struct Run {  // the steps of one tile and plane
   uint32_t begin, end;
   bool packed;
 };
-struct Range { float low, width; };
 
 struct BytePlan {  // of one query; pointers are set by `plan_at`
-  float step, bias, weights[kPlanes];
+  Scale scale;
+  float weights[kPlanes];
   uint32_t planes;  // in use
   Range *ranges;    // of each sub-vector
   Run *runs;        // tiles x kPlanes
@@ -62,45 +61,6 @@ static BytePlan &new_plan(void *prepared, uint32_t subvectors, uint32_t query) {
   return plan;
 }
 
-static Range range_of(const float *table) {
-  __m512 low = _mm512_loadu_ps(table), high = low;
-  for (int c = 16; c < 256; c += 16)
-    low = _mm512_min_ps(low, _mm512_loadu_ps(table + c)), high = _mm512_max_ps(high, _mm512_loadu_ps(table + c));
-  const float lowest = _mm512_reduce_min_ps(low);
-  return {lowest, _mm512_reduce_max_ps(high) - lowest};
-}
-
-// The width that `rank` others exceed; ranks are few.
-static float ranked_width(const Range *ranges, uint32_t subvectors, uint32_t rank) {
-  float bound = __builtin_inff();
-  for (uint32_t seen = 0; seen <= rank;) {
-    float next = -1.f;
-    uint32_t equal = 0;
-    for (uint32_t m = 0; m < subvectors; m++) {
-      const float width = ranges[m].width;
-      if (width < bound && width > next) next = width, equal = 1;
-      else if (width == next) equal++;
-    }
-    if (next < 0) return 0.f;
-    bound = next, seen += equal;
-  }
-  return bound;
-}
-
-static float step_of(const Range *ranges, uint32_t subvectors, Precision precision) {
-  const float finest = ranked_width(ranges, subvectors, 0) / kMaxSteps;
-  // Half a step for each: never off by more than 0.95 error, and by less where more costs next to nothing.
-  float step = 1.9f * precision.error / (float)(subvectors < 32 ? 32 : subvectors);
-  if (precision.wide) {
-    const float largest = precision.error / (6.f * __builtin_sqrtf((float)subvectors / 12.f));
-    step = ranked_width(ranges, subvectors, precision.wide) / 255.f;
-    if (!(step <= largest)) step = largest;
-    if (step < 0.01f * largest) step = 0.01f * largest;
-  }
-  if (step < finest) step = finest;
-  return step > 0 ? step : 1.f;
-}
-
 // Bytes of one plane of one table; returns the largest.
 static uint32_t digits_of(const float *table, float low, float per_step, int shift, uint32_t mask, uint8_t *bytes) {
   const __m512 l = _mm512_set1_ps(low), p = _mm512_set1_ps(per_step), half = _mm512_set1_ps(0.5f);
@@ -131,7 +91,7 @@ static uint32_t packing_of(const uint32_t *largest, uint32_t count) {
 
 static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32_t last, int shift, uint32_t mask,
                      Run &run) {
-  const float per_step = 1.f / plan.step;
+  const float per_step = 1.f / plan.scale.step;
   uint32_t largest[kTile], count = 0;
   for (uint32_t m = first; m < last; m++) {
     const uint32_t at = run.begin + count;
@@ -147,10 +107,7 @@ static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32
 }
 
 static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, BytePlan &plan) {
-  double bias = 0;
-  for (uint32_t m = 0; m < subvectors; m++)
-    plan.ranges[m] = range_of(tables + 256 * (size_t)m), bias += plan.ranges[m].low;
-  plan.step = step_of(plan.ranges, subvectors, precision), plan.bias = (float)bias, plan.planes = 1;
+  plan.scale = scale_of(tables, subvectors, precision, plan.ranges), plan.planes = 1;
   const int lowest = precision.wide ? 8 : 7;  // bits; pairs of 7 fit a byte
   const int shifts[kPlanes] = {0, lowest, lowest + 8};
   const uint32_t masks[kPlanes] = {(1u << lowest) - 1, 255, 255};
@@ -252,7 +209,7 @@ INLINE void unpack(__m512i even, __m512i odd, __m512 *rows) {
 
 // out = bias + step * sum over planes; after the first chunk, out += step * sum.
 static void emit(const BytePlan &plan, const Accumulators *totals, bool first_chunk, float *out) {
-  const __m512 step = _mm512_set1_ps(plan.step), bias = _mm512_set1_ps(plan.bias);
+  const __m512 step = _mm512_set1_ps(plan.scale.step), bias = _mm512_set1_ps(plan.scale.bias);
   for (int b = 0; b < 8; b++) {
     __m512 sum[4];
     unpack(totals[0].even[b], totals[0].odd[b], sum);

@@ -4,7 +4,7 @@
 #if defined(__AVX512VBMI__)
 #include "kernels/scan_bytes.h"
 #else
-#include "kernels/scan_floats.h"
+#include "kernels/scan_integers.h"
 #endif
 #include "kernels/scan_results.h"
 
