@@ -14,7 +14,7 @@ import drsplat as ds
 from drsplat import Answer, Query, Scene
 from drsplat.field.labels import LabelFile
 from drsplat.field.objects import PART
-from drsplat.query import tasks
+from drsplat.query.linking import join_to_held
 from drsplat.query.wholes import by_object, for_comparing, highest_share
 from drsplat.query.wholes import with_objects as of_objects
 from known_objects import CENTERS, EACH, TEST, with_objects
@@ -229,6 +229,6 @@ def test_loose_gaussians_at_an_object_are_its_border() -> None:
     points = np.concatenate([thing, border, away])
     places = np.repeat([3, -1, -2], [300, 40, 40])
     loose, held = np.flatnonzero(places < 0), np.flatnonzero(places >= 0)
-    tasks._join(places, points, loose, held, None)
+    join_to_held(places, points, loose, held, None)
     assert np.unique(places[:340]).tolist() == [3]
     assert np.unique(places[340:]).tolist() == [-2]

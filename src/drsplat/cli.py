@@ -1,14 +1,13 @@
 """The command line: arguments -> one public call -> print.
 
-Each verb is a module of `drsplat.commands` with SUMMARY, EXAMPLES, add_arguments(parser), run(arguments)
--> a JSON object, and show(object) for people. Two more are optional: DAILY, the options that --help shows if not all,
-and interrupted(arguments) -> how to go on after Ctrl-C. To add a verb, add the module and its name to GROUPS.
+Each verb is a module of `drsplat.commands` with EXAMPLES, add_arguments(parser), run(arguments) -> a JSON object, and
+show(object) for people. Two more are optional: DAILY, the options that --help shows if not all, and
+interrupted(arguments) -> how to go on after Ctrl-C. To add a verb, add the module, and its name and summary to
+`drsplat.commands.verbs`.
 """
 
 import argparse
-import json
 import os
-import platform
 import re
 import shlex
 import sys
@@ -17,25 +16,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from io import TextIOWrapper
+from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from .commands.common import add_common
 from .commands.help_texts import VerbListFormatter
 from .commands.log import logged, path_of
 from .commands.parsing import Parser, UsageError, VerbParser, did_you_mean
+from .commands.verbs import GROUPS, SUMMARIES
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
 from .system import can_be_a_path
 from .terminal import plain, plainly, quoted
 
-GROUPS = {
-    "make a scene": ("scan", "capture", "train", "tile", "motion"),
-    "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
-    "ask": ("locate", "select", "segment", "when", "catalogue"),
-    "look and change": ("view", "render", "edit"),
-    "serve": ("serve", "mcp"),
-    "try, check and measure": ("demo", "inspect", "doctor", "evaluate"),
-}
-VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
+VERBS = tuple(SUMMARIES)
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
 SHELLS = ("bash", "zsh", "tcsh", "fish")
@@ -90,6 +83,8 @@ class _Version(argparse.Action):
     """Action that looks the version up only when asked, which costs more than all of --help."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        import platform
+
         from . import __version__
         from .kernels import available_isas, compiler, default_isa
 
@@ -111,7 +106,7 @@ class _Completion(argparse.Action):
             raise MissingExtraError('shtab is not installed: pip install "drsplat[completion]"') from None
         if shell not in shtab.SUPPORTED_SHELLS:
             raise MissingExtraError(f'shtab {shtab.__version__} does not know {shell}: pip install -U "shtab>=1.9.3"')
-        print(shtab.complete(parser, str(shell)))
+        print(shtab.complete(make_parser(), str(shell)))
         parser.exit()
 
 
@@ -153,7 +148,7 @@ def _told(given: list[str], as_json: bool, debug: bool) -> int:
 
 
 def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
-    """Return the parser of the command line. verbs: those to build, where only some are needed."""
+    """Return the parser of the command line. verbs: those to load; of the others it has only the summaries."""
     parser = _LineParser(
         prog="drsplat",
         description="Search a 3D Gaussian Splatting scene in words.",
@@ -168,17 +163,15 @@ def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
         help="print what bash, zsh, tcsh or fish needs to complete verbs and options, and exit",
     )  # fmt: skip
     subparsers = parser.add_subparsers(metavar="VERB", required=True, parser_class=VerbParser)
-    for name in verbs:
-        _add_verb(subparsers, name)
+    for name, summary in SUMMARIES.items():
+        verb = subparsers.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
+        if name in verbs:
+            _add_options(verb, import_module(f".commands.{name}", __package__))
     return parser
 
 
-def _add_verb(subparsers: "argparse._SubParsersAction[VerbParser]", name: str) -> None:
-    command = import_module(f".commands.{name}", __package__)
-    summary: str = command.SUMMARY
-    parser = subparsers.add_parser(
-        name, help=summary, description=summary[0].upper() + summary[1:] + ".", epilog=f"examples:\n{command.EXAMPLES}"
-    )
+def _add_options(parser: VerbParser, command: ModuleType) -> None:
+    parser.epilog = f"examples:\n{command.EXAMPLES}"
     command.add_arguments(parser)
     own = (option.dest for option in parser.options if not option.dest.startswith("help"))
     parser.daily = {"json", *getattr(command, "DAILY", own)}
@@ -205,7 +198,7 @@ def spelled(message: str, flags: Mapping[str, str]) -> str:
 
 
 def _run(argv: list[str]) -> int:
-    arguments = make_parser(argv[:1] if argv and argv[0] in VERBS else VERBS).parse_args(argv)
+    arguments = make_parser(argv[:1]).parse_args(argv)
     _refuse_no_texts(arguments)
     if arguments.print_config:
         from .commands.configuring import configuration
@@ -223,7 +216,7 @@ def _run(argv: list[str]) -> int:
             error.args = tuple(spelled(str(part), arguments.flags) for part in error.args)
             raise
     if arguments.json:
-        print(json.dumps(answer, default=_as_json))
+        _print_json(answer)
     else:
         arguments.command.show(plainly(answer))
     sys.stdout.flush()
@@ -242,6 +235,12 @@ def _refuse_no_texts(arguments: argparse.Namespace) -> None:
                 raise UsageError(f"{shown}: expected text in UTF-8, got {quoted(text)}")
 
 
+def _print_json(answer: object) -> None:
+    import json
+
+    print(json.dumps(answer, default=_as_json))
+
+
 def _as_json(value: object) -> object:
     """NumPy's numbers and arrays, paths: as JSON has them."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
@@ -252,7 +251,7 @@ def _failed(error: BaseException, kind: str, code: int, as_json: bool) -> int:
     print(f"drsplat: error: {plain(message)}", file=sys.stderr)
     try:
         if as_json:
-            print(json.dumps({"error": message, "kind": kind}))
+            _print_json({"error": message, "kind": kind})
         sys.stdout.flush()
     except OSError:  # what failed may be stdout itself
         _drop_stdout()

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from pathlib import PurePath
 
 # controls but tab and newline, what turns the direction of writing, and halves of surrogate pairs
@@ -64,4 +63,6 @@ def numbers_said(numbers: Iterable[float]) -> str:
 
 
 def _cell(value: object) -> str:
+    from html import escape
+
     return escape(plain(str(value)))

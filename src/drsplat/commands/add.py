@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..scene.moving import Moving
     from ..scene.views import View
 
-SUMMARY = "add views to a field: only these are computed, and the result is that of registering all at once"
 EXAMPLES = """\
   drsplat add room.field capture --features capture/language_features --scene scene.ply
   drsplat add room.field new_photos --features new_photos/language_features --scene scene.ply --json

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from ..capture.settings import CaptureSettings
     from ..progress import Meter
 
-SUMMARY = "pose photos or a video (COLMAP): where each was taken, as a capture that train and embed take"
 EXAMPLES = """\
   drsplat capture photos --output capture
   drsplat capture walk.mp4 --output capture

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ..catalogue import Catalogue
     from ..query import Query
 
-SUMMARY = "keep the objects of many scenes in one table, and search all of them at once"
 EXAMPLES = """\
   drsplat catalogue add flats.catalogue flats/*
   drsplat catalogue ask flats.catalogue "red mug" --picture mugs.jpg

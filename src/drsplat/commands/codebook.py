@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ..codes import Codebook
     from ..encoders import EncoderIdentity
 
-SUMMARY = "train a codebook on patches of LVIS or on embeddings, for all scenes of one encoder"
 EXAMPLES = """\
   drsplat codebook train --lvis lvis_v1_train.json --images coco --output clip.safetensors
   drsplat codebook train embeddings.npy --encoder-name ViT-B-16/laion2b_s34b_b88k --output clip.safetensors

@@ -6,7 +6,6 @@ from typing import Any
 
 from .options import add_overwrite, tracker
 
-SUMMARY = "search a small scene that ships: mask its photos, embed, register, query, check against the truth"
 EXAMPLES = """\
   drsplat demo
   drsplat demo --output-dir room --overwrite --json

@@ -12,7 +12,6 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
 
-SUMMARY = "report what is installed, what can run on this machine and what is missing"
 EXAMPLES = """\
   drsplat doctor
   drsplat doctor --json

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from ..scene.gaussians import Gaussians
     from ..scene.views import View
 
-SUMMARY = "edit objects of a scene: remove, recolour, move, copy, replace, undo; its file stays as it is"
 EXAMPLES = """\
   drsplat edit scene.ply --field room.field --query "red mug" --recolour "#2060ff"
   drsplat edit scene.ply --field room.field --object 7 --move 0.2 0 0 --save edited.ply

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from ..scene.gaussians import Gaussians
     from ..scene.views import View
 
-SUMMARY = "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register"
 EXAMPLES = """\
   drsplat embed capture
   drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --points auto --crop-layers 0 \\

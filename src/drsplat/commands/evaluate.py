@@ -14,7 +14,6 @@ from .query_options import open_scene
 if TYPE_CHECKING:
     from ..evaluation.running import Judged
 
-SUMMARY = "score fields, or features of other systems, on a protocol of the papers"
 HANDED_ON = (
     "relevancy", "threshold", "method", "automatic", "voxel_side", "figures", "score_only", "overwrite", "threads",
 )  # fmt: skip

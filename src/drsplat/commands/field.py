@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ..field import Assignment
     from ..field.labels import Label
 
-SUMMARY = "carry a field over to its scene in another file, e.g. a compressed one"
 EXAMPLES = """\
   drsplat field carry room.field room.spz --scene scene.ply --output room_spz.field
   drsplat locate room_spz.field "red mug" --scene room.spz

@@ -14,7 +14,6 @@ from .recognising import kind_of, place_of
 if TYPE_CHECKING:
     import numpy as np
 
-SUMMARY = "describe any file or folder: a scene, a capture, features, a field, tiles, a catalogue or a codebook"
 EXAMPLES = """\
   drsplat inspect scene.ply
   drsplat inspect capture

@@ -12,7 +12,6 @@ from .query_options import add_output_options, add_query_options, answer_json, a
 if TYPE_CHECKING:
     from ..query import Answer, Match, MatchTrack, Scene
 
-SUMMARY = "locate the matches of a query in a scene: where they are, how large, and their supporting photos"
 EXAMPLES = """\
   drsplat locate room.field "red mug" --scene scene.ply
   drsplat locate room.field "mug, not red" --scene scene.ply --threshold auto

@@ -10,7 +10,6 @@ from typing import Any
 from .listening import add_computing, add_listening, checked_key, own_names
 from .options import add_query_encoders
 
-SUMMARY = "let language models query the scenes of a folder (Model Context Protocol)"
 EXAMPLES = """\
   drsplat mcp scenes
   drsplat mcp drsplat-demo --http --port 8766

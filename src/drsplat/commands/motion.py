@@ -7,7 +7,6 @@ from typing import Any
 
 from .options import add_overwrite, finite, new_output
 
-SUMMARY = "inspect a scene that moves, or convert it to motion that drsplat reads fast, or to numbered PLY files"
 EXAMPLES = """\
   drsplat motion gaussian_pertimestamp --times 0 1 --output film.motion
   drsplat motion spacetime.ply --output film.motion

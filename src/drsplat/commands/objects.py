@@ -12,7 +12,6 @@ from .query_options import FIELD_HELP, open_scene
 if TYPE_CHECKING:
     from ..query import Scene
 
-SUMMARY = "list the objects of a scene, without any word for them: where they are, how large, in which photos"
 EXAMPLES = """\
   drsplat objects room.field --scene scene.ply
   drsplat objects room.field --scene scene.ply --all

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from .workers import Register
 
 DEFAULT_TOPK, DEFAULT_LEVEL = 40, "large"
-SUMMARY = "register the masks of posed photos onto the Gaussians of a scene, as a searchable field"
 EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --output scene.field
   drsplat register scene.ply capture --features capture/language_features --topk 45 --first-hits 100 \\

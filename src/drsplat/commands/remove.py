@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from ..field import LanguageField
     from ..growing import Change
 
-SUMMARY = "take views out of a field, as if they had never been registered"
 EXAMPLES = """\
   drsplat remove room.field --scene scene.ply --views IMG_0017 IMG_0018.jpg
   drsplat remove room.field --scene scene.ply --views 'blurred/*'

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from ..scene.moving import Moving
     from ..scene.views import View
 
-SUMMARY = "render a scene as pictures or as a film, optionally with the matches of a query highlighted"
 EXAMPLES = """\
   drsplat render scene.ply --views capture --view photo_003 --output-dir renders
   drsplat render scene.ply --views capture --all --max-side 800 --depth

@@ -16,7 +16,6 @@ from .train import EVERYDAY_ITERATIONS
 if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
 
-SUMMARY = "scan photos or a video: poses, a scene, masks, a field, its objects and a page to open, in one go"
 EXAMPLES = """\
   drsplat scan walk.mp4 --output room
   drsplat scan photos --output room --ask "red mug; blue plate"

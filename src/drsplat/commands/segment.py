@@ -20,7 +20,6 @@ from .query_options import (
 if TYPE_CHECKING:
     from ..query import Scene, Segmentation
 
-SUMMARY = "label every Gaussian with the best of some classes, or with none of them"
 EXAMPLES = """\
   drsplat segment room.field --classes "mug,bowl,table"
   drsplat segment room.field --classes "mug,bowl,table" --scene scene.ply --save classes.ply

@@ -11,7 +11,6 @@ from .query_options import add_output_options, add_query_options, answer_json, a
 if TYPE_CHECKING:
     from ..query import Answer, Scene
 
-SUMMARY = "select the Gaussians that a query fits: by a threshold, an automatic one or a share"
 EXAMPLES = """\
   drsplat select room.field "red mug"
   drsplat select room.field "red mug" --threshold auto --scene scene.ply --save mug.ply

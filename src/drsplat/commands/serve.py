@@ -9,7 +9,6 @@ from typing import Any
 from .listening import add_computing, add_listening, checked_key, own_names
 from .options import add_query_encoders
 
-SUMMARY = "answer queries on the scenes of a folder over HTTP"
 EXAMPLES = """\
   drsplat serve scenes
   drsplat serve drsplat-demo --port 8765 --workers 2

@@ -8,7 +8,6 @@ from typing import Any
 
 from .options import add_overwrite, count, new_output
 
-SUMMARY = "cut a huge scene, or the blocks of one, into tiles that are registered with little memory"
 EXAMPLES = """\
   drsplat tile scene.ply --output city.tiles
   drsplat tile block_a.ply block_b.ply --output city.tiles

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from ..scene.views import View
     from ..training import TrainingSettings
 
-SUMMARY = "train a scene of Gaussians on posed photos (3D Gaussian Splatting), on a CPU or on CUDA"
 EXAMPLES = """\
   drsplat train capture --output-dir model
   drsplat train capture --output-dir model --resolution 2

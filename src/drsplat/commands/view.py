@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from ..query import Scene
     from ..viewing.shown import Shown
 
-SUMMARY = "show a scene in the browser and search it there, or write a page of it that needs no server"
 EXAMPLES = """\
   drsplat view drsplat-demo
   drsplat view room.field --scene scene.ply --views capture --ask "red mug; lamp"

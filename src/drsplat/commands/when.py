@@ -9,7 +9,6 @@ from .options import add_capture_options, add_query_encoders, finite, words
 from .query_options import FIELD_HELP, add_objects, open_scene
 
 RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
-SUMMARY = "tell when one object of a scene that moves is on, in, next to, above, left or right of another"
 EXAMPLES = """\
   drsplat when film.field "toy car" next_to "white vase" --scene film.motion
   drsplat when film.field "toy car" left_of "white vase" --scene film.motion --views capture --view cam00/frame_0000

@@ -9,7 +9,6 @@ from os import PathLike
 import numpy as np
 from jaxtyping import Bool, Float32, Integer, UInt8
 from PIL import Image, ImageDraw, ImageFont
-from scipy import ndimage
 
 from ..errors import InputError
 from ..formats.replacing import replacing
@@ -103,6 +102,8 @@ def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
 
 def _border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
     """Just outside of the region; specks of a few pixels get none."""
+    from scipy import ndimage
+
     rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
     border = np.zeros_like(inside)
     if not len(rows):

@@ -64,7 +64,7 @@ class AtOnce:
         return encode_features(features.rows(seen), codebook, threads, track)
 
 
-AT_ONCE = AtOnce()
+AT_ONCE: RowCoder = AtOnce()
 
 
 class Coded(NamedTuple):

@@ -1,7 +1,6 @@
 """The language field: what every Gaussian means, as codes that an embedding can search."""
 
 import hashlib
-import importlib.metadata
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -385,10 +384,12 @@ class LanguageField:
         return files
 
     def _manifest(self, files: list[str]) -> dict[str, object]:
+        from importlib.metadata import version
+
         return {
             "format": FORMAT,
             "version": VERSION,
-            "drsplat": importlib.metadata.version("drsplat"),
+            "drsplat": version("drsplat"),
             "field": self.fingerprint,
             "files": files,
             "scene": self.scene,

@@ -10,11 +10,10 @@ from ..errors import InputError
 from ..evidence.aggregation import aggregator
 from ..evidence.aggregation.entries import with_weights
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Span
 from .building import build_field
 from .language_field import LanguageField
 from .regrowing import whole_evidence
-
-Span = tuple[float | int, float | int]
 
 
 def field_during(

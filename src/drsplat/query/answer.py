@@ -12,7 +12,7 @@ from ..drawing.pictures import picture_html
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
-from ..field.spans import Span
+from ..scene.moving import Span
 from ..scene.views import View
 from ..terminal import counted, facts_html
 from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY

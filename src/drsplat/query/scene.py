@@ -24,12 +24,11 @@ from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
 from ..field.labels import Label, LabelFile, Matched, matched
 from ..field.objects import Objects
-from ..field.spans import Span
 from ..kernels import SplatArrays, splat_arrays
 from ..objects.agreed import agreed
 from ..scene.boxes import BoxKind, up_of
 from ..scene.gaussians import Gaussians
-from ..scene.moving import Moving, canonical_of
+from ..scene.moving import Moving, Span, canonical_of
 from ..scene.views import View
 from ..terminal import facts_html
 from .answer import Answer, Match, MatchTrack, Segmentation, Word

@@ -3,10 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, Integer
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from jaxtyping import Float32, Float64, Int32, Int64
 
 from ..errors import InputError
 from ..field import LanguageField
@@ -17,11 +14,8 @@ from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
 
 NO_CLASS = -1
-NEIGHBOURS = 8
-BORDER = 0.5
 MASS_POWER = 0.1  # ten times the mass weighs as much as a score that is 1.26 times as high
 SURE = 0.85  # share of the best match's rank from which on another is meant as well
-LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 
 
 def locate(
@@ -85,28 +79,14 @@ def _places(answer: Answer, gaussians: Gaussians, link_distance: float | None) -
         places[:] = objects.thing_of()[answer.values > answer.threshold]
     points = gaussians.means[ids].astype(np.float64)
     (loose,), (held,) = np.nonzero(places < 0), np.nonzero(places >= 0)
-    if len(loose) > 1:
-        places[loose] = -1 - _components(points[loose], link_distance)
-    if len(loose) and len(held) > 1:
-        _join(places, points, loose, held, link_distance)
+    if len(loose):
+        from .linking import components, join_to_held
+
+        if len(loose) > 1:
+            places[loose] = -1 - components(points[loose], link_distance)
+        if len(held) > 1:
+            join_to_held(places, points, loose, held, link_distance)
     return places
-
-
-def _join(
-    places: Int64[np.ndarray, " m"], points: Float64[np.ndarray, "m 3"], loose: Int64[np.ndarray, " l"],
-    held: Int64[np.ndarray, " h"], link_distance: float | None,
-) -> None:  # fmt: skip
-    """Loose places of which half lies at an object that was selected as well are its border: they get its number."""
-    tree = cKDTree(points[held])
-    distances, nearest = tree.query(points[loose])
-    among = min(NEIGHBOURS, len(held) - 1) + 1
-    near = distances <= (link_distance or _reach(tree.query(points[held], among)[0]))
-    _, component = np.unique(places[loose], return_inverse=True)
-    share = np.bincount(component, near) / np.bincount(component)
-    joins = near & (share[component] >= BORDER)
-    for number in np.unique(component[joins]):
-        of = np.bincount(places[held[nearest[joins & (component == number)]]])
-        places[loose[component == number]] = of.argmax()
 
 
 def segment(
@@ -149,47 +129,6 @@ def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None
         raise InputError(
             f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
         )
-
-
-def _components(points: Float64[np.ndarray, "n 3"], link_distance: float | None) -> Int64[np.ndarray, " n"]:
-    """Label of each point: those joined by steps of at most the link distance share one."""
-    k = min(NEIGHBOURS, len(points) - 1)
-    distances, neighbours = cKDTree(points).query(points, k=k + 1)
-    reach = link_distance or _reach(distances)
-    near = distances[:, 1:] <= reach
-    source = np.broadcast_to(np.arange(len(points))[:, None], near.shape)[near]
-    labels = _connected(len(points), source, neighbours[:, 1:][near])
-    return np.asarray(_join_near_parts(points, labels, reach)[labels])
-
-
-def _reach(distances: Float64[np.ndarray, "n k"]) -> float:
-    """From the distances of points to their neighbours."""
-    return LINK_FACTOR * float(np.median(distances[:, -1]))
-
-
-def _connected(
-    count: int, source: Int64[np.ndarray, " e"], target: Integer[np.ndarray, " e"]
-) -> Int64[np.ndarray, " n"]:
-    edges = coo_array((np.ones(len(source), bool), (source, target)), shape=(count, count))
-    return np.asarray(connected_components(edges, directed=False)[1], np.int64)
-
-
-def _join_near_parts(
-    points: Float64[np.ndarray, "n 3"], labels: Int64[np.ndarray, " n"], reach: float
-) -> Int64[np.ndarray, " p"]:
-    """New label of each part: nearest neighbours alone can leave a gap narrower than the reach."""
-    order = np.argsort(labels, kind="stable")
-    parts = np.split(points[order], np.flatnonzero(np.diff(labels[order])) + 1)
-    low, high = np.array([p.min(0) for p in parts]), np.array([p.max(0) for p in parts])
-    trees, edges = [cKDTree(part) for part in parts], []
-    for i, part in enumerate(parts):
-        gap = np.maximum(low[i + 1 :] - high[i], low[i] - high[i + 1 :])
-        for j in i + 1 + np.flatnonzero((gap <= reach).all(axis=1)):
-            small, large = (i, j) if len(part) < len(parts[j]) else (j, i)
-            if trees[large].query(parts[small], distance_upper_bound=reach)[0].min() <= reach:
-                edges.append((i, int(j)))
-    ends = np.array(edges, np.int64).reshape(-1, 2)
-    return _connected(len(parts), ends[:, 0], ends[:, 1])
 
 
 def _match(

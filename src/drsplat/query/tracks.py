@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float64
 
 from ..errors import InputError
 from ..field import LanguageField
-from ..field.spans import Span, field_during
+from ..field.spans import field_during
 from ..kernels.boxes import box_of
 from ..objects.describing import objects_during
 from ..scene.boxes import HAZE, solid
 from ..scene.gaussians import Gaussians
-from ..scene.moving import Moving, canonical_of
+from ..scene.moving import Moving, Span, canonical_of
 from ..scene.views import View
 from .answer import Match, MatchTrack
 from .query import Query

@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64
 from ..errors import InputError
 from .gaussians import Gaussians
 
+Span = tuple[float | int, float | int]  # of time, its ends included
 ROUNDING = 1e-9  # of the span: what times written with fewer digits may be off at its ends
 
 

@@ -15,12 +15,12 @@ from ..editing.edits import Change
 from ..editing.resolving import whole
 from ..editing.targets import LONGEST
 from ..errors import InputError
-from ..field.spans import Span
 from ..query import Query, Scene, Segmentation
 from ..query.defaults import OBJECT
 from ..query.nodes import Chosen, chosen_at, name_of
 from ..query.objects import answer_of, match_of, objects_of
 from ..scene.gaussians import Gaussians
+from ..scene.moving import Span
 from ..terminal import counted
 from . import painting, results
 from .edits import Edits

@@ -1,0 +1,38 @@
+"""The verbs of the command line, in the groups and with the summaries of --help, which loads nothing else of them."""
+
+GROUPS = {
+    "make a scene": ("scan", "capture", "train", "tile", "motion"),
+    "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
+    "ask": ("locate", "select", "segment", "when", "catalogue"),
+    "look and change": ("view", "render", "edit"),
+    "serve": ("serve", "mcp"),
+    "try, check and measure": ("demo", "inspect", "doctor", "evaluate"),
+}
+SUMMARIES = {
+    "scan": "scan photos or a video: poses, a scene, masks, a field, its objects and a page to open, in one go",
+    "capture": "pose photos or a video (COLMAP): where each was taken, as a capture that train and embed take",
+    "train": "train a scene of Gaussians on posed photos (3D Gaussian Splatting), on a CPU or on CUDA",
+    "tile": "cut a huge scene, or the blocks of one, into tiles that are registered with little memory",
+    "motion": "inspect a scene that moves, or convert it to motion that drsplat reads fast, or to numbered PLY files",
+    "embed": "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register",
+    "codebook": "train a codebook on patches of LVIS or on embeddings, for all scenes of one encoder",
+    "register": "register the masks of posed photos onto the Gaussians of a scene, as a searchable field",
+    "add": "add views to a field: only these are computed, and the result is that of registering all at once",
+    "remove": "take views out of a field, as if they had never been registered",
+    "field": "carry a field over to its scene in another file, e.g. a compressed one",
+    "objects": "list the objects of a scene, without any word for them: where they are, how large, in which photos",
+    "locate": "locate the matches of a query in a scene: where they are, how large, and their supporting photos",
+    "select": "select the Gaussians that a query fits: by a threshold, an automatic one or a share",
+    "segment": "label every Gaussian with the best of some classes, or with none of them",
+    "when": "tell when one object of a scene that moves is on, in, next to, above, left or right of another",
+    "catalogue": "keep the objects of many scenes in one table, and search all of them at once",
+    "view": "show a scene in the browser and search it there, or write a page of it that needs no server",
+    "render": "render a scene as pictures or as a film, optionally with the matches of a query highlighted",
+    "edit": "edit objects of a scene: remove, recolour, move, copy, replace, undo; its file stays as it is",
+    "serve": "answer queries on the scenes of a folder over HTTP",
+    "mcp": "let language models query the scenes of a folder (Model Context Protocol)",
+    "demo": "search a small scene that ships: mask its photos, embed, register, query, check against the truth",
+    "inspect": "describe any file or folder: a scene, a capture, features, a field, tiles, a catalogue or a codebook",
+    "doctor": "report what is installed, what can run on this machine and what is missing",
+    "evaluate": "score fields, or features of other systems, on a protocol of the papers",
+}
