@@ -1,10 +1,10 @@
 """Search in product-quantised codes (native): every score, those above a threshold, the best.
 
 Codes lie in groups of 256 rows, sub-vector by sub-vector, so that a scan is one stream through memory. What
-is looked up in them are tables, one per query: a score is (sum of look-ups + coarse term) / norm. On a
-machine with AVX-512 VBMI the tables are rounded to whole steps and summed in bytes, elsewhere they are
-float32; docs/search.md tells which is used when. Every function is the same to the bit for any number of
-threads, and may be called from several threads at once.
+is looked up in them are tables, one per query: a score is (sum of look-ups + coarse term) / norm. Tables
+are rounded to whole steps, which a machine with AVX-512 VBMI sums in bytes and others in 32 bits: docs/search.md
+tells which is used when. Every function is the same to the bit for any number of threads and on every machine
+with fused multiply-add, and may be called from several threads at once.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ class Scanning(NamedTuple):
 
     wide: 0, or only so many sub-vectors, of the widest range, have tables of more than one byte, and `error`
     is six standard deviations of the rounding: faster. threads: 0 takes all cores. isa: of
-    `available_isas()`, "" the best; only those that look up bytes round at all.
+    `available_isas()`, "" the best.
     """
 
     error: float = ERROR

@@ -1,0 +1,42 @@
+"""What a command loads when it starts: modules cost time whenever somebody asks."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from drsplat.commands.verbs import GROUPS, SUMMARIES
+from drsplat.demo.story import Story
+
+BUILDING = {
+    "drsplat.field.building", "drsplat.field.regrowing", "drsplat.field.carrying", "drsplat.registration",
+    "drsplat.evidence.aggregation.aggregators", "torch", "scipy.ndimage",
+}  # fmt: skip
+TREES = {"scipy.spatial", "scipy.sparse.csgraph"}
+
+
+def loaded_by(*line: object) -> set[str]:
+    """Modules that a fresh interpreter has loaded after a command."""
+    code = "import sys; from drsplat.cli import main; main(sys.argv[1:]); print(*sys.modules, file=sys.stderr)"
+    command = [sys.executable, "-c", code, *map(str, line)]
+    return set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.splitlines()[-1].split())
+
+
+def test_every_verb_is_in_one_group_and_has_a_summary() -> None:
+    assert [verb for verbs in GROUPS.values() for verb in verbs] == list(SUMMARIES)
+
+
+def test_help_loads_no_verb() -> None:
+    loaded = loaded_by("--help")
+    assert {"drsplat.commands.verbs", "argparse"} <= loaded
+    assert not loaded & {f"drsplat.commands.{verb}" for verb in SUMMARIES}
+    assert not loaded & {"numpy", "scipy", "json", "tomllib", "html", "subprocess", "dataclasses"}
+
+
+def test_a_question_loads_nothing_that_builds(story: Story, demo_folder: Path) -> None:
+    field = demo_folder / "room.field"
+    selected = loaded_by("select", field, "blue cup")
+    assert "drsplat.field.language_field" in selected
+    assert not selected & (BUILDING | TREES)
+    located = loaded_by("locate", field, "blue cup", "--scene", demo_folder / "scene.ply")
+    assert located >= TREES  # which link what is selected, where the field has no objects
+    assert not located & BUILDING
