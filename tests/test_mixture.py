@@ -151,7 +151,7 @@ def test_spherical_kmeans_finds_what_is_there() -> None:
 def test_idle_centres_move_to_where_the_fit_is_worst() -> None:
     points = np.repeat(np.eye(3, dtype=np.float32), [8, 1, 1], axis=0)
     centres = np.eye(3, dtype=np.float32)[[0, 0, 0]]
-    moved = scene_atoms._means(points, np.zeros(10, np.int32), centres)
+    moved = scene_atoms._means(points, np.zeros(10, np.int32), centres, 1)
     assert_array_equal(np.sort(moved[1:].argmax(axis=1)), [1, 2])
     with pytest.raises(InputError, match="atoms of 0 points"):
         train_scene_atoms(points[:0], 3)

@@ -113,8 +113,8 @@ void nearest_centres(const Kernels &kernels, const Embeddings &centres, const fl
 void nearest_members(const Kernels &kernels, const Atoms &atoms, const Groups &groups, const float *points,
                      uint64_t rows, int threads, int32_t *nearest) {
   over_rows(rows, 256, threads, [&](int, uint64_t begin, uint64_t end) {
-    std::vector<float> products(groups.size);
-    std::vector<int16_t> whole(atoms.dim);
+    std::vector<float> products(kMostAtOnce * (size_t)groups.size);
+    std::vector<int16_t> whole(kMostAtOnce * (size_t)atoms.dim);
     kernels.mixture->nearest_members(atoms, groups, points, begin, end, products.data(), whole.data(), nearest);
   });
 }

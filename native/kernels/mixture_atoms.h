@@ -5,44 +5,68 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-// <atom, x> for Rows atoms of signed bytes and whole numbers x: exact, whatever the order of additions.
-template <int Rows>
-static inline void whole_products(const int8_t *const *rows, const int16_t *x, uint32_t dim, int32_t *products) {
-  uint32_t d = 0;
 #if DRSPLAT_AVX512
-  __m512i total[Rows];
-  for (int r = 0; r < Rows; r++) total[r] = _mm512_setzero_si512();
-  for (; d + 32 <= dim; d += 32) {
-    const __m512i numbers = _mm512_loadu_si512(x + d);
-    for (int r = 0; r < Rows; r++) {
-      const __m512i values = _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)(rows[r] + d)));
-      total[r] = _mm512_add_epi32(total[r], _mm512_madd_epi16(values, numbers));
-    }
-  }
-  for (int r = 0; r < Rows; r++) products[r] = _mm512_reduce_add_epi32(total[r]);
+using WholeSums = __m512i;
+INLINE WholeSums no_sums() { return _mm512_setzero_si512(); }
+INLINE WholeSums loaded(const int16_t *p) { return _mm512_loadu_si512(p); }
+INLINE WholeSums widened(const int8_t *p) { return _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)p)); }
+INLINE WholeSums with_products(WholeSums total, WholeSums a, WholeSums b) {
+  return _mm512_add_epi32(total, _mm512_madd_epi16(a, b));
+}
+INLINE __m256i half_sums(WholeSums a) {
+  return _mm256_add_epi32(_mm512_castsi512_si256(a), _mm512_extracti64x4_epi64(a, 1));
+}
 #elif defined(__AVX2__)
-  __m256i total[Rows];
-  for (int r = 0; r < Rows; r++) total[r] = _mm256_setzero_si256();
-  for (; d + 16 <= dim; d += 16) {
-    const __m256i numbers = _mm256_loadu_si256((const __m256i *)(x + d));
-    for (int r = 0; r < Rows; r++) {
-      const __m256i values = _mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)(rows[r] + d)));
-      total[r] = _mm256_add_epi32(total[r], _mm256_madd_epi16(values, numbers));
+using WholeSums = __m256i;
+INLINE WholeSums no_sums() { return _mm256_setzero_si256(); }
+INLINE WholeSums loaded(const int16_t *p) { return _mm256_loadu_si256((const __m256i *)p); }
+INLINE WholeSums widened(const int8_t *p) { return _mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)p)); }
+INLINE WholeSums with_products(WholeSums total, WholeSums a, WholeSums b) {
+  return _mm256_add_epi32(total, _mm256_madd_epi16(a, b));
+}
+INLINE __m256i half_sums(WholeSums a) { return a; }
+#endif
+
+#if defined(__AVX2__)
+constexpr uint32_t kWholeStep = sizeof(WholeSums) / 2;  // numbers at once
+
+// The sum of each of four.
+INLINE __m128i four_sums(const WholeSums *totals) {
+  __m256i half[4];
+  for (int i = 0; i < 4; i++) half[i] = half_sums(totals[i]);
+  const __m256i ab = _mm256_hadd_epi32(half[0], half[1]), cd = _mm256_hadd_epi32(half[2], half[3]);
+  const __m256i all = _mm256_hadd_epi32(ab, cd);
+  return _mm_add_epi32(_mm256_castsi256_si128(all), _mm256_extracti128_si256(all, 1));
+}
+#endif
+
+// products[v][r] = <atom r, v-th of the vectors at x>, of whole numbers: exact, whatever the order of additions.
+template <int Vectors>
+static inline void whole_products(const int8_t *const *rows, const int16_t *x, uint32_t dim, int32_t (*products)[4]) {
+  uint32_t d = 0;
+#if defined(__AVX2__)
+  WholeSums totals[Vectors][4];
+  for (int v = 0; v < Vectors; v++)
+    for (int r = 0; r < 4; r++) totals[v][r] = no_sums();
+  for (; d + kWholeStep <= dim; d += kWholeStep) {
+    WholeSums numbers[Vectors];
+    for (int v = 0; v < Vectors; v++) numbers[v] = loaded(x + (size_t)v * dim + d);
+    for (int r = 0; r < 4; r++) {
+      const WholeSums values = widened(rows[r] + d);
+      for (int v = 0; v < Vectors; v++) totals[v][r] = with_products(totals[v][r], values, numbers[v]);
     }
   }
-  for (int r = 0; r < Rows; r++) {
-    __m128i half = _mm_add_epi32(_mm256_castsi256_si128(total[r]), _mm256_extracti128_si256(total[r], 1));
-    half = _mm_add_epi32(half, _mm_shuffle_epi32(half, 0x4e));
-    products[r] = _mm_cvtsi128_si32(_mm_add_epi32(half, _mm_shuffle_epi32(half, 0xb1)));
-  }
+  for (int v = 0; v < Vectors; v++) _mm_storeu_si128((__m128i *)products[v], four_sums(totals[v]));
 #else
-  for (int r = 0; r < Rows; r++) products[r] = 0;
+  for (int v = 0; v < Vectors; v++)
+    for (int r = 0; r < 4; r++) products[v][r] = 0;
 #endif
-  for (int r = 0; r < Rows; r++) {
-    int32_t rest = 0;
-    for (uint32_t i = d; i < dim; i++) rest += (int32_t)rows[r][i] * x[i];
-    products[r] += rest;
-  }
+  for (int v = 0; v < Vectors; v++)
+    for (int r = 0; r < 4; r++) {
+      int32_t rest = 0;
+      for (uint32_t i = d; i < dim; i++) rest += (int32_t)rows[r][i] * x[(size_t)v * dim + i];
+      products[v][r] += rest;
+    }
 }
 
 // Whole numbers for a vector, and what they are to be multiplied by: as many digits as sums of products with an
@@ -63,16 +87,18 @@ static float whole_vector(const float *x, uint32_t dim, int16_t *whole) {
   return factor > 0 ? 1 / factor : 0.f;
 }
 
-// step * <atom, x> of some atoms.
-static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const int16_t *x, float step,
+// products[v][i] = steps[v] * <atom i, v-th of the vectors at x>, for some atoms.
+template <int Vectors>
+static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const int16_t *x, const float *steps,
                           float *products) {
   const int8_t *rows[4];
   for (size_t i = 0; i < count; i += 4) {
     for (size_t r = 0; r < 4; r++) rows[r] = atoms.values + (size_t)ids[i + r < count ? i + r : i] * atoms.dim;
-    int32_t whole[4];
-    whole_products<4>(rows, x, atoms.dim, whole);
-    for (size_t r = 0; r < 4 && i + r < count; r++)
-      products[i + r] = (float)whole[r] * (atoms.scales[ids[i + r]] * step);
+    int32_t whole[Vectors][4];
+    whole_products<Vectors>(rows, x, atoms.dim, whole);
+    for (int v = 0; v < Vectors; v++)
+      for (size_t r = 0; r < 4 && i + r < count; r++)
+        products[v * count + i + r] = (float)whole[v][r] * (atoms.scales[ids[i + r]] * steps[v]);
   }
 }
 

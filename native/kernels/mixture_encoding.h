@@ -74,7 +74,7 @@ static void choose(Pursuit &p, const Atoms &atoms, size_t place) {
   const int32_t id = p.candidates[place];
   const int8_t *values = atoms.values + (size_t)id * atoms.dim;
   for (uint32_t d = 0; d < atoms.dim; d++) p.whole[d] = values[d];
-  atom_products(atoms, p.candidates, p.count, p.whole, atoms.scales[id], p.gram + p.chosen * p.stride);
+  atom_products<1>(atoms, p.candidates, p.count, p.whole, &atoms.scales[id], p.gram + p.chosen * p.stride);
   append(p, place);
 }
 
@@ -209,7 +209,7 @@ static void mixture_encode(const Atoms &atoms, const MixtureSource &source, uint
     p.whole = whole;
     memset(scratch, 0, (size_t)(next - scratch) * sizeof(float));
     const float step = whole_vector(source.features + row * atoms.dim, atoms.dim, whole);
-    atom_products(atoms, candidates, p.count, whole, step, p.targets);
+    atom_products<1>(atoms, candidates, p.count, whole, &step, p.targets);
     rebuild_basis(p);
     float weights[kMostAtoms] = {};
     choose_atoms(p, atoms, wanted, weights);

@@ -15,6 +15,7 @@ struct Atoms {
 constexpr int kMostAtoms = 16;     // of one row
 constexpr int kMixtureBlock = 64;  // rows; within a block, the k-th ids of all rows lie together
 constexpr uint32_t kMostWanted = 64;
+constexpr uint32_t kMostAtOnce = 4;  // points of one group
 
 struct MixtureSource {    // rows to encode, each from the atoms of its columns and `num_further` more
   const float *features;  // rows x dim

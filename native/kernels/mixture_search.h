@@ -50,21 +50,44 @@ static void nearest_centres(const Embeddings &centres, const float *points, uint
   }
 }
 
-// The `wanted` members of each point's group with the largest inner products, best first. `products`: a number
-// per member; `whole`: dim numbers.
+// The `wanted` of a group's members with the largest products, best first; of equal ones the earlier member.
+static void best_members(const int32_t *members, const float *products, const Groups &groups, int32_t *nearest) {
+  uint32_t count = 0;
+  float best[kMostWanted];
+  for (uint32_t j = 0; j < groups.size; j++) {
+    if (count == groups.wanted && !(products[j] > best[count - 1])) continue;
+    insert_descending(nearest, best, count < groups.wanted ? count++ : count - 1, members[j], products[j]);
+  }
+}
+
+constexpr uint32_t kPointsAtOnce = kParts == 1 ? 4 : 2;  // as many as leave all sums in registers
+static_assert(kPointsAtOnce <= kMostAtOnce, "scratch holds every point");
+
+// Points that follow each other in one group share what is read of its members.
+template <int Points>
+static void nearest_of_group(const Atoms &atoms, const Groups &groups, const float *points, uint64_t row,
+                             float *products, int16_t *whole, int32_t *nearest) {
+  const int32_t *members = groups.members + (size_t)groups.of[row] * groups.size;
+  float steps[Points];
+  for (int v = 0; v < Points; v++)
+    steps[v] = whole_vector(points + (row + v) * atoms.dim, atoms.dim, whole + (size_t)v * atoms.dim);
+  atom_products<Points>(atoms, members, groups.size, whole, steps, products);
+  for (int v = 0; v < Points; v++)
+    best_members(members, products + (size_t)v * groups.size, groups, nearest + (row + v) * groups.wanted);
+}
+
+// The `wanted` members of each point's group with the largest inner products, best first. `products`: as many numbers
+// per member as points are taken at once; `whole`: dim numbers for each of these.
 static void nearest_members(const Atoms &atoms, const Groups &groups, const float *points, uint64_t begin, uint64_t end,
                             float *products, int16_t *whole, int32_t *nearest) {
-  const uint32_t wanted = groups.wanted;
-  for (uint64_t row = begin; row < end; row++) {
-    const int32_t *members = groups.members + (size_t)groups.of[row] * groups.size;
-    int32_t *found = nearest + row * wanted;
-    const float step = whole_vector(points + row * atoms.dim, atoms.dim, whole);
-    atom_products(atoms, members, groups.size, whole, step, products);
-    uint32_t count = 0;
-    float best[kMostWanted];
-    for (uint32_t j = 0; j < groups.size; j++) {
-      if (count == wanted && !(products[j] > best[count - 1])) continue;
-      insert_descending(found, best, count < wanted ? count++ : count - 1, members[j], products[j]);
+  for (uint64_t row = begin; row < end;) {
+    uint64_t same = row + 1;
+    while (same < end && same < row + kPointsAtOnce && groups.of[same] == groups.of[row]) same++;
+    if (same - row == kPointsAtOnce) {
+      nearest_of_group<kPointsAtOnce>(atoms, groups, points, row, products, whole, nearest);
+      row = same;
+    } else {
+      nearest_of_group<1>(atoms, groups, points, row++, products, whole, nearest);
     }
   }
 }

@@ -6,13 +6,16 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from ...errors import InputError
+from ...kernels import weighted_rows
 from ...kernels.mixture import Dictionary, nearest_centres, nearest_members
 from .dictionary import quantised
 
 ITERATIONS = 4
-POINTS_PER_ATOM = 8
+ROUNDS = 3  # of atoms, which start as points: more of them, or of points, make no code truer
+POINTS_PER_ATOM = 4
 NEIGHBOURS = 16  # that each row may be made of
 OVERLAP = 8  # members of a group, in groups' fair shares: few nearest atoms lie in another group
+OVERLAP_AT_FIRST = 16  # while atoms move
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,46 +43,71 @@ class SceneAtoms:
 def train_scene_atoms(points: Float32[np.ndarray, "n D"], count: int, *, seed: int = 0, threads: int = 0) -> SceneAtoms:
     """`count` atoms for unit `points`, fewer where there are fewer points; the same bits for any threads.
 
+    By k-means in which a point is compared with the atoms around its group's centre alone.
+
     Raises: InputError: no points, or none wanted.
     Source: Dhillon & Modha 2001 (spherical k-means).
     """
     if count < 1 or not len(points):
         raise InputError(f"cannot make {count} atoms of {len(points)} points")
-    vectors = spherical_kmeans(points, min(count, len(points)), seed, threads)
-    centres = spherical_kmeans(vectors, max(1, round(len(vectors) ** 0.5)), seed, threads)
-    size = min(len(vectors), OVERLAP * -(-len(vectors) // len(centres)))
+    vectors = _drawn(points, min(count, len(points)), seed)
+    centres = _group_centres(vectors, seed, threads)
+    groups = nearest_centres(points, centres, threads=threads)
+    order = np.argsort(groups, kind="stable")  # so that a group's atoms stay in the cache
+    points, groups = points[order], groups[order]
+    for _ in range(ROUNDS):
+        members = _members(centres, vectors, OVERLAP_AT_FIRST)
+        nearest = nearest_members(points, quantised(vectors), groups, members, 1, threads=threads)
+        vectors = _means(points, nearest[:, 0], vectors, threads)
+    centres = _group_centres(vectors, seed, threads)
+    return SceneAtoms(vectors, centres, _members(centres, vectors, OVERLAP), quantised(vectors))
+
+
+def _group_centres(vectors: Float32[np.ndarray, "v D"], seed: int, threads: int) -> Float32[np.ndarray, "g D"]:
+    return spherical_kmeans(vectors, max(1, round(len(vectors) ** 0.5)), seed, threads)
+
+
+def _members(
+    centres: Float32[np.ndarray, "g D"], vectors: Float32[np.ndarray, "v D"], shares: int
+) -> Int32[np.ndarray, "g m"]:
+    """The atoms nearest to each centre, as many as `shares` groups have on average."""
+    size = min(len(vectors), shares * -(-len(vectors) // len(centres)))
     # einsum and not a matrix product, whose last bits depend on how many threads NumPy's library takes
     nearness = np.einsum("gd,vd->gv", centres, vectors)
-    members = np.argsort(-nearness, axis=1, kind="stable")[:, :size].astype(np.int32)
-    return SceneAtoms(vectors, centres, members, quantised(vectors))
+    return np.argsort(-nearness, axis=1, kind="stable")[:, :size].astype(np.int32)
 
 
 def spherical_kmeans(
     points: Float32[np.ndarray, "n D"], count: int, seed: int, threads: int
 ) -> Float32[np.ndarray, "c D"]:
     """Unit centres. One that serves no point moves to the point that is served worst."""
-    drawn = np.random.default_rng(seed).choice(len(points), count, replace=False)
-    centres = np.ascontiguousarray(points[np.sort(drawn)])
+    centres = _drawn(points, count, seed)
     for _ in range(ITERATIONS):
-        nearest = nearest_centres(points, centres, threads=threads)
-        moved = _means(points, nearest, centres)
+        moved = _means(points, nearest_centres(points, centres, threads=threads), centres, threads)
         if np.array_equal(moved, centres):
             break
         centres = moved
     return centres
 
 
+def _drawn(points: Float32[np.ndarray, "n D"], count: int, seed: int) -> Float32[np.ndarray, "c D"]:
+    drawn = np.random.default_rng(seed).choice(len(points), count, replace=False)
+    return np.ascontiguousarray(points[np.sort(drawn)])
+
+
 def _means(
-    points: Float32[np.ndarray, "n D"], nearest: Int32[np.ndarray, " n"], centres: Float32[np.ndarray, "c D"]
+    points: Float32[np.ndarray, "n D"],
+    nearest: Int32[np.ndarray, " n"],
+    centres: Float32[np.ndarray, "c D"],
+    threads: int,
 ) -> Float32[np.ndarray, "c D"]:
-    order = np.argsort(nearest, kind="stable")
-    served, starts = np.unique(nearest[order], return_index=True)
-    sums = np.add.reduceat(points[order].astype(np.float64), starts, axis=0)
-    norms = np.linalg.norm(sums, axis=1, keepdims=True)
-    moved = centres.copy()
-    kept = norms[:, 0] > 0
-    moved[served[kept]] = (sums[kept] / norms[kept]).astype(np.float32)
-    idle = np.setdiff1d(np.arange(len(centres)), served)
+    """The direction of the points of each centre; where they cancel out, what it was."""
+    counts = np.bincount(nearest, minlength=len(centres))
+    starts, order = np.append(0, np.cumsum(counts)), np.argsort(nearest, kind="stable").astype(np.int32)
+    moved = weighted_rows(starts, order, np.ones(len(order), np.float32), points, 0, len(centres), threads=threads)
+    still = ~moved.any(axis=1)
+    moved[still] = centres[still]
+    idle = np.flatnonzero(counts == 0)
     if len(idle):
         fit = np.einsum("nd,nd->n", points, moved[nearest])
         moved[idle] = points[np.argsort(fit, kind="stable")[: len(idle)]]
