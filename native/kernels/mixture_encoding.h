@@ -54,12 +54,23 @@ static void rebuild_basis(Pursuit &p) {
 
 // The candidate that leaves least over together with the chosen ones; -1 if none points the feature's way.
 static int64_t best_candidate(const Pursuit &p) {
+  Floats most = splat(kLeastGain);
+  Ints group = splat_int(-1);
+  for (size_t i = 0; i < p.stride; i += 16) {  // nothing is left of what fills up the last sixteen
+    const Floats left = load(p.left + i), norms = load(p.norms + i), gain = left * left / norms;
+    const Mask free = (splat(0.f) < left) & (norms >= splat(kDependent)) & (load(p.barred + i) < splat(1.f));
+    const Mask better = free & (most < gain);
+    most = select(better, gain, most), group = select(better, splat_int((int32_t)i), group);
+  }
+  float gains[16];
+  int32_t groups[16];
+  store(gains, most), store_int(groups, group);
   int64_t best = -1;
-  float most = kLeastGain;
-  for (size_t j = 0; j < p.count; j++) {
-    if (!(p.left[j] > 0) || p.norms[j] < kDependent || p.barred[j] != 0) continue;
-    const float gain = p.left[j] * p.left[j] / p.norms[j];
-    if (gain > most) most = gain, best = (int64_t)j;
+  float largest = 0;
+  for (int l = 0; l < 16; l++) {
+    const int64_t place = groups[l] + l;
+    if (groups[l] < 0 || gains[l] < largest || (gains[l] == largest && place > best)) continue;
+    largest = gains[l], best = place;
   }
   return best;
 }
@@ -145,6 +156,18 @@ static void put_back(Pursuit &p, size_t place) {
   append(p, place);
 }
 
+// Weights of the chosen atoms and of one more, which is not chosen yet: nothing is asked of the other candidates.
+static bool is_better(Pursuit &p, size_t place, float before, float *weights) {
+  const int t = p.chosen++;
+  p.places[t] = place;
+  p.basis[t * p.stride + place] = __builtin_sqrtf(p.norms[place]);
+  p.levels[t] = p.left[place] / p.basis[t * p.stride + place];
+  solve(p, weights);
+  const bool better = explained(p) > before && all_positive(p, weights);
+  p.chosen--;
+  return better;
+}
+
 // Each chosen atom once gives way to the candidate that fits best without it, where that explains more. Rounding may
 // make a weight of the last order negative that was not in the order before: such atoms leave at the end.
 static void exchange_atoms(Pursuit &p, const Atoms &atoms, float *weights) {
@@ -154,17 +177,8 @@ static void exchange_atoms(Pursuit &p, const Atoms &atoms, float *weights) {
     drop(p, 0);
     p.barred[old] = 0;
     const int64_t best = best_candidate(p);
-    if (best < 0 || (size_t)best == old) {
-      put_back(p, old);
-      continue;
-    }
-    choose(p, atoms, (size_t)best);
-    solve(p, weights);
-    if (explained(p) > before && all_positive(p, weights)) continue;
-    p.chosen--;
-    p.barred[best] = 0;
-    rebuild_basis(p);
-    put_back(p, old);
+    if (best < 0 || (size_t)best == old || !is_better(p, (size_t)best, before, weights)) put_back(p, old);
+    else choose(p, atoms, (size_t)best);
   }
   solve_positive(p, weights);
 }
