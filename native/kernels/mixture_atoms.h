@@ -91,14 +91,24 @@ static float whole_vector(const float *x, uint32_t dim, int16_t *whole) {
 template <int Vectors>
 static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, const int16_t *x, const float *steps,
                           float *products) {
-  const int8_t *rows[4];
   for (size_t i = 0; i < count; i += 4) {
-    for (size_t r = 0; r < 4; r++) rows[r] = atoms.values + (size_t)ids[i + r < count ? i + r : i] * atoms.dim;
+    const size_t known = count - i < 4 ? count - i : 4;  // the first stands for those beyond the last
+    const int8_t *rows[4];
+    float scales[4];
+    for (size_t r = 0; r < 4; r++) {
+      const size_t id = (size_t)ids[r < known ? i + r : i];
+      rows[r] = atoms.values + id * atoms.dim, scales[r] = atoms.scales[id];
+    }
     int32_t whole[Vectors][4];
     whole_products<Vectors>(rows, x, atoms.dim, whole);
-    for (int v = 0; v < Vectors; v++)
-      for (size_t r = 0; r < 4 && i + r < count; r++)
-        products[v * count + i + r] = (float)whole[v][r] * (atoms.scales[ids[i + r]] * steps[v]);
+    for (int v = 0; v < Vectors; v++) {
+      float four[4];
+      for (int r = 0; r < 4; r++) four[r] = (float)whole[v][r] * (scales[r] * steps[v]);
+      float *out = products + v * count + i;
+      if (known == 4) memcpy(out, four, sizeof four);
+      else
+        for (size_t r = 0; r < known; r++) out[r] = four[r];
+    }
   }
 }
 

@@ -11,11 +11,12 @@ from ...kernels.mixture import Dictionary, nearest_centres, nearest_members
 from .dictionary import quantised
 
 ITERATIONS = 4
-ROUNDS = 3  # of atoms, which start as points: more of them, or of points, make no code truer
+ROUNDS = 2  # of atoms, which start as points: more of them, or of points, make no code truer
 POINTS_PER_ATOM = 4
+GROUPS = 1.5  # times the root of how many atoms there are
 NEIGHBOURS = 16  # that each row may be made of
-OVERLAP = 8  # members of a group, in groups' fair shares: few nearest atoms lie in another group
-OVERLAP_AT_FIRST = 16  # while atoms move
+OVERLAP = 12  # members of a group, in groups' fair shares: few nearest atoms lie in another group
+OVERLAP_AT_FIRST = 24  # while atoms move
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def train_scene_atoms(points: Float32[np.ndarray, "n D"], count: int, *, seed: i
 
 
 def _group_centres(vectors: Float32[np.ndarray, "v D"], seed: int, threads: int) -> Float32[np.ndarray, "g D"]:
-    return spherical_kmeans(vectors, max(1, round(len(vectors) ** 0.5)), seed, threads)
+    return spherical_kmeans(vectors, min(len(vectors), round(GROUPS * len(vectors) ** 0.5)), seed, threads)
 
 
 def _members(
