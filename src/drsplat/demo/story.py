@@ -2,21 +2,20 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from ..codes import Track, untracked
-from ..drawing.pictures import visible_share
 from ..embedding.embed import embed
 from ..evaluation.metrics import mask_iou
 from ..field import LanguageField, load_field
 from ..formats.captures import read_views
 from ..formats.langsplat import read_features
 from ..formats.scenes import read_gaussians
-from ..kernels import SplatArrays, splat_arrays
+from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..models.graph import GraphSegmenter
 from ..models.mini import MiniEncoder
 from ..objects.finding import find_objects
@@ -108,7 +107,7 @@ def tell(
     field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
     watch.lap("objects")
     judge = _Judge(Scene(field, gaussians, threads=threads), splats, household, held_out)
-    verdicts = [judge.verdict(probe) for probe in track(probes, "asking")]
+    verdicts = judge.verdicts([judge.asked(probe) for probe in track(probes, "asking")])
     watch.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
     return Story(gaussians, splats, seen, held_out, field, verdicts, watch.seconds, *size)
@@ -121,8 +120,8 @@ class _Judge:
     household: Household
     held_out: list[View]
 
-    def verdict(self, probe: Probe) -> Verdict:
-        """Ask the scene and hold the matches against the truth."""
+    def asked(self, probe: Probe) -> Verdict:
+        """Ask the scene; the answer is not yet held against the truth."""
         start = time.perf_counter()
         answer = self.scene.ask(probe.text)
         matches = self.scene.locate(answer)
@@ -130,14 +129,27 @@ class _Judge:
         seconds = time.perf_counter() - start
         limits = float(answer.scores.min(initial=1)), float(answer.scores.max(initial=-1))
         center = matches[0].center if matches else None
-        iou = self._iou(ids, probe.meant) if probe.meant else None
-        return Verdict(probe, ids, len(matches), iou, center, limits, seconds)
+        return Verdict(probe, ids, len(matches), None, center, limits, seconds)
 
-    def _iou(self, ids: Int64[np.ndarray, " m"], meant: tuple[str, ...]) -> float:
-        """Of what is seen of the Gaussians with what is seen of the things, in all held-out photos."""
-        shares = [self._share(view, ids) for view in self.held_out]
-        masks = [self.household.mask(view.name, meant) for view in self.held_out]
-        return mask_iou(np.concatenate(shares) > 0.5, np.concatenate(masks))
+    def verdicts(self, asked: Sequence[Verdict]) -> list[Verdict]:
+        """Hold answers against the truth, all of them in one rendering of each photo held out.
 
-    def _share(self, view: View, ids: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, "h w"]:
-        return visible_share(self.scene.gaussians, view, ids, splats=self.splats)
+        The IoU is of what is seen of the Gaussians with what is seen of the things, in all these photos.
+        """
+        chosen = np.zeros((len(self.scene.gaussians), len(asked)), np.float32)
+        for column, one in enumerate(asked):
+            chosen[one.gaussian_ids, column] = 1
+        seen = [self._visible(view, chosen) for view in self.held_out]
+        return [
+            replace(one, iou=mask_iou(np.concatenate([v[..., column] for v in seen]), self._true(one.probe.meant)))
+            if one.probe.meant
+            else one
+            for column, one in enumerate(asked)
+        ]
+
+    def _visible(self, view: View, chosen: Float32[np.ndarray, "n a"]) -> Bool[np.ndarray, "h w a"]:
+        drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
+        return np.asarray(drawn.channels > 0.5)
+
+    def _true(self, meant: tuple[str, ...]) -> Bool[np.ndarray, "h w"]:
+        return np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
