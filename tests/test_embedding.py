@@ -255,6 +255,28 @@ def test_a_second_run_touches_nothing(views, tmp_path):
     assert times_of(tmp_path / "out") == before
 
 
+class LookingEncoder(ThumbnailEncoder):
+    """Embeds masks by where they lie in the image, as encoders of patches do; would fail on crops."""
+
+    def encode_masks(self, image, masks):
+        rows = np.zeros((len(masks), DIM), np.float32)
+        rows[np.arange(len(masks)), [(7 * x0 + 3 * y0) % DIM for x0, y0, _, _ in masks.boxes]] = 1
+        return rows
+
+    def encode_images(self, images):
+        raise AssertionError(images)
+
+
+def test_an_encoder_that_looks_at_whole_photos_gets_no_crops(views, tmp_path):
+    embed(views, tmp_path / "out", ColorSegmenter(), LookingEncoder())
+    features = read_features(tmp_path / "out", "large")
+    for name in ("a.png", "b.png"):
+        embeddings, ids = features[name].embeddings, features[name].mask_ids
+        for number in np.unique(ids[ids >= 0]):
+            y, x = np.argwhere(ids == number).min(0)
+            assert embeddings[number].argmax() == (7 * x + 3 * y) % DIM
+
+
 def test_further_photos_leave_finished_ones_alone(views, tmp_path):
     embed_quietly(views[:1], tmp_path / "out")
     before = times_of(tmp_path / "out")

@@ -17,7 +17,7 @@ from PIL import Image
 from drsplat.codes.files import encoder_from_json
 from drsplat.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
-from drsplat.models import devices, libraries, pretrained
+from drsplat.models import devices, libraries, pretrained, sam, torch_encoder
 from drsplat.models.loading import DEFAULT_ENCODER, load_encoder
 from drsplat.models.preprocessing import Preprocessing, read_preprocessing
 from drsplat.models.words import WordEncoder
@@ -28,9 +28,12 @@ transformers = pytest.importorskip("transformers", reason="needs transformers")
 torch.set_num_threads(1)
 hub = pytest.importorskip("huggingface_hub", reason="comes with transformers")
 
-KINDS = ("clip", "siglip", "siglip2", "dinov2")
-MEANS = {"clip": [0.48145466, 0.4578275, 0.40821073], "dinov2": [0.485, 0.456, 0.406]}
-STDS = {"clip": [0.26862954, 0.26130258, 0.27577711], "dinov2": [0.229, 0.224, 0.225]}
+WITH_TEXTS = ("clip", "metaclip_2", "siglip", "siglip2")
+IMAGES_ONLY = ("dinov2", "dinov3_vit")
+KINDS = (*WITH_TEXTS, *IMAGES_ONLY)
+_OPENAI = [0.48145466, 0.4578275, 0.40821073], [0.26862954, 0.26130258, 0.27577711]
+_IMAGENET = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
+COLORS = {"clip": _OPENAI, "metaclip_2": _OPENAI, "dinov2": _IMAGENET, "dinov3_vit": _IMAGENET}
 SIZES = ((20, 20), (1, 1), (50, 50), (32, 32), (3, 3))
 IMAGES = [np.random.default_rng(seed).integers(0, 256, (*size, 3), np.uint8) for seed, size in enumerate(SIZES)]
 TEXTS = ["a red mug", "the table", "mug", "a blue mug on the table"]
@@ -64,9 +67,9 @@ def unit(rows: Any) -> np.ndarray:
 
 def pixels_by_hand(kind: str, image: np.ndarray, side: int) -> np.ndarray:
     """Of a square image; written out."""
-    how = Image.Resampling.BILINEAR if kind == "siglip2" else Image.Resampling.BICUBIC
+    how = Image.Resampling.BILINEAR if kind in ("siglip2", "dinov3_vit") else Image.Resampling.BICUBIC
     scaled = np.asarray(Image.fromarray(image).resize((side, side), how))
-    mean, std = MEANS.get(kind, [0.5] * 3), STDS.get(kind, [0.5] * 3)
+    mean, std = COLORS.get(kind, ([0.5] * 3, [0.5] * 3))
     values = np.empty((3, side, side), np.float32)
     for channel in range(3):
         for y in range(side):
@@ -78,11 +81,11 @@ def pixels_by_hand(kind: str, image: np.ndarray, side: int) -> np.ndarray:
 
 def rows_by_hand(kind: str, folder: Path, images: Sequence[np.ndarray]) -> np.ndarray:
     """One image at a time."""
-    model, side, rows = by_transformers(folder), 28 if kind == "dinov2" else SIDE, []
+    model, side, rows = by_transformers(folder), 28 if kind in IMAGES_ONLY else SIDE, []
     for image in images:
         values = torch.from_numpy(pixels_by_hand(kind, image, side))[None]
         with torch.no_grad():
-            if kind == "dinov2":
+            if kind in IMAGES_ONLY:
                 rows.append(model(pixel_values=values).last_hidden_state[:, 0])
             elif kind == "siglip2":
                 n = SIDE // PATCH
@@ -105,8 +108,9 @@ def patches_by_hand(values: Any) -> Any:
     return torch.stack(squares)[None]
 
 
-def small_dinov2(folder: Path) -> None:
-    settings = {"do_center_crop": True, "crop_size": 28, "size": {"shortest_edge": 32}}
+def write_small_preprocessing(folder: Path, kind: str) -> None:
+    cut = {"do_center_crop": True, "crop_size": 28, "size": {"shortest_edge": 32}}
+    settings = cut if kind == "dinov2" else {"size": {"height": 28, "width": 28}}
     (folder / "preprocessor_config.json").write_text(json.dumps(settings))
 
 
@@ -115,8 +119,8 @@ def small_dinov2(folder: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_images_are_those_of_the_model_called_by_hand(kind: str, folders: dict[str, Path]) -> None:
-    if kind == "dinov2":
-        small_dinov2(folders[kind])
+    if kind in IMAGES_ONLY:
+        write_small_preprocessing(folders[kind], kind)
     encoder = tiny(folders[kind])
     rows = encoder.encode_images(IMAGES)
     assert (rows.dtype, rows.shape) == (np.float32, (len(IMAGES), encoder.identity.dim))
@@ -143,13 +147,13 @@ def test_batches_are_bounded_by_bytes(folders: dict[str, Path]) -> None:
     assert encoder.batch == (5 << 20) // (3 * 4 * SIDE**2)
 
 
-@pytest.mark.parametrize("kind", ["clip", "siglip", "siglip2", "dinov2"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_half_precision_is_close_to_single(kind: str, folders: dict[str, Path]) -> None:
     encoder, single = tiny(folders[kind], "bfloat16"), tiny(folders[kind])
     exact, rows = single.encode_images(IMAGES), encoder.encode_images(IMAGES)
     assert rows.dtype == np.float32
     assert 0 < np.abs(rows - exact).max() < 0.03
-    if kind != "dinov2":
+    if kind in WITH_TEXTS:
         assert_array_equal(encoder.encode_texts(TEXTS), single.encode_texts(TEXTS))
 
 
@@ -191,13 +195,13 @@ def test_no_images_no_rows(folders: dict[str, Path]) -> None:
 # --- texts ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["clip", "siglip", "siglip2"])
+@pytest.mark.parametrize("kind", WITH_TEXTS)
 def test_texts_are_those_of_the_model_called_by_hand(kind: str, folders: dict[str, Path]) -> None:
     model, rows = by_transformers(folders[kind]), []
     tokenizer = transformers.AutoTokenizer.from_pretrained(folders[kind])
     for text in TEXTS:  # one by one, so CLIP needs no padding
         ids = tokenizer(text)["input_ids"]
-        if kind != "clip":
+        if kind.startswith("siglip"):
             ids = ids + [tokenizer.pad_token_id] * (TOKENS - len(ids))
             if tokenizer.padding_side == "left":
                 ids = tokenizer(text, padding="max_length", max_length=TOKENS)["input_ids"]
@@ -225,8 +229,7 @@ def test_texts_are_embedded_once(folders: dict[str, Path], monkeypatch: pytest.M
     assert_array_equal(first[0], first[2])
     assert_array_equal(encoder.encode_texts(["mug", "a"]), first[[1, 0]])
     assert asked == ["a", "mug"]
-    module = sys.modules[type(encoder).__module__]
-    monkeypatch.setattr(module, "TEXTS_KEPT", 2)
+    monkeypatch.setattr(torch_encoder, "TEXTS_KEPT", 2)
     assert_array_equal(encoder.encode_texts(["the", "a", "on"])[1], first[0])
     encoder.encode_texts(["a", "on"])
     assert asked == ["a", "mug", "the", "on"]
@@ -251,9 +254,10 @@ def test_texts_that_cannot_be_embedded(folders: dict[str, Path], copied: Path) -
         encoder.encode_texts(["mug"])
 
 
-def test_dinov2_knows_no_words(folders: dict[str, Path]) -> None:
+@pytest.mark.parametrize("kind", IMAGES_ONLY)
+def test_models_of_images_alone_know_no_words(kind: str, folders: dict[str, Path]) -> None:
     with pytest.raises(InputError, match="self-referencing"):
-        tiny(folders["dinov2"]).encode_texts(["mug"])
+        tiny(folders[kind]).encode_texts(["mug"])
 
 
 # --- identities -------------------------------------------------------------------------------
@@ -319,6 +323,7 @@ PUBLISHED = Preprocessing(224, "bicubic", (0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
         ({"size": {"height": 384, "width": 384}, "do_center_crop": False}, "384 px bicubic stre"),
         ({"size": {"shortest_edge": 384}, "do_center_crop": False}, "384 px bicubic cut"),
         ({"resample": 2, "size": None}, "224 px bilinear cut"),
+        ({"do_normalize": False}, "224 px bicubic cut, x0.00392157, mean 0 0 0, std 1 1 1"),
     ],
 )
 def test_settings_of_processors(settings: dict[str, Any], expected: str, tmp_path: Path) -> None:
@@ -333,7 +338,7 @@ def test_settings_of_processors(settings: dict[str, Any], expected: str, tmp_pat
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"do_normalize": False}, "do_normalize is off"),
+        ({"do_rescale": False}, "do_rescale is off"),
         ({"size": {"height": 224, "width": 112}, "crop_size": None}, "one side of a square"),
         ({"size": {}}, "one side"),
         ({"size": 0}, "1 to 4096"),
@@ -484,6 +489,20 @@ def test_what_the_hub_refuses(kind: str, expected: type, message: str, monkeypat
     with pytest.raises(expected, match=message) as caught:
         load_encoder("some/model")
     assert str(caught.value).startswith("some/model: ")
+
+
+@pytest.mark.parametrize(
+    ("load", "name"),
+    [(sam.load_segmenter, "facebook/sam3"), (load_encoder, "facebook/dinov3-vitb16-pretrain-lvd1689m")],
+)
+def test_gated_models_say_how_to_get_them(load: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> str:
+        raise hub.errors.GatedRepoError.__new__(hub.errors.GatedRepoError, "403")
+
+    monkeypatch.setattr(hub, "snapshot_download", refuse)
+    message = rf"^{name}: gated\. Accept its licence at https://huggingface\.co/{name}, .*`hf auth login`"
+    with pytest.raises(InputError, match=message):
+        load(name)
 
 
 # --- what is absent ---------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from drsplat.embedding.patches import MIN_AREA, PatchSource, embed_patches, find
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.lvis import read_annotations
 from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
-from drsplat.masks.crops import crop
+from drsplat.masks.crops import crop, crops
 from fake_models import DIM, ThumbnailEncoder
 from lvis_files import (
     BOXES,
@@ -263,9 +263,9 @@ def source_of(folder: Path, content: dict | None = None, **options: object) -> P
 def test_patches_are_the_things_on_black(tmp_path):
     source = source_of(tmp_path)
     assert (source.num_wanted, source.left_out, source.missing) == (4, 1, ())  # 5 has 16 pixels
-    made = list(patches(source, source.photos))
-    assert [len(crops) for crops in made] == [2, 1, 1]
-    for number, patch in zip((1, 2, 3, 4), (patch for crops in made for patch in crops), strict=True):
+    made = [list(crops(*photo)) for photo in patches(source, source.photos)]
+    assert [len(squares) for squares in made] == [2, 1, 1]
+    for number, patch in zip((1, 2, 3, 4), (patch for squares in made for patch in squares), strict=True):
         x0, y0, x1, y1 = BOXES[number]
         whole = np.ones((y1 - y0, x1 - x0), bool)
         np.testing.assert_array_equal(patch, crop(pixels_of(PHOTOS[number]), whole, BOXES[number]))

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -388,7 +389,21 @@ VIDEO = {
     "memory_fuser_intermediate_dim": 16, "mask_downsampler_embed_dim": 16,
     "memory_attention_rope_feat_sizes": [4, 4], "max_object_pointers_in_encoder": 2,
 }  # fmt: skip
+SAM3_VIT = {
+    "model_type": "sam3_vit_model", "hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2,
+    "num_attention_heads": 2, "image_size": 64, "pretrain_image_size": 32, "patch_size": 8, "window_size": 4,
+    "global_attn_indexes": [1],
+}  # fmt: skip
+SAM3 = {
+    "vision_config": {
+        "model_type": "sam3_vision_model", "backbone_config": SAM3_VIT, "fpn_hidden_size": 16,
+        "backbone_feature_sizes": [[32, 32], [16, 16], [8, 8]],
+    },
+    "prompt_encoder_config": {**PROMPTS, "patch_size": 8},
+    "mask_decoder_config": DECODER,
+}  # fmt: skip
 # so that tens of masks of a model that knows nothing survive: nothing is sure or distinct
+IMAGENET = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 LOOSE = PointMaskSettings(
     points_per_side=8, min_predicted_iou=-99.0, min_stability=0.3, stability_offset=0.012,
     max_box_iou=1.0, max_crop_box_iou=1.0, min_region=0, mask_iou=1.0, mask_score=-99.0,
@@ -415,7 +430,7 @@ def fill(model, seed: int) -> None:
     random = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for name, tensor in [*model.named_parameters(), *model.named_buffers()]:
-            if "norm" in name or not tensor.is_floating_point():
+            if "norm" in name or "timm" in name or not tensor.is_floating_point():
                 continue
             spread = 1.0 if "positional" in name else (2.5 / tensor[0].numel()) ** 0.5
             spread = spread if tensor.ndim > 1 else 0.3
@@ -440,6 +455,8 @@ def saved(folder: Path, library, kind: str = "sam", seed: int = 0) -> Path:
         model = library.Sam2VideoModel(library.Sam2VideoConfig(**SAM2, **VIDEO)).eval()
     elif kind == "sam2":
         model = library.Sam2Model(library.Sam2Config(**SAM2)).eval()
+    elif kind == "sam3_tracker":
+        model = library.Sam3TrackerModel(library.Sam3TrackerConfig(**SAM3)).eval()
     else:
         model = library.SamModel(library.SamConfig(**SAM)).eval()
     if kind != "sam2_video":
@@ -448,7 +465,7 @@ def saved(folder: Path, library, kind: str = "sam", seed: int = 0) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module", params=["sam", "sam2"])
+@pytest.fixture(scope="module", params=["sam", "sam2", "sam3_tracker"])
 def folder(request, library, tmp_path_factory) -> Path:
     return saved(tmp_path_factory.mktemp(request.param), library, request.param)
 
@@ -472,7 +489,7 @@ def test_equal_identity_means_equal_masks(folder, library, tmp_path):
     for one, two in zip(segmenter.segment(IMAGE).values(), again.segment(IMAGE).values(), strict=True):
         np.testing.assert_array_equal(one.boxes, two.boxes)
         np.testing.assert_array_equal(one.scores, two.scores)
-    kind = "sam2" if segmenter.predictor.frame.stretched else "sam"
+    kind = json.loads((folder / "config.json").read_text())["model_type"]
     other = sam.load_segmenter(str(saved(tmp_path / folder.name, library, kind, 1)), "cpu", LOOSE)
     assert other.identity["weights"] != segmenter.identity["weights"]
     assert {**other.identity, "weights": ""} == {**segmenter.identity, "weights": ""}
@@ -526,10 +543,10 @@ def test_answers_are_those_of_the_bare_model(folder, library):
     found = list(segmenter.predictor.find(image, points, settings))
     masks = np.concatenate([f.masks for f in found])
     scores = np.concatenate([f.predicted_iou for f in found])
-    kind = library.Sam2Model if segmenter.predictor.frame.stretched else library.SamModel
-    model = kind.from_pretrained(folder).eval()
-    pixels = image.transpose(2, 0, 1) / 255.0 - np.array([0.485, 0.456, 0.406])[:, None, None]
-    pixels = torch.tensor(pixels / np.array([0.229, 0.224, 0.225])[:, None, None]).float()[None]
+    model = getattr(library, segmenter.identity["architecture"]).from_pretrained(folder).eval()
+    colors = ([0.5] * 3, [0.5] * 3) if "3" in segmenter.identity["architecture"] else IMAGENET
+    mean, std = (np.array(values)[:, None, None] for values in colors)
+    pixels = torch.tensor((image.transpose(2, 0, 1) / 255.0 - mean) / std).float()[None]
     for i, point in enumerate(points):
         with torch.no_grad():
             answer = model(pixel_values=pixels, input_points=torch.tensor(point).float()[None, None, None])
@@ -546,6 +563,60 @@ def test_the_models_of_video_checkpoints_are_loaded(library, tmp_path):
     segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
     assert segmenter.identity["architecture"] == "Sam2Model"
     segmenter.segment(IMAGE)
+
+
+def test_the_tracker_of_a_sam_3_that_holds_a_detector_too(library, tmp_path):
+    """As facebook/sam3 is laid out: both share the image encoder, each with a neck of its own."""
+    import torch
+    from safetensors.torch import save_file
+
+    sizes = {"hidden_size": 16, "num_attention_heads": 2}
+    layers = {**sizes, "num_layers": 1, "intermediate_size": 32}
+    words = {
+        "vocab_size": 64,
+        "bos_token_id": 0,
+        "eos_token_id": 1,
+        "max_position_embeddings": 12,
+        "projection_dim": 16,
+    }
+    detector = {
+        "vision_config": SAM3["vision_config"], "geometry_encoder_config": layers, "detr_encoder_config": layers,
+        "detr_decoder_config": {**layers, "num_queries": 4}, "mask_decoder_config": sizes,
+        "text_config": {**sizes, **words, "intermediate_size": 32, "num_hidden_layers": 1},
+    }  # fmt: skip
+    config = library.Sam3VideoConfig(detector_config=detector, tracker_config={**SAM3, **VIDEO})
+    torch.manual_seed(0)
+    both = library.Sam3VideoModel(config).eval()
+    config.save_pretrained(tmp_path)
+    weights = both.state_dict()
+    save_file({name: tensor.contiguous() for name, tensor in weights.items()}, tmp_path / "model.safetensors")
+    segmenter = sam.load_segmenter(str(tmp_path), "cpu", LOOSE)
+    assert segmenter.identity["architecture"] == "Sam3TrackerModel"
+    assert (segmenter.identity["side"], segmenter.identity["mean"]) == (64, [0.5] * 3)
+    segmenter.segment(IMAGE)
+    alone = segmenter.predictor.model.state_dict()
+    neck = "neck.fpn_layers.0.proj1.weight"
+    for ours, theirs in (
+        ("mask_decoder.iou_token.weight", "tracker_model.mask_decoder.iou_token.weight"),
+        (f"vision_encoder.{neck}", f"tracker_{neck}"),
+        ("vision_encoder.backbone.layer_norm.weight", "detector_model.vision_encoder.backbone.layer_norm.weight"),
+    ):
+        assert torch.equal(alone[ours], weights[theirs])
+    assert not torch.equal(alone[f"vision_encoder.{neck}"], weights[f"detector_model.vision_encoder.{neck}"])
+
+
+def test_edgetam_says_what_it_needs(library, monkeypatch, tmp_path):
+    (tmp_path / "config.json").write_text('{"model_type": "edgetam_video"}')
+    monkeypatch.setattr(sam, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="needs timm and torchvision, not installed: pip install timm torchv"):
+        sam.load_segmenter(str(tmp_path), "cpu")
+
+
+@pytest.mark.oracle
+def test_edgetam_makes_masks(library):
+    if find_spec("timm") is None:
+        pytest.skip("needs timm")
+    run_alone("timm_models.py", "edgetam")
 
 
 def test_pixels_are_normalised_as_the_folder_says(library, tmp_path):
@@ -607,8 +678,12 @@ def test_masks_are_those_of_the_pipeline_of_transformers(library, tmp_path):
 
 
 def run_pipeline(folder: Path, calls) -> None:
-    script = Path(__file__).with_name("sam_pipeline.py")
-    command = [sys.executable, str(script), str(folder), json.dumps(calls)]
+    run_alone("sam_pipeline.py", str(folder), json.dumps(calls))
+
+
+def run_alone(script: str, *arguments: str) -> None:
+    """In a process of its own, where modules are stand-ins that no other test should see."""
+    command = [sys.executable, str(Path(__file__).with_name(script)), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
 
@@ -636,7 +711,7 @@ def test_a_folder_that_is_no_model(library, tmp_path):
 
 def test_other_architectures(library, tmp_path):
     (tmp_path / "config.json").write_text('{"model_type": "clip"}')
-    with pytest.raises(InputError, match=r"is a 'clip', expected SAM or SAM 2.*sam2\.1-hiera-tiny"):
+    with pytest.raises(InputError, match=r"is a 'clip', expected SAM, SAM 2, SAM 3 or EdgeTAM.*sam2\.1-hiera-tiny"):
         sam.load_segmenter(str(tmp_path), "cpu")
 
 
@@ -650,7 +725,7 @@ def test_missing_weights(folder, library, tmp_path):
     gone = next(name for name in tensors if "iou_prediction_head" in name)
     del tensors[gone]
     save_file(tensors, tmp_path / "model.safetensors", {"format": "pt"})
-    with pytest.raises(FormatError, match=f"lack 1 tensors.*{gone}"):
+    with pytest.raises(FormatError, match=f"lack 1 tensors.*{gone.removeprefix('tracker_model.')}"):
         sam.load_segmenter(str(tmp_path), "cpu")
     (tmp_path / "model.safetensors").write_bytes(b"\0" * 40)
     with pytest.raises(FormatError, match="damaged or incomplete"):

@@ -20,22 +20,21 @@ def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None, 
     import transformers
 
     torch.manual_seed(seed)
-    config = {"clip": clip_config, "dinov2": dinov2_config}.get(kind) or siglip_config
-    name = {"clip": "CLIP", "siglip": "Siglip", "siglip2": "Siglip2", "dinov2": "Dinov2"}[kind]
     transformers.utils.logging.disable_progress_bar()
-    settings = config(kind)
+    settings = CONFIGS[kind](kind)
     if dim is not None:
         settings.projection_dim = dim
-    if kind != "dinov2":
+    texts = hasattr(settings, "text_config")
+    if texts:
         settings.text_config.max_position_embeddings = tokens
-    model = getattr(transformers, f"{name}Model")(settings)
+    model = transformers.AutoModel.from_config(settings)
     with torch.no_grad():  # as in training: fresh ones are so small that all texts look alike
         for weight in model.parameters():
             weight.add_(0.2 * torch.randn(weight.shape))
     model.save_pretrained(folder)
-    if kind == "clip":
+    if kind in ("clip", "metaclip_2"):
         write_clip_tokenizer(folder)
-    elif kind != "dinov2":
+    elif texts:
         write_word_tokenizer(folder)
     return folder
 
@@ -43,7 +42,8 @@ def write_model(folder: Path, kind: str, seed: int = 0, dim: int | None = None, 
 def clip_config(kind: str) -> Any:
     import transformers
 
-    return transformers.CLIPConfig(text_config=_TEXT, vision_config=_VISION, projection_dim=8)
+    config = transformers.CLIPConfig if kind == "clip" else transformers.MetaClip2Config
+    return config(text_config=_TEXT, vision_config=_VISION, projection_dim=8)
 
 
 def siglip_config(kind: str) -> Any:
@@ -61,6 +61,27 @@ def dinov2_config(kind: str) -> Any:
 
     sizes = {name: size for name, size in _SIZES.items() if name != "intermediate_size"}
     return transformers.Dinov2Config(image_size=42, patch_size=14, mlp_ratio=2, **sizes)
+
+
+def dinov3_config(kind: str) -> Any:
+    import transformers
+
+    return transformers.DINOv3ViTConfig(image_size=42, patch_size=14, num_register_tokens=2, **_SIZES)
+
+
+def tipsv2_config(kind: str) -> Any:
+    import transformers
+
+    sizes = {name: size for name, size in _SIZES.items() if name != "intermediate_size"}
+    vision = {"image_size": SIDE, "patch_size": PATCH, "mlp_ratio": 2, **sizes}
+    text = {"vocab_size": 64, "max_position_embeddings": TOKENS, **_SIZES}
+    return transformers.Tipsv2Config(text_config=text, vision_config=vision)
+
+
+CONFIGS = {
+    "clip": clip_config, "metaclip_2": clip_config, "siglip": siglip_config, "siglip2": siglip_config,
+    "dinov2": dinov2_config, "dinov3_vit": dinov3_config, "tipsv2": tipsv2_config,
+}  # fmt: skip
 
 
 def write_clip_tokenizer(folder: Path) -> None:

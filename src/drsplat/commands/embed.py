@@ -34,8 +34,9 @@ DAILY = ("output", "segmenter", "encoder", "scene", "views", "crops", "device", 
 SEGMENTER = "facebook/sam-vit-huge"
 ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
-    f"model that embeds, an id of the Hugging Face hub or a folder: CLIP, SigLIP or SigLIP 2, or DINOv2, which knows "
-    f"no words; or drsplat-mini, built in, which knows 37 household objects (default: {ENCODER}, the paper's)"
+    "model that embeds, an id of the Hugging Face hub or a folder: CLIP, MetaCLIP 2, SigLIP, SigLIP 2 or TIPSv2, or "
+    "DINOv2 or DINOv3, which know no words; hf-hub:ID for a model of open_clip, such as hf-hub:timm/PE-Core-B-16; or "
+    f"drsplat-mini, built in, which knows 37 household objects (default: {ENCODER}, the paper's)"
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 MOST_POINTS = 1024  # on a side
@@ -58,9 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models = parser.add_argument_group("models")
     models.add_argument(
         "--segmenter", type=words, metavar="NAME",
-        help=f"SAM, SAM 2 or SAM 2.1, an id of the Hugging Face hub or a folder; or graph, built in, no model to "
-        f"download, a fifth of a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on a CPU take "
-        "graph, or facebook/sam2.1-hiera-tiny with --points 16 --crop-layers 0: half a minute for a photo, not many)",
+        help=f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, an id of the Hugging Face hub or a folder; or graph, built in, "
+        f"no model to download, a fifth of a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on "
+        "a CPU take graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0: seconds for a photo)",
     )  # fmt: skip
     models.add_argument(
         "--masks", metavar="DIR",

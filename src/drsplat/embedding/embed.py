@@ -24,7 +24,6 @@ from ..formats.feature_files import Form
 from ..formats.langsplat import FeatureFolder, stored_features, write_features
 from ..formats.photo_files import listed
 from ..formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
-from ..masks.crops import crops
 from ..masks.keeping_out import kept_masks
 from ..masks.masks import LEVELS, Masks, Segmenter
 from ..masks.selection import MaskMaps, mask_maps
@@ -34,6 +33,7 @@ from ..scene.photo_masks import load_mask, views_with_something
 from ..scene.photos import load_image
 from ..scene.views import View
 from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
+from .mask_rows import mask_rows
 from .side_by_side import Threaded, photos_at_once, side_by_side
 
 ALGORITHM = "1"  # of everything here that decides what is written; a new one makes all files anew
@@ -288,10 +288,10 @@ def _embeddings(
     dim = encoder.identity.dim
     if len(masks) == 0:
         return np.zeros((0, dim), np.float32)
-    rows = encoder.encode_images(crops(image, masks))
+    rows = mask_rows(image, masks, encoder)
     if rows.shape != (len(masks), dim) or not np.allclose(np.linalg.norm(rows, axis=1), 1, 0, 1e-3):
         raise InputError(
-            f"{name}: the encoder {encoder.identity.name} gave {rows.shape} for {len(masks)} crops: "
+            f"{name}: the encoder {encoder.identity.name} gave {rows.shape} for {len(masks)} masks: "
             f"expected as many finite unit vectors of {dim} numbers"
         )
     return rows

@@ -12,10 +12,10 @@ from ..errors import MismatchError
 from ..formats.checksums import hash_file
 from ..formats.embedding_record import read_settings
 from ..formats.langsplat import FeatureFolder
-from ..masks.crops import crops
 from ..masks.masks import LEVELS, Masks
 from ..scene.photos import load_image
 from ..scene.views import View, same_aspect
+from .mask_rows import mask_rows
 
 
 class WithoutEmbedding:
@@ -76,7 +76,7 @@ def embedded_again(
     embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
     if len(rows):
         image: UInt8[np.ndarray, "h w 3"] = load_image(view)
-        embeddings[rows] = encoder.encode_images(crops(image, masks))
+        embeddings[rows] = mask_rows(image, masks, encoder)
     return embeddings
 
 

@@ -1,4 +1,4 @@
-"""Patches for a codebook: outlined things of a data set, cut out as masks of a scene are, embedded.
+"""Patches for a codebook: outlined things of a data set, embedded as masks of a scene are.
 
 A codebook that is trained once on many things of all kinds fits every scene of the same encoder.
 Source: Dr. Splat Sec. B (LVIS).
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from ..codes import Track, untracked
 from ..encoders import EncoderIdentity, ImageEncoder, identity_json
@@ -23,10 +23,10 @@ from ..formats.json_files import read_json
 from ..formats.lvis import AnnotatedPhoto, Annotations, Instance
 from ..formats.photo_files import listed
 from ..formats.replacing import replacing
-from ..masks.crops import Crop, crop
-from ..masks.masks import tight_box
+from ..masks.masks import Masks, cut_masks
 from ..scene.photos import load_image, photo_size
 from ..scene.views import View
+from .mask_rows import mask_rows
 
 ALGORITHM = "1"  # of everything here that decides a patch
 MIN_AREA = 100
@@ -59,6 +59,13 @@ class PatchSource:
     @property
     def num_wanted(self) -> int:
         return sum(len(photo.instances) for photo in self.photos)
+
+
+class Patches(NamedTuple):
+    """One photo and the masks of its wanted instances."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    masks: Masks
 
 
 class EmbeddedPatches(NamedTuple):
@@ -102,11 +109,10 @@ def find_patches(annotations: Annotations, images: str | Path, limit: int | None
     return PatchSource(annotations, photos, missing, left_out)
 
 
-def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[list[Crop]]:
-    """The patches of one photo after the other, each photo opened once.
+def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[Patches]:
+    """Yield one photo after the other with the masks of its instances, each photo opened once.
 
-    A patch is a square: the thing on black, as `crops.crop` makes it. Instances whose mask has fewer
-    than MIN_AREA pixels are left out.
+    Instances whose mask has fewer than MIN_AREA pixels are left out.
 
     Raises: MismatchError: a photo of another size than annotated. FormatError: a damaged photo, a mask
     that does not fit its photo.
@@ -133,10 +139,10 @@ def embed_patches(
     seen = sum(len(photo.instances) for photo in source.photos[:done])
     following = source.photos[done:]
     steps = track(range(len(following)), "embedding patches")
-    for _, photo, crops in zip(steps, following, patches(source, following), strict=True):
-        if crops:
-            rows[filled : filled + len(crops)] = encoder.encode_images(crops)
-        done, filled, seen = done + 1, filled + len(crops), seen + len(photo.instances)
+    for _, photo, (image, masks) in zip(steps, following, patches(source, following), strict=True):
+        if len(masks):
+            rows[filled : filled + len(masks)] = mask_rows(image, masks, encoder)
+        done, filled, seen = done + 1, filled + len(masks), seen + len(photo.instances)
         _write_progress(progress_path, key, done, filled)
     if not filled:
         raise InputError(f"none of {seen} patches has {MIN_AREA} pixels or more: give larger ones")
@@ -171,7 +177,7 @@ def _missing(annotations: Annotations, paths: dict[int, Path]) -> tuple[str, ...
     return tuple(annotations.photos[number].name for number in wanted if number not in paths)
 
 
-def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> list[Crop]:
+def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> Patches:
     photo, path = wanted.photo, wanted.path
     size = photo_size(path)
     if size != (photo.width, photo.height):
@@ -180,14 +186,10 @@ def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> list[Crop]:
             "the photos that the annotations were made on"
         )
     image = load_image(View(photo.name, np.eye(3), np.eye(4), photo.width, photo.height, path))
-    crops = []
-    for instance in wanted.instances:
-        mask = annotations.mask(instance)
-        box = tight_box(mask)
-        if box is not None and np.count_nonzero(mask) >= MIN_AREA:
-            x0, y0, x1, y1 = box
-            crops.append(crop(image, mask[y0:y1, x0:x1], box))
-    return crops
+    full = [annotations.mask(instance) for instance in wanted.instances]
+    large = [mask for mask in full if np.count_nonzero(mask) >= MIN_AREA]
+    stacked = np.stack(large) if large else np.empty((0, photo.height, photo.width), bool)
+    return Patches(image, cut_masks(stacked, np.ones(len(large), np.float32)))
 
 
 def _key(source: PatchSource, encoder: EncoderIdentity) -> str:

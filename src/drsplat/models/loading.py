@@ -6,39 +6,58 @@ from typing import TYPE_CHECKING
 from .libraries import models_library
 from .mini import MiniEncoder
 from .pretrained import model_folder
+from .weight_names import OPEN_CLIP
 from .words import WordEncoder
 
 if TYPE_CHECKING:
-    from .transformers_encoders import TransformersEncoder
+    from .torch_encoder import TorchEncoder
 
 DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The paper's. Source: Dr. Splat Sec. A."""
 OPENCLIP_NAMES = {"ViT-B-16/laion2b_s34b_b88k": DEFAULT_ENCODER}
 """The same model as LangSplat and OpenCLIP name it."""
+OPEN_CLIP_PREFIXES = ("hf-hub:", "open_clip:")
+"""Of names that open_clip's own library loads; the first is its own way to say so."""
 
 
 def load_encoder(
     name: str = DEFAULT_ENCODER, device: str = "auto", dtype: str = "auto", *, threads: int = 0
-) -> "WordEncoder | MiniEncoder | TransformersEncoder":
-    """A built-in encoder, or a CLIP, SigLIP, SigLIP 2 or DINOv2 of transformers.
+) -> "WordEncoder | MiniEncoder | TorchEncoder":
+    """A built-in encoder, or a CLIP, MetaCLIP 2, SigLIP, SigLIP 2, DINOv2, DINOv3 or TIPSv2 of transformers.
 
     name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging
     Face hub, which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
+    After "hf-hub:" or "open_clip:" it is loaded by open_clip's own library (`drsplat[open-clip]`), which has what
+    transformers has not, such as "hf-hub:timm/PE-Core-B-16".
     device: auto, cpu, cuda or mps. dtype of images: auto, float32, bfloat16 or float16; auto is
     float16 on CUDA and bfloat16 on processors that multiply it. threads: of drsplat-mini, 0 for all cores; the
     libraries of the others have settings of their own.
 
     Raises: InputError: no such model, a gated one, another architecture, pickles, no such device.
-    FormatError: damaged or missing weights. MissingExtraError: torch, transformers or the device is
+    FormatError: damaged or missing weights. MissingExtraError: torch, transformers, open_clip or the device is
     absent or unusable. DrSplatError: no network.
     """
     if name == WordEncoder.identity.name:
         return WordEncoder()
     if name == MiniEncoder.name:
         return MiniEncoder(threads=threads)
+    for prefix in OPEN_CLIP_PREFIXES:
+        if name.startswith(prefix):
+            return _by_open_clip(name, name.removeprefix(prefix), device, dtype)
     models_library()
     folder = model_folder(OPENCLIP_NAMES.get(name, name))
-    from .transformers_encoders import TransformersEncoder
+    from .dense_encoder import DensePatchEncoder
+    from .transformers_encoders import TransformersEncoder, family_of
 
     called = folder.resolve().name if Path(name).expanduser().is_dir() else name
-    return TransformersEncoder(called, folder, device, dtype)
+    kind = DensePatchEncoder if family_of(called, folder).dense else TransformersEncoder
+    return kind(called, folder, device, dtype)
+
+
+def _by_open_clip(name: str, place: str, device: str, dtype: str) -> "TorchEncoder":
+    from .open_clip_encoder import OpenClipEncoder, open_clip_library
+
+    open_clip_library()  # before a download that nobody could use
+    folder = model_folder(place, OPEN_CLIP)
+    called = folder.resolve().name if Path(place).expanduser().is_dir() else name
+    return OpenClipEncoder(called, folder, device, dtype)

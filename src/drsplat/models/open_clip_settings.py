@@ -51,6 +51,12 @@ def config_arguments(path: Path) -> dict[str, Any]:
     }
 
 
+def embedding_size(path: Path) -> int:
+    """Return how many numbers an embedding of the model of open_clip_config.json has. Raises: FormatError."""
+    model = _object(_settings_file(path), "model_cfg", str(path))
+    return _positive(model.get("embed_dim"), f"{path}: model_cfg.embed_dim")
+
+
 def _sizes(model: dict[str, Any], part: str, defaults: dict[str, int], where: str) -> dict[str, int]:
     """Of one tower, by the names of transformers."""
     where = f"{where}.{part}"
@@ -68,8 +74,8 @@ def _with_defaults(given: dict[str, Any], known: dict[str, Any], where: str) -> 
         idle = name in _WITHOUT_EFFECT or not value or (name, value) in _PLAIN
         if name not in known and not idle:
             raise InputError(
-                f"{where}.{name}: {shown(value)} makes a model that transformers' CLIP is not: choose "
-                "a plain CLIP with a ViT, or one saved by transformers"
+                f"{where}.{name}: {shown(value)} makes a model that transformers' CLIP is not: put open_clip: before "
+                "its name, which loads it by open_clip's own library, or choose a plain CLIP with a ViT"
             )
     return known | {name: given[name] for name in known if name in given}
 

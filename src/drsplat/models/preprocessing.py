@@ -81,9 +81,11 @@ def preprocessing_of(settings: dict[str, Any], path: Path, default: Preprocessin
 
     Raises: as `read_preprocessing`.
     """
-    for step in ("do_resize", "do_rescale", "do_normalize"):
+    for step in ("do_resize", "do_rescale"):
         if settings.get(step, True) is not True:
-            raise FormatError(f"{path}: {step} is off; drsplat always resizes, scales, normalises")
+            raise FormatError(f"{path}: {step} is off; drsplat always resizes and scales")
+    if settings.get("do_normalize", True) is False:
+        settings = {**settings, "image_mean": [0, 0, 0], "image_std": [1, 1, 1]}
     cut = settings.get("do_center_crop", not default.stretch)
     size = settings.get("crop_size" if cut and "crop_size" in settings else "size", default.side)
     return Preprocessing(

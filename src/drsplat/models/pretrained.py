@@ -13,16 +13,19 @@ from ..formats.json_files import read_json, shown
 from .libraries import INSTALL, model_class, models_library
 from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
-_WANTED = ["*.json", "merges.txt", "vocab.txt", "*.model", WEIGHTS, "model-*-of-*.safetensors"]
+_SETTINGS = ["*.json", "merges.txt", "vocab.txt", "*.model"]
+_WANTED = [*_SETTINGS, WEIGHTS, "model-*-of-*.safetensors"]
 _VOCABULARIES = ("tokenizer.json", "vocab.json", "vocab.txt", "*.model")
 _ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 _EXAMPLES = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (CLIP) or facebook/sam2.1-hiera-tiny (SAM)"
 BUILT_IN = "built in, without a download: the segmenter graph and the encoder drsplat-mini (coarser, for trials)"
 
 
-def model_folder(name: str) -> Path:
+def model_folder(name: str, weights: str = WEIGHTS) -> Path:
     """The folder with a model's files: `name` itself where that is one, else the hub's, downloaded
     into the cache of huggingface_hub if it is not there yet.
+
+    weights: the file that is wanted where the hub has several.
 
     Raises: InputError: no such folder and no such id, or a gated one. DrSplatError: no network.
     MissingExtraError: huggingface_hub is not installed.
@@ -35,7 +38,7 @@ def model_folder(name: str) -> Path:
             f"{name}: expected a folder with config.json and {WEIGHTS} (or {OPEN_CLIP_CONFIG} and {OPEN_CLIP}), or an "
             f"id of the Hugging Face hub, AUTHOR/NAME, such as {_EXAMPLES}; {BUILT_IN}"
         )
-    return _downloaded(name)
+    return _downloaded(name, weights)
 
 
 def cached_in_full(name: str) -> bool:
@@ -82,6 +85,11 @@ def weight_files(folder: Path) -> list[Path]:
         files = [folder / OPEN_CLIP]
     else:
         raise InputError(no_weights(folder))
+    return checked_files(files)
+
+
+def checked_files(files: list[Path]) -> list[Path]:
+    """Return safetensors files if their headers are sound. Raises: FormatError: one is damaged."""
     for file in files:
         _check_header(file)
     return files
@@ -156,13 +164,15 @@ def load_tokenizer(folder: Path) -> Any:
         ) from error
 
 
-def _downloaded(name: str) -> Path:
+def _downloaded(name: str, weights: str) -> Path:
     try:
         hub = import_module("huggingface_hub")
         errors = import_module("huggingface_hub.errors")
     except ImportError:
         raise MissingExtraError(f"'{name}' is an id of the Hugging Face hub: {INSTALL}") from None
     try:
+        if weights == OPEN_CLIP:
+            return Path(hub.snapshot_download(name, allow_patterns=[*_SETTINGS, OPEN_CLIP]))
         folder = Path(hub.snapshot_download(name, allow_patterns=_WANTED))
         if not any((folder / file).is_file() for file in (WEIGHTS, INDEX)):
             # asked for second, so that a repository with both is not downloaded twice over
@@ -170,8 +180,8 @@ def _downloaded(name: str) -> Path:
         return folder
     except errors.GatedRepoError as error:
         raise InputError(
-            f"{name}: gated. Accept its terms at https://huggingface.co/{name} and log in with "
-            "`hf auth login`, or choose a model that is free to download"
+            f"{name}: gated. Accept its licence at https://huggingface.co/{name}, wait for access where its authors "
+            "grant it by hand, and log in with `hf auth login`; or choose a model that is free to download"
         ) from error
     except errors.RepositoryNotFoundError as error:
         raise InputError(

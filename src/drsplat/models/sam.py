@@ -1,16 +1,17 @@
-"""A segmenter by its name; SAM and SAM 2 of transformers as such: no torchvision, none of their processors."""
+"""A segmenter by its name; SAM, SAM 2, SAM 3 and EdgeTAM of transformers as such, without their processors."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from PIL import Image
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, MissingExtraError
 from ..formats.json_files import as_vector, read_json, shown
 from .devices import chosen_device
 from .graph import GraphSegmenter
@@ -24,12 +25,36 @@ DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
 CPU_SEGMENTER = "facebook/sam2.1-hiera-tiny"
 """The one to take without a GPU."""
 
-_IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-_ARCHITECTURES = {
-    "sam": ("SamModel", False),
-    "sam2": ("Sam2Model", True),
-    "sam2_video": ("Sam2Model", True),  # what Meta's SAM 2 checkpoints say; they hold both
+Colors = tuple[tuple[float, ...], tuple[float, ...]]
+"""Mean and deviation per channel, of 0 to 1."""
+_IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+_HALF = (0.5,) * 3, (0.5,) * 3
+
+
+class Architecture(NamedTuple):
+    """What differs between segmenters. stretched: see ModelFrame. colors: of published preprocessing.
+    packages: that its image encoder needs beside transformers.
+    """
+
+    class_name: str
+    stretched: bool = True
+    colors: Colors = _IMAGENET
+    packages: tuple[str, ...] = ()
+
+
+_SAM2 = Architecture("Sam2Model")
+_SAM3 = Architecture("Sam3TrackerModel", colors=_HALF)
+_EDGETAM = Architecture("EdgeTamModel", packages=("timm", "torchvision"))
+ARCHITECTURES = {
+    "sam": Architecture("SamModel", stretched=False),
+    "sam2": _SAM2,
+    "sam2_video": _SAM2,  # what Meta's SAM 2 checkpoints say; they hold both
+    "sam3_tracker": _SAM3,
+    "sam3_video": _SAM3,  # likewise facebook/sam3, which holds a detector too
+    "edgetam": _EDGETAM,
+    "edgetam_video": _EDGETAM,
 }
+"""By model_type of config.json. Source: the processors and configurations of transformers 5.23."""
 _CHUNK_NUMBERS = 1 << 24  # floats of enlarged masks at a time: 64 MiB
 
 
@@ -37,7 +62,7 @@ _CHUNK_NUMBERS = 1 << 24  # floats of enlarged masks at a time: 64 MiB
 class ModelFrame:
     """How an image becomes what the model sees, a square of `side` pixels, and masks come back.
 
-    stretched: SAM 2 stretches the image to the square. SAM scales the longer side to it and fills
+    stretched: SAM 2 and its successors stretch the image to the square. SAM scales the longer side to it and fills
     the rest, right and below, with zeros after normalising. Scaled by Pillow, bilinear, as bytes.
 
     Source: segment-anything utils/transforms.py and modeling/sam.py; sam2 utils/transforms.py,
@@ -46,8 +71,8 @@ class ModelFrame:
 
     side: int
     stretched: bool
-    mean: tuple[float, ...] = _IMAGENET_MEAN
-    std: tuple[float, ...] = _IMAGENET_STD
+    mean: tuple[float, ...] = _IMAGENET[0]
+    std: tuple[float, ...] = _IMAGENET[1]
 
     def scaled_size(self, height: int, width: int) -> tuple[int, int]:
         """Height and width of the image within the square."""
@@ -84,7 +109,7 @@ class ModelFrame:
 
 
 class SamPredictor:
-    """SAM or SAM 2 on one device, in float32. identity: name and hash of the weights."""
+    """A SAM of any generation on one device, in float32. identity: name and hash of the weights."""
 
     def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
         self.model, self.frame, self.device = model.to(device), frame, device
@@ -162,7 +187,7 @@ class SamPredictor:
 def load_segmenter(
     name: str = DEFAULT_SEGMENTER, device: str = "auto", settings: PointMaskSettings | None = None, *, threads: int = 0
 ) -> PointSegmenter | GraphSegmenter:
-    """Return the built-in `graph`, or SAM or SAM 2 (also 2.1) with a grid of points.
+    """Return the built-in `graph`, or SAM, SAM 2 (also 2.1), SAM 3 or EdgeTAM with a grid of points.
 
     name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it,
     or an id of the Hugging Face hub, which is
@@ -173,8 +198,8 @@ def load_segmenter(
     pixels, and the settings. The device is not part of it, although it may change single pixels.
 
     Raises: InputError: no such model, a gated one, another architecture, no weights; settings for
-    `graph`. FormatError: damaged or incomplete ones. MissingExtraError: torch, transformers or the
-    device is absent. DrSplatError: no network.
+    `graph`. FormatError: damaged or incomplete ones. MissingExtraError: torch, transformers, the
+    device, or timm for EdgeTAM is absent. DrSplatError: no network.
     """
     if name == GraphSegmenter.name:
         if settings is not None:
@@ -183,28 +208,40 @@ def load_segmenter(
     models_library()
     device = chosen_device(device)
     folder = model_folder(name)
-    kind = model_type(folder)
-    if kind not in _ARCHITECTURES:
-        raise InputError(
-            f"{name}: is a '{kind}', expected SAM or SAM 2 ({', '.join(_ARCHITECTURES)}), such as "
-            f"{DEFAULT_SEGMENTER} or, without a GPU, {CPU_SEGMENTER}"
-        )
+    architecture = _architecture(name, folder)
     files = weight_files(folder)
-    class_name, stretched = _ARCHITECTURES[kind]
-    model = load_model(class_name, folder)
-    mean, std = read_normalization(folder)
+    model = load_model(architecture.class_name, folder)
+    mean, std = read_normalization(folder, architecture.colors)
     side = int(model.config.prompt_encoder_config.image_size)  # in which points are placed
-    frame = ModelFrame(side, stretched, mean, std)
+    frame = ModelFrame(side, architecture.stretched, mean, std)
     called = folder.resolve().name if Path(name).expanduser().is_dir() else name
     identity = {
-        "name": called, "architecture": class_name, "weights": weights_hash(files),
+        "name": called, "architecture": architecture.class_name, "weights": weights_hash(files),
         "side": side, "mean": list(mean), "std": list(std),
     }  # fmt: skip
     return PointSegmenter(SamPredictor(model, frame, device, identity), settings)
 
 
-def read_normalization(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Mean and deviation per channel, of 0 to 1, from the model's folder, else ImageNet's.
+def _architecture(name: str, folder: Path) -> Architecture:
+    """Raises: InputError: no segmenter. MissingExtraError: packages that it needs are not installed."""
+    kind = model_type(folder)
+    if kind not in ARCHITECTURES:
+        raise InputError(
+            f"{name}: is a '{kind}', expected SAM, SAM 2, SAM 3 or EdgeTAM ({', '.join(ARCHITECTURES)}), such as "
+            f"{DEFAULT_SEGMENTER} or, without a GPU, {CPU_SEGMENTER}"
+        )
+    architecture = ARCHITECTURES[kind]
+    absent = [package for package in architecture.packages if find_spec(package) is None]
+    if absent:
+        raise MissingExtraError(
+            f"{name}: its image encoder needs {' and '.join(absent)}, not installed: pip install {' '.join(absent)} "
+            f"(the torchvision of the installed torch); {CPU_SEGMENTER} needs neither"
+        )
+    return architecture
+
+
+def read_normalization(folder: Path, default: Colors = _IMAGENET) -> Colors:
+    """Mean and deviation per channel, of 0 to 1, from the model's folder, else the default.
 
     Raises: FormatError: the file has other than three numbers, or deviations that are not positive.
     """
@@ -216,8 +253,8 @@ def read_normalization(folder: Path) -> tuple[tuple[float, ...], tuple[float, ..
         settings = whole.get("image_processor", {}) if isinstance(whole, dict) else whole
     if not isinstance(settings, dict):
         raise FormatError(f"{path}: expected an object, got {shown(settings)}")
-    mean = as_vector(settings.get("image_mean", list(_IMAGENET_MEAN)), 3, f"{path}: image_mean")
-    std = as_vector(settings.get("image_std", list(_IMAGENET_STD)), 3, f"{path}: image_std")
+    mean = as_vector(settings.get("image_mean", list(default[0])), 3, f"{path}: image_mean")
+    std = as_vector(settings.get("image_std", list(default[1])), 3, f"{path}: image_std")
     if min(std) <= 0:
         raise FormatError(f"{path}: image_std: expected positive numbers, got {std.tolist()}")
     return tuple(mean.tolist()), tuple(std.tolist())

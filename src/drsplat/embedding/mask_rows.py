@@ -1,0 +1,24 @@
+"""The embeddings of an image's masks: of their crops, or of the patches that they cover, as the encoder has it."""
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from ..encoders import ImageEncoder
+from ..masks.crops import crops
+from ..masks.masks import Masks
+
+
+@runtime_checkable
+class MaskEncoder(Protocol):
+    """An encoder that embeds masks from one look at the image and needs no crops of them."""
+
+    def encode_masks(self, image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Float32[np.ndarray, "n d"]: ...
+
+
+def mask_rows(image: UInt8[np.ndarray, "h w 3"], masks: Masks, encoder: ImageEncoder) -> Float32[np.ndarray, "n d"]:
+    """Return unit vectors of the masks of an image, each with a pixel or more, in their order."""
+    if isinstance(encoder, MaskEncoder):
+        return encoder.encode_masks(image, masks)
+    return encoder.encode_images(crops(image, masks))
