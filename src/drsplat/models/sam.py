@@ -17,6 +17,7 @@ from .devices import chosen_device
 from .graph import GraphSegmenter
 from .libraries import models_library
 from .memory import fitting
+from .point_decoder import PointDecoder, SharedImage
 from .point_masks import Found, PointMaskSettings, PointSegmenter
 from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
 
@@ -113,6 +114,7 @@ class SamPredictor:
 
     def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
         self.model, self.frame, self.device = model.to(device), frame, device
+        self._decoder = PointDecoder(self.model)
         self.identity: Mapping[str, object] = dict(identity)
         self._last: tuple[np.ndarray | None, Any] = None, None
 
@@ -132,27 +134,23 @@ class SamPredictor:
                 wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
                 yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
 
-    def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> Any:
-        """Of the only one."""
+    def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> SharedImage:
+        """Run the image encoder on the single crop of this batch."""
         import torch
 
         with torch.inference_mode():  # never across a yield: it would hold in the caller
             pixels = torch.from_numpy(self.frame.pixel_values(crops[0]))[None].to(self.device)
-            return self.model.get_image_embeddings(pixels)
+            return self._decoder.share(self.model.get_image_embeddings(pixels))
 
-    def _answers(self, features: Any, points: Float32[np.ndarray, "p 2"]) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
+    def _answers(
+        self, image: SharedImage, points: Float32[np.ndarray, "p 2"]
+    ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
         """Three masks' logits per point, (p, 3, h, w) over the square, and their predicted IoU."""
         import torch
 
         with torch.inference_mode():
-            asked = torch.from_numpy(points).to(self.device)
-            answer = self.model(
-                image_embeddings=features,
-                input_points=asked[None, :, None],
-                input_labels=torch.ones((1, len(asked), 1), dtype=torch.int64, device=self.device),
-                multimask_output=True,
-            )
-            return answer.pred_masks[0], _array(answer.iou_scores[0])
+            masks, iou = self._decoder.answers(image, points)
+            return masks, _array(iou)
 
     def _enlarged(
         self,
