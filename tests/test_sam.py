@@ -450,15 +450,17 @@ def fill(model, seed: int) -> None:
             head.bias[0] = -masks[:, max(i - 1, 0)].flatten().quantile(0.9) / 0.8413
 
 
+def tiny_model(library, kind: str):
+    config, model, sizes = {
+        "sam": ("SamConfig", "SamModel", SAM), "sam2": ("Sam2Config", "Sam2Model", SAM2),
+        "sam2_video": ("Sam2VideoConfig", "Sam2VideoModel", SAM2 | VIDEO),
+        "sam3_tracker": ("Sam3TrackerConfig", "Sam3TrackerModel", SAM3),
+    }[kind]  # fmt: skip
+    return getattr(library, model)(getattr(library, config)(**sizes)).eval()
+
+
 def saved(folder: Path, library, kind: str = "sam", seed: int = 0) -> Path:
-    if kind == "sam2_video":
-        model = library.Sam2VideoModel(library.Sam2VideoConfig(**SAM2, **VIDEO)).eval()
-    elif kind == "sam2":
-        model = library.Sam2Model(library.Sam2Config(**SAM2)).eval()
-    elif kind == "sam3_tracker":
-        model = library.Sam3TrackerModel(library.Sam3TrackerConfig(**SAM3)).eval()
-    else:
-        model = library.SamModel(library.SamConfig(**SAM)).eval()
+    model = tiny_model(library, kind)
     if kind != "sam2_video":
         fill(model, seed)
     model.save_pretrained(folder)
