@@ -4,7 +4,7 @@
                                          [--points 64] [--batches 16 32 64 128] [--crops 8] [--rounds 2]
 
 Real sizes, random weights. own: the mask decoder of transformers, float32; all others: drsplat's. compiled: by
-torch.compile, which needs a C++ compiler. openvino: its own package, which drsplat does not use. Of masks the IoU with
+torch.compile, of SAM the decoder alone; it needs a C++ compiler. openvino: its own package, which drsplat does not use. Of masks the IoU with
 those of "own" after the threshold, the least and the median; of crops the least cosine with float32. Masks of random
 weights are noise, which has edges everywhere: equal here is equal anywhere, but what differs here may differ less on a
 photo. CPU seconds are of all threads, the least of all rounds after a warm-up.
@@ -118,7 +118,8 @@ def bench_sam(ways: list[str], points: int, batches: list[int], rounds: int) -> 
         f"SAM 2.1 tiny     image encoder  {points} points  IoU of masks: least, median; largest change of predicted IoU"
     )
     for way in ways:
-        encoder = way_of("float32" if way == "own" else way, encode, pixels)
+        plain = way in ("own", "compiled")  # compiling the encoder takes minutes
+        encoder = way_of("float32" if plain else way, encode, pixels)
         seconds, changed = cpu_seconds(lambda run=encoder: run(pixels), rounds)
         decoded, (masks, iou) = own, expected
         if way != "own":
