@@ -100,9 +100,8 @@ def main() -> None:
     def row(name: str, photos: int, points: int, masks: int, embedded: int, more: float) -> None:
         of_sam = of_image + points * of_point
         total = photos * of_sam + embedded * of_crop + more
-        print(
-            f"| {name} | {photos} | {points} | {masks} | {embedded} | {of_sam:.1f} | {total:.0f} | {before / total:.1f} |"
-        )
+        counts = f"{photos} | {points} | {masks} | {embedded}"
+        print(f"| {name} | {counts} | {of_sam:.1f} | {total:.0f} | {before / total:.1f} |")
 
     row("everything", len(views), GRID, all_masks, all_masks, 0)
     assert ROUNDS.most_points is not None

@@ -4,10 +4,10 @@
                                          [--points 64] [--batches 16 32 64 128] [--crops 8] [--rounds 2]
 
 Real sizes, random weights. own: the mask decoder of transformers, float32; all others: drsplat's. compiled: by
-torch.compile, of SAM the decoder alone; it needs a C++ compiler. openvino: its own package, which drsplat does not use. Of masks the IoU with
-those of "own" after the threshold, the least and the median; of crops the least cosine with float32. Masks of random
-weights are noise, which has edges everywhere: equal here is equal anywhere, but what differs here may differ less on a
-photo. CPU seconds are of all threads, the least of all rounds after a warm-up.
+torch.compile, of SAM the decoder alone; it needs a C++ compiler. openvino: its own package, which drsplat does not use.
+Of masks the IoU with those of "own" after the threshold, the least and the median; of crops the least cosine with
+float32. Masks of random weights are noise, which has edges everywhere: equal here is equal anywhere, but what differs
+here may differ less on a photo. CPU seconds are of all threads, the least of all rounds after a warm-up.
 """
 
 import time

@@ -534,6 +534,22 @@ def test_points_that_do_not_fit_into_memory_are_asked_in_parts(folder, monkeypat
         np.testing.assert_array_equal(masks.boxes, expected[level].boxes)
 
 
+def test_an_image_is_encoded_once_for_all_rounds_of_points(folder, monkeypatch):
+    segmenter = sam.load_segmenter(str(folder), "cpu", replace(LOOSE, first_points_per_side=1, crop_layers=1))
+    encode, encoded = segmenter.predictor._features, []
+
+    def counted(crops):
+        encoded.append(crops[0].shape)
+        return encode(crops)
+
+    monkeypatch.setattr(segmenter.predictor, "_features", counted)
+    first = segmenter.segment(IMAGE)
+    assert len(encoded) == 5  # the image and four crops
+    again = segmenter.segment(IMAGE)
+    for level, masks in first.items():
+        np.testing.assert_array_equal(masks.boxes, again[level].boxes)
+
+
 def test_answers_are_those_of_the_bare_model(folder, library):
     """One point at a time through the model's own call, on an image that fills the square."""
     import torch

@@ -22,6 +22,11 @@ class WithoutEmbedding:
     """An encoder that gives every mask the vector (1): W can be made of such features."""
 
     identity = EncoderIdentity("none", 1)
+    threads = 0
+
+    def on_one_thread(self) -> "WithoutEmbedding":
+        """Return the same encoder: any number of threads may ask it."""
+        return self
 
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n 1"]:
         return np.ones((len(images), 1), np.float32)
