@@ -31,6 +31,7 @@ PEAK_SHARE, LEAST_PEAK = 1 / 3000, 10  # of the rows: a peak above a long list, 
 TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
 Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
+BLOCK = 4096  # rows whose best words are sorted at once, in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +204,10 @@ def _best_words(
     words = np.zeros((rows, kept), np.uint16)
     for begin in range(0, len(vectors), CHUNK):
         some = vectors[begin : begin + CHUNK]
-        _keep_best(scores, words, score(some) - (some @ usual)[:, None], begin)
+        found = score(some) - (some @ usual)[:, None]
+        for row in range(0, rows, BLOCK):
+            block = slice(row, row + BLOCK)
+            _keep_best(scores[block], words[block], found[:, block], begin)
     return scores, words
 
 
