@@ -17,8 +17,10 @@ from ..evidence.columns import scenery_of
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
-SIGHTS = 3.0
-"""Photos in which a Gaussian is seen often enough; one that shows it smaller than the best counts for less."""
+SIGHTS = 8.0
+"""Photos in which a Gaussian is seen often enough; one that shows little of it counts for less."""
+FULL_SIGHT = 0.25
+"""Share of a Gaussian's weight in its best photo from which on a photo counts in full."""
 ENOUGH = 0.95
 """Share of what all photos give together."""
 LONGER_SIDE = 252
@@ -49,8 +51,8 @@ def choose_views(
 ) -> ViewChoice:
     """Choose views greedily until Gaussians have been seen often enough.
 
-    A Gaussian matters by its blending weight in all photos. A sight counts by its weight in the photo, in parts of that
-    in its best photo, and a Gaussian needs SIGHTS of them. What photos show together has diminishing returns
+    A Gaussian matters by its blending weight in all photos, and needs SIGHTS sights. A photo with FULL_SIGHT of its
+    weight in its best photo is one, a photo with less a part of one. What photos show together has diminishing returns
     (submodular), so the greedy choice is within 1 - 1/e of the best one of its length.
 
     Args:
@@ -70,7 +72,7 @@ def choose_views(
 
 @dataclass(frozen=True, eq=False)
 class _Sights:
-    """shares: (N, V) weight of each Gaussian in each view, in parts of its best. matter: its weight in all."""
+    """shares: (N, V) how much of a sight each view is of each Gaussian, up to 1. matter: its weight in all views."""
 
     shares: csc_array
     matter: Float64[np.ndarray, " n"]
@@ -89,7 +91,8 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
     data, rows = np.concatenate(weights), np.concatenate(ids)
     best, matter = np.zeros(len(gaussians)), np.bincount(rows, data, len(gaussians)).astype(np.float64)
     np.maximum.at(best, rows, data)
-    return _Sights(csc_array((data / best[rows], rows, starts), shape=(len(gaussians), len(views))), matter)
+    shares = np.minimum(data / (FULL_SIGHT * best[rows]), 1)
+    return _Sights(csc_array((shares, rows, starts), shape=(len(gaussians), len(views))), matter)
 
 
 def _greedy(
