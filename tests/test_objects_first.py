@@ -191,11 +191,10 @@ def test_each_view_is_the_one_that_shows_most_of_what_is_left(views, rows, seed)
     """Beside a plain loop that looks at every view each time."""
     rng = np.random.default_rng(seed)
     shares = rng.random((rows, views)) * (rng.random((rows, views)) < 0.7)
-    matter = rng.random(rows)
-    order, seen = _greedy(csc_array(shares), matter, 1.0, views)
-    have, score, total = np.zeros(rows), 0.0, matter @ np.minimum(shares.sum(1), SIGHTS)
+    order, seen = _greedy(csc_array(shares), 1.0, views)
+    have, score, total = np.zeros(rows), 0.0, np.minimum(shares.sum(1), SIGHTS).sum()
     for view, share in zip(order, seen, strict=True):
-        gains = matter @ (np.minimum(have[:, None] + shares, SIGHTS) - np.minimum(have, SIGHTS)[:, None])
+        gains = (np.minimum(have[:, None] + shares, SIGHTS) - np.minimum(have, SIGHTS)[:, None]).sum(0)
         assert gains[view] >= gains[[v for v in range(views) if v not in order[: order.index(view)]]].max() - 1e-9
         have, score = have + shares[:, view], score + gains[view]
         assert share == pytest.approx(score / total)

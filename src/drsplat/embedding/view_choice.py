@@ -17,11 +17,11 @@ from ..evidence.columns import scenery_of
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
-SIGHTS = 8.0
+SIGHTS = 3.0
 """Photos in which a Gaussian is seen often enough; one that shows little of it counts for less."""
 FULL_SIGHT = 0.25
 """Share of a Gaussian's weight in its best photo from which on a photo counts in full."""
-ENOUGH = 0.95
+ENOUGH = 0.98
 """Share of what all photos give together."""
 LONGER_SIDE = 252
 """Pixels of the longer side of the photos that are looked at: only what is visible counts."""
@@ -51,9 +51,9 @@ def choose_views(
 ) -> ViewChoice:
     """Choose views greedily until Gaussians have been seen often enough.
 
-    A Gaussian matters by its blending weight in all photos, and needs SIGHTS sights. A photo with FULL_SIGHT of its
-    weight in its best photo is one, a photo with less a part of one. What photos show together has diminishing returns
-    (submodular), so the greedy choice is within 1 - 1/e of the best one of its length.
+    Every Gaussian needs SIGHTS sights. A photo with FULL_SIGHT of its weight in its best photo is one, a photo with
+    less a part of one. All count the same, since Gaussians are dense where detail is. What photos show together has
+    diminishing returns (submodular), so the greedy choice is within 1 - 1/e of the best one of its length.
 
     Args:
         gaussians: the scene, which stands still.
@@ -66,19 +66,12 @@ def choose_views(
     Source: Nemhauser, Wolsey and Fisher 1978; evaluated lazily as by Minoux 1978.
     """
     sights = _sights(gaussians, views, threads, track)
-    order, seen = _greedy(sights.shares, sights.matter, enough, len(views) if most is None else most)
+    order, seen = _greedy(sights, enough, len(views) if most is None else most)
     return ViewChoice([views[number] for number in order], seen)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sights:
-    """shares: (N, V) how much of a sight each view is of each Gaussian, up to 1. matter: its weight in all views."""
-
-    shares: csc_array
-    matter: Float64[np.ndarray, " n"]
-
-
-def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Track) -> _Sights:
+def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Track) -> csc_array:
+    """Return how much of a sight each view is of each Gaussian, (N, V), up to 1."""
     scenery, sampling = scenery_of(gaussians), Sampling()
     ids, weights = [np.empty(0, np.int64)], [np.empty(0)]
     for view in track(views, "looking at what photos show"):
@@ -89,28 +82,26 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
         weights.append(triples.weights.astype(np.float64))
     starts = np.cumsum([len(some) for some in ids])
     data, rows = np.concatenate(weights), np.concatenate(ids)
-    best, matter = np.zeros(len(gaussians)), np.bincount(rows, data, len(gaussians)).astype(np.float64)
+    best = np.zeros(len(gaussians))
     np.maximum.at(best, rows, data)
     shares = np.minimum(data / (FULL_SIGHT * best[rows]), 1)
-    return _Sights(csc_array((shares, rows, starts), shape=(len(gaussians), len(views))), matter)
+    return csc_array((shares, rows, starts), shape=(len(gaussians), len(views)))
 
 
-def _greedy(
-    shares: csc_array, matter: Float64[np.ndarray, " n"], enough: float, most: int
-) -> tuple[list[int], list[float]]:
+def _greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list[float]]:
     """Return the views in order, and the share of the score of all of them after each."""
-    have = np.zeros(len(matter))
+    have = np.zeros(sights.shape[0])
 
     def rows_and_sights(view: int) -> tuple[Integer[np.ndarray, " r"], Float64[np.ndarray, " r"]]:
-        own = slice(*shares.indptr[view : view + 2])
-        return shares.indices[own], shares.data[own]
+        own = slice(*sights.indptr[view : view + 2])
+        return sights.indices[own], sights.data[own]
 
     def gain(view: int) -> float:
-        rows, sights = rows_and_sights(view)
-        return float(matter[rows] @ (np.minimum(have[rows] + sights, SIGHTS) - np.minimum(have[rows], SIGHTS)))
+        rows, some = rows_and_sights(view)
+        return float((np.minimum(have[rows] + some, SIGHTS) - np.minimum(have[rows], SIGHTS)).sum())
 
-    total = float(matter @ np.minimum(shares.sum(axis=1), SIGHTS))
-    waiting = [(-gain(view), view) for view in range(shares.shape[1])]
+    total = float(np.minimum(sights.sum(axis=1), SIGHTS).sum())
+    waiting = [(-gain(view), view) for view in range(sights.shape[1])]
     heapq.heapify(waiting)
     order: list[int] = []
     seen: list[float] = []
@@ -121,8 +112,8 @@ def _greedy(
         if waiting and -current > waiting[0][0]:
             heapq.heappush(waiting, (-current, view))
             continue
-        rows, sights = rows_and_sights(view)
-        have[rows] += sights
+        rows, some = rows_and_sights(view)
+        have[rows] += some
         score += current
         order.append(view)
         seen.append(score / total)
