@@ -5,11 +5,11 @@
 PLACE: a packed room of world/scenes, of which a simulated SAM (`suite/simulated_sam.py`) makes the masks; or
 CAPTURE=SCENE, a capture with the scene that was trained on it, with masks of whole things and those of `graph`. Words
 and embeddings are drawn as in `suite/trials.py`, a fifth of them wrong. "grid": 1,024 points a photo; "rounds": coarse
-to fine. "evenly": photos evenly spaced by name. Columns: photos, points a photo, embedded crops; without any word, by weight in
-photos whose truth is known, the mean IoU over true things of the best part, thing or group with each, and of the
-Gaussians whose masks show most of it; with words (not where --seeds is 0) the IoU of the plain field and with objects,
-present words that find nothing and absent ones that find something. After IoUs of words, half of a 95 % interval over
-words.
+to fine. "evenly": photos evenly spaced by name. Columns: photos, points a photo, embedded crops; without any word, by
+weight in photos whose truth is known, the mean IoU over true things of the best part, thing or group with each, and of
+the Gaussians whose masks show most of it; with words (not where --seeds is 0) the IoU of the plain field and with
+objects, present words that find nothing and absent ones that find something. After IoUs of words, half of a 95 %
+interval over words.
 """
 
 import argparse
@@ -167,9 +167,8 @@ def main() -> None:
     parser.add_argument("--shares", type=float, nargs="*", default=[])
     arguments = parser.parse_args()
     clip, draws = Clip(arguments.clip), Draws((WRONG,), arguments.seeds)
-    print(
-        "| place: masks, way | photos | points | crops | plain | objects | missed | absent found |\n" + "|---" * 8 + "|"
-    )
+    columns = "photos | points | crops | objects fit | masks fit | plain | objects | missed | absent found"
+    print(f"| place: masks, way | {columns} |\n" + "|---" * 10 + "|")
     for given in arguments.places:
         kinds = ("sam", "graph") if kind_of(given) == CAPTURE else tuple(SETTINGS)
         points = {kind: points_of(given, kind) for kind in kinds}
