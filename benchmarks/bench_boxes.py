@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 import drsplat as ds
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.kernels.boxes import box_of
-from drsplat.query.tasks import _components
+from drsplat.query.linking import components
 from drsplat.scene.boxes import Box, upward
 
 SCENES = Path(__file__).parent.parent / "world" / "scenes"
@@ -59,7 +59,7 @@ def largest_part(gaussians: ds.Gaussians, ids: np.ndarray) -> np.ndarray:
     """What hangs together, as `locate` has it."""
     if len(ids) < 2:
         return ids
-    parts = _components(gaussians.positions[ids], None)
+    parts = components(gaussians.positions[ids], None)
     return ids[parts == np.bincount(parts).argmax()]
 
 

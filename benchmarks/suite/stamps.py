@@ -34,7 +34,17 @@ ANSWERS = (
     ROOT / "benchmarks" / "drawn_embeddings.py",
     *(
         SUITE / f"{name}.py"
-        for name in ("answers", "masks", "outlines", "places", "scenes", "scoring", "trials", "vocabularies")
+        for name in (
+            "answers",
+            "masks",
+            "outlines",
+            "places",
+            "scenes",
+            "scoring",
+            "simulated_sam",
+            "trials",
+            "vocabularies",
+        )
     ),
 )
 """What decides the answers to words in rooms and captures."""

@@ -30,7 +30,7 @@ EXAMPLES = """\
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
 A stopped run resumes when the same command is given again, without --overwrite."""
-DAILY = ("output", "segmenter", "encoder", "scene", "views", "crops", "device", "overwrite")
+DAILY = ("output", "segmenter", "encoder", "scene", "device", "overwrite")
 SEGMENTER = "facebook/sam-vit-huge"
 ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
@@ -108,13 +108,13 @@ def _add_scene(parser: argparse._ActionsContainer) -> None:
     )
     parser.add_argument(
         "--views", type=_auto_or(count, ALL), default=ALL, metavar="N",
-        help="how many photos are embedded: all; N, those that show most of the scene together; or auto, as many as "
-        "show what matters often enough (default: all; others need --scene)",
+        help="number of photos to embed: all; N, those that show most of the scene together; or auto, as many as show "
+        "all of it often enough (default: all; others need --scene)",
     )  # fmt: skip
     parser.add_argument(
         "--crops", choices=("masks", "objects"), default="masks",
-        help="what is embedded: each mask of each photo; or, of large masks, the best few crops of each object of the "
-        "scene, some tenth of them (default: masks; objects needs --scene)",
+        help="pictures to embed: one of each mask of each photo; or, of large masks, a few of each object of the scene "
+        "(default: masks; objects needs --scene)",
     )  # fmt: skip
 
 
