@@ -31,7 +31,7 @@ class Contest:
     def ours(self, isa: str, threads: int) -> Callable[[], tuple]:
         def run() -> tuple:
             *triples, stages = _native.view_weights(
-                *self.splats[:3], self.camera, self.mask_ids, self.topk, 0, threads, isa
+                *self.splats[:3], False, self.camera, self.mask_ids, self.topk, 0, threads, isa
             )
             self.stages.setdefault(f"drsplat {isa} {threads}T", []).append(stages)
             return tuple(triples)

@@ -79,7 +79,7 @@ def camera(rogue: Rogue, width: int, height: int) -> np.ndarray:
     return rogue.spoiled(numbers)
 
 
-def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
     n = int(rogue.one(COUNTS))
     means = rogue.rng.standard_normal((3, n)).astype(np.float32) * rogue.one((1.0, 1e6))
     means[2] += rogue.one((0, 3, 100))
@@ -88,7 +88,7 @@ def scene(rogue: Rogue) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     full = np.einsum("nij,nkj->ikn", axes, axes)
     covariances = full[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float32)
     opacities = rogue.rng.uniform(-0.2, 1.3, n).astype(np.float32)
-    return rogue.spoiled(means), rogue.spoiled(covariances), rogue.spoiled(opacities)
+    return rogue.spoiled(means), rogue.spoiled(covariances), rogue.spoiled(opacities), n % 2 == 1
 
 
 def weights(rogue: Rogue) -> Call:

@@ -33,6 +33,7 @@ SCENES = {
     "oblique": (1, (4.0, -4.0, 3.0), {"fov_degrees": 45.0}),
     "inside": (2, (0.1, 0.2, 0.0), {"target": (1.0, 0.3, 0.1), "fov_degrees": 90.0}),
     "off-centre": (3, (-1.0, 1.0, 0.5), {"principal": (40.0, 70.0)}),
+    "antialiased": (0, (0.0, -6.0, 1.0), {}),  # as "outside", where most splats are dimmed
 }
 KS = (1, 10, 20, 40, 45, None)
 every_scene = pytest.mark.parametrize("scene", SCENES)
@@ -41,7 +42,8 @@ every_isa = pytest.mark.parametrize("isa", available_isas())
 
 @lru_cache
 def arrays_of(scene: str) -> SplatArrays:
-    return splat_arrays(random_gaussians(3000, SCENES[scene][0]))
+    gaussians = random_gaussians(3000, SCENES[scene][0])
+    return splat_arrays(replace(gaussians, antialiased=scene == "antialiased"))
 
 
 @lru_cache
@@ -185,6 +187,7 @@ def test_any_camera_sees_what_the_twin_sees(seed):
         principal=tuple(rng.uniform(0, 80, 2)),
     )
     gaussians = random_gaussians(1000, seed, extent=float(rng.uniform(1, 3)))
+    gaussians = replace(gaussians, antialiased=bool(seed % 2))
     arrays, topk = splat_arrays(gaussians), int(rng.integers(1, 50))
     twin = reference.contributors(arrays, view)
     mask_ids, expected = masked(twin, random_mask_map(view.height, view.width, 20), topk)

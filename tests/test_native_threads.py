@@ -59,7 +59,7 @@ def photographed() -> list[np.ndarray]:
 
 
 def calls() -> list[Callable[[], object]]:
-    given, rng, how = splats(), np.random.default_rng(0), (INSIDE, "")
+    given, rng, how = (*splats(), True), np.random.default_rng(0), (INSIDE, "")
     segments = rng.integers(-1, 9, (HEIGHT, WIDTH)).astype(np.int32)
     rows = rng.integers(0, 256, (4, 16, 256)).astype("u1"), np.ones(900, "f"), None
     tables, error = (floats(3, 16, 256), None), (1e-4, 0, *how)

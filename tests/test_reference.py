@@ -14,7 +14,7 @@ from scipy.special import factorial, lpmv
 
 from drsplat.kernels import SplatArrays, splat_arrays
 from drsplat.reference import registering as reference
-from drsplat.reference.projection import project
+from drsplat.reference.projection import BLUR, dimming, project
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.placing import PUBLISHED_NEAR
 from drsplat.scene.views import View
@@ -65,6 +65,36 @@ def test_one_round_gaussian_on_the_axis():
     expected[expected < 1 / 255] = 0
     assert_allclose(image, expected, rtol=1e-12)
     assert image[AXIS_PIXEL] == image.max() == opacity
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 0.02, 0.25])
+def test_an_antialiased_gaussian_is_dimmed_as_it_is_widened(sigma):
+    """alpha = o s^2 / (s^2 + 0.3) exp(-r^2 / 2 (s^2 + 0.3)), s = f sigma / z: as much light as o exp(-r^2 / 2 s^2)."""
+    depth, opacity = 4.0, 0.75
+    arrays = arrays_of([[0, 0, depth]], [opacity], sigma)._replace(antialiased=True)
+    image = weight_images(arrays, on_axis_view())[0]
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    variance, squared = (FOCAL * sigma / depth) ** 2, (rows - 16.5) ** 2 + (columns - 24.5) ** 2
+    expected = opacity * variance / (variance + 0.3) * np.exp(-0.5 * squared / (variance + 0.3))
+    expected[expected < 1 / 255] = 0
+    assert_allclose(image, expected, rtol=1e-5)  # sigma itself is kept in float32
+    assert (image.max() == 0) == (sigma == 1e-3)
+
+
+@laws
+@given(st.integers(0, 10**6), st.floats(1.01, 100))
+def test_splats_are_dimmed_by_their_widths_and_less_the_larger_they_are(seed, factor):
+    """Of an ellipse of half axes a and b: a b / sqrt((a^2 + 0.3) (b^2 + 0.3)), however it lies."""
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(2, 2)) * 10 ** rng.uniform(-2, 2)
+
+    def dimmed(axes: np.ndarray) -> float:
+        sharp = (axes @ axes.T)[[0, 0, 1], [0, 1, 1]][None]
+        return float(dimming(sharp, sharp + BLUR * np.array([1, 0, 1]))[0])
+
+    widths = np.linalg.svd(axes)[1]
+    assert_allclose(dimmed(axes), np.prod(widths / np.sqrt(widths**2 + BLUR)), rtol=1e-6)
+    assert dimmed(axes) < dimmed(factor * axes) < 1
 
 
 def test_pixel_centres_are_at_one_half():
@@ -326,6 +356,7 @@ class ExactSplats(NamedTuple):
     opacities: np.ndarray
     near: float = PUBLISHED_NEAR
     origin: np.ndarray = np.zeros(3)
+    antialiased: bool = False
 
 
 def exact_scene(seed: int) -> ExactSplats:

@@ -6,17 +6,18 @@ using namespace drsplat;
 
 namespace {
 
-Scene scene_of(const Rows &means, const Rows &covariances, const Vector &opacities) {
+Scene scene_of(const Rows &means, const Rows &covariances, const Vector &opacities, bool antialiased) {
   const size_t n = opacities.shape(0);
   require(means.shape(0) == 3 && means.shape(1) == n && covariances.shape(0) == 6 && covariances.shape(1) == n,
           "means (3, N), covariances (6, N), opacities (N)");
   require(n < (1u << 31), "fewer than 2^31 Gaussians");
-  return {means.data(), covariances.data(), opacities.data(), (uint32_t)n};
+  return {means.data(), covariances.data(), opacities.data(), (uint32_t)n, antialiased};
 }
 
-nb::tuple weights_of_view(Rows means, Rows covariances, Vector opacities, Vector camera, Array<int32_t, 2> segment_ids,
-                          int topk, int first_hits, int threads, const std::string &isa) {
-  const Scene scene = scene_of(means, covariances, opacities);
+nb::tuple weights_of_view(Rows means, Rows covariances, Vector opacities, bool antialiased, Vector camera,
+                          Array<int32_t, 2> segment_ids, int topk, int first_hits, int threads,
+                          const std::string &isa) {
+  const Scene scene = scene_of(means, covariances, opacities, antialiased);
   const Camera c = camera_of(camera, (int)segment_ids.shape(1), (int)segment_ids.shape(0));
   const Kernels &kernels = kernels_named(isa);
   require(topk >= 0 && first_hits >= 0, "topk and first_hits: 0 or more");
@@ -29,9 +30,9 @@ nb::tuple weights_of_view(Rows means, Rows covariances, Vector opacities, Vector
                         nb::make_tuple(s.project, s.sort, s.bin, s.composite, s.merge));
 }
 
-nb::tuple contributions_of_view(Rows means, Rows covariances, Vector opacities, Vector camera, int width, int height,
-                                int topk, int first_hits, int threads, const std::string &isa) {
-  const Scene scene = scene_of(means, covariances, opacities);
+nb::tuple contributions_of_view(Rows means, Rows covariances, Vector opacities, bool antialiased, Vector camera,
+                                int width, int height, int topk, int first_hits, int threads, const std::string &isa) {
+  const Scene scene = scene_of(means, covariances, opacities, antialiased);
   const Camera c = camera_of(camera, width, height);
   const Kernels &kernels = kernels_named(isa);
   require(topk >= 1 && first_hits >= 0, "topk: 1 or more; first_hits: 0 or more");
@@ -44,9 +45,9 @@ nb::tuple contributions_of_view(Rows means, Rows covariances, Vector opacities, 
   return nb::make_tuple(ids.numpy({h, w, k}), weights.numpy({h, w, k}));
 }
 
-nb::tuple render_view(Rows means, Rows covariances, Vector opacities, Vector camera, int width, int height, Rows values,
-                      Vector background, int threads, const std::string &isa) {
-  const Scene scene = scene_of(means, covariances, opacities);
+nb::tuple render_view(Rows means, Rows covariances, Vector opacities, bool antialiased, Vector camera, int width,
+                      int height, Rows values, Vector background, int threads, const std::string &isa) {
+  const Scene scene = scene_of(means, covariances, opacities, antialiased);
   const Camera c = camera_of(camera, width, height);
   const Kernels &kernels = kernels_named(isa);
   require(values.shape(0) == scene.count && background.shape(0) == values.shape(1), "values (N, C), background (C)");
@@ -75,11 +76,11 @@ nb::object colors_of(Array<float, 3> sh, Rows means, Vector center, int threads,
 }  // namespace
 
 void bind_splatting(nb::module_ &m) {
-  m.def("view_weights", &weights_of_view, "means"_a, "covariances"_a, "opacities"_a, "camera"_a, "segment_ids"_a,
-        "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
-  m.def("topk_contributions", &contributions_of_view, "means"_a, "covariances"_a, "opacities"_a, "camera"_a, "width"_a,
-        "height"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
-  m.def("render", &render_view, "means"_a, "covariances"_a, "opacities"_a, "camera"_a, "width"_a, "height"_a,
-        "values"_a, "background"_a, "threads"_a, "isa"_a);
+  m.def("view_weights", &weights_of_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a, "camera"_a,
+        "segment_ids"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
+  m.def("topk_contributions", &contributions_of_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a,
+        "camera"_a, "width"_a, "height"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
+  m.def("render", &render_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a, "camera"_a, "width"_a,
+        "height"_a, "values"_a, "background"_a, "threads"_a, "isa"_a);
   m.def("sh_colors", &colors_of, "sh"_a, "means"_a, "center"_a, "threads"_a, "isa"_a);
 }

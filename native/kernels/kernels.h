@@ -22,6 +22,7 @@ struct Scene {               // structure of arrays, `count` floats each
   const float *covariances;  // 6 rows: xx, xy, xz, yy, yz, zz
   const float *opacities;
   uint32_t count;
+  bool antialiased = false;  // opacities are dimmed by what widening adds to a splat's area
 };
 
 // A projected Gaussian: log2(alpha) = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity, d = pixel - centre.

@@ -46,13 +46,20 @@ INLINE void tile_range(Floats centre, Floats radius, Floats half, int tiles, Int
   last = select(tb < b, tb, b);
 }
 
+// Factor on the opacity of an antialiased splat: sqrt(det(cov2d) / det(cov2d + kBlur I)), from the entries of cov2d and
+// the widened determinant. Between 0 and 1, also where rounding leaves no determinant.
+INLINE Floats dimming(Floats xx, Floats xy, Floats yy, Floats widened) {
+  return square_root(minimum(maximum((xx * yy - xy * xy) / widened, splat(0.f)), splat(1.f)));
+}
+
+template <bool kAntialiased>
 INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uint32_t n) {
   Projected out;
   const size_t N = s.count;
   const float *R = c.rotation;
   const Floats mx = load_some(s.means + at, n), my = load_some(s.means + N + at, n),
                mz = load_some(s.means + 2 * N + at, n);
-  const Floats opacity = load_some(s.opacities + at, n);
+  Floats opacity = load_some(s.opacities + at, n);
   const Floats Z = splat(R[6]) * mx + splat(R[7]) * my + splat(R[8]) * mz + splat(c.translation[2]);
   Mask seen = (splat(c.near_z) < Z) & (opacity >= splat(kMinAlpha));
   out.visible = 0;
@@ -79,6 +86,11 @@ INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uin
   const Floats yy = v[0] * sv0 + v[1] * sv1 + v[2] * sv2 + splat(kBlur);
   const Floats det = xx * yy - xy * xy;
   seen = seen & (splat(0.f) < det) & (det < splat(1e30f));
+  if constexpr (kAntialiased) {
+    const Floats sharp_xx = u[0] * su0 + u[1] * su1 + u[2] * su2, sharp_yy = v[0] * sv0 + v[1] * sv1 + v[2] * sv2;
+    opacity = opacity * dimming(sharp_xx, xy, sharp_yy, det);
+    seen = seen & (opacity >= splat(kMinAlpha));
+  }
   if (!any(seen)) return out;
 
   const Floats radius = published_radius(splat(0.5f) * (xx + yy), det);
@@ -104,11 +116,12 @@ INLINE Projected project_lanes(const Scene &s, const Camera &c, uint32_t at, uin
   return out;
 }
 
-static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin, uint32_t end, Splat *splats,
-                        Extent *extents) {
+template <bool kAntialiased>
+static uint32_t project_as(const Scene &scene, const Camera &camera, uint32_t begin, uint32_t end, Splat *splats,
+                           Extent *extents) {
   uint32_t written = 0;
   for (uint32_t at = begin; at < end; at += 16) {
-    const Projected p = project_lanes(scene, camera, at, end - at);
+    const Projected p = project_lanes<kAntialiased>(scene, camera, at, end - at);
     for (uint32_t m = p.visible; m; m &= m - 1) {
       const int i = __builtin_ctz(m);
       splats[written] = {lane(p.splat[0], i),
@@ -126,6 +139,12 @@ static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin
     }
   }
   return written;
+}
+
+// Two functions, so that scenes that are not antialiased keep every bit, whatever multiplications a compiler fuses.
+static uint32_t project(const Scene &scene, const Camera &camera, uint32_t begin, uint32_t end, Splat *splats,
+                        Extent *extents) {
+  return (scene.antialiased ? project_as<true> : project_as<false>)(scene, camera, begin, end, splats, extents);
 }
 
 struct TileSpan { int first, last; };

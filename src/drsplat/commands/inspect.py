@@ -70,6 +70,7 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         **of_time,
         "num_gaussians": len(scene),
         "sh_degree": scene.sh_degree,
+        "antialiased": scene.antialiased,
         "lowest": scene.positions.min(0) if len(scene) else None,
         "highest": scene.positions.max(0) if len(scene) else None,
         "near": scene.near,
@@ -164,6 +165,7 @@ def _tiles(arguments: argparse.Namespace) -> dict[str, Any]:
         "highest": high.max(0) + tiles.origin,
         "origin": tiles.origin,
         "near": tiles.near,
+        "antialiased": tiles.antialiased,
         "sources": list(tiles.sources),
         "fingerprint": tiles.fingerprint,
     }

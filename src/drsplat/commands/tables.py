@@ -47,6 +47,8 @@ def said(value: object) -> str:
         return "none"
     if hasattr(value, "tolist"):
         return said(value.tolist())
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, int):
         return f"{value:,}"
     if isinstance(value, float):

@@ -22,7 +22,7 @@ class Draft:
 
     present: false where a row was removed. homes: means of rows as they came. added: the rows that each edit brought,
     from the first to before the last, (0, 0) for none; of the edits so far. read: gives other scenes. most: rows that
-    there may be, removed ones included.
+    there may be, removed ones included. antialiased: as of `Gaussians`.
     """
 
     means: Float32[np.ndarray, "n 3"]
@@ -37,6 +37,7 @@ class Draft:
     most: int = ROWS_AT_LEAST
     added: list[tuple[int, int]] = field(default_factory=list)
     read: Callable[[str], Gaussians] = read_gaussians
+    antialiased: bool = False
 
     @classmethod
     def of(cls, scene: Gaussians) -> "Draft":
@@ -44,7 +45,7 @@ class Draft:
         present, homes = np.ones(len(scene), bool), scene.means.copy()
         return cls(
             scene.means.copy(), scene.quats.copy(), scene.scales.copy(), scene.opacities.copy(), scene.sh.copy(), extra,
-            scene.origin, present, homes, most_rows(len(scene)),
+            scene.origin, present, homes, most_rows(len(scene)), antialiased=scene.antialiased,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -65,7 +66,7 @@ class Draft:
         """Some rows, removed ones as well."""
         extra = {name: column[ids] for name, column in self.extra.items()}
         columns = (self.means[ids], self.quats[ids], self.scales[ids], self.opacities[ids], self.sh[ids])
-        return Gaussians(*columns, extra, self.origin)
+        return Gaussians(*columns, extra, self.origin, self.antialiased)
 
     def put(self, ids: Ids, part: Gaussians) -> None:
         """Rows where and as `part` has them."""

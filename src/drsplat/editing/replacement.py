@@ -1,11 +1,12 @@
 """An object of another scene in the place of one."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ..errors import InputError, MismatchError
+from ..errors import DrSplatWarning, InputError, MismatchError
 from ..formats.json_files import is_text
 from ..formats.runs import are_rows, ids_of
 from ..kernels.boxes import box_of
@@ -44,6 +45,7 @@ class Replace:
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         other = draft.read(self.scene)
+        _tell_of_another_drawing(draft, other)
         draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False
         draft.add(similarity_of(self.matrix).moved(self._part(other)), _object_of(draft, ids))
@@ -85,6 +87,17 @@ def placed_in(
     """As `fitted`, of rows of this scene and of another. up: unit directions, in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
     return fitted(goes, comes)
+
+
+def _tell_of_another_drawing(draft: Draft, other: Gaussians) -> None:
+    if draft.antialiased != other.antialiased:
+        kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
+        warnings.warn(
+            f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, its "
+            "small Gaussians look somewhat too solid or too faint from afar",
+            DrSplatWarning,
+            stacklevel=4,
+        )
 
 
 def _foot(box: Box) -> Vector:

@@ -65,6 +65,7 @@ def checked(
     opacities: Float32[np.ndarray, " n"],
     sh: Float32[np.ndarray, "n k 3"],
     extra: Mapping[str, np.ndarray] = {},
+    antialiased: bool = False,
 ) -> Gaussians:
     """The Gaussians, their quats normalised (in place), once every row has passed.
 
@@ -77,7 +78,7 @@ def checked(
     shares = np.logical_and(opacities >= 0, opacities <= 1)
     _require(shares, "opacities that are not a number in [0, 1]")
     _require_finite(sh, "colours (f_dc, f_rest) that are not finite")
-    return Gaussians(means, quats, scales, opacities, sh, dict(extra))
+    return Gaussians(means, quats, scales, opacities, sh, dict(extra), antialiased=antialiased)
 
 
 def _require_finite(values: Float32[np.ndarray, "n ..."], what: str) -> None:

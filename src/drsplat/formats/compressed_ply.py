@@ -15,7 +15,7 @@ from jaxtyping import Float32, UInt32
 from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked, exp, from_smallest_three
-from .gaussian_ply import extra_columns
+from .gaussian_ply import drawn_antialiased, extra_columns
 from .ply import Records, gather, read_elements
 from .ply_header import Header
 
@@ -55,7 +55,8 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     if rest:
         sh[:, 1:] = _decode_rest(tables["sh"], rest)
     extra = extra_columns(vertex, set(PACKED))
-    return checked(means, _rotations(vertex), exp(log_scales), colour[:, 3].copy(), sh, extra)
+    antialiased = drawn_antialiased(header)
+    return checked(means, _rotations(vertex), exp(log_scales), colour[:, 3].copy(), sh, extra, antialiased)
 
 
 def _require(header: Header, element: str, names: tuple[str, ...], code: str) -> None:

@@ -4,6 +4,9 @@ The file holds values before their activation: `scale_0..2` are logarithms, `opa
 not normalised, `f_dc_0..2` the constant SH coefficient and `f_rest_*` the others channel by channel (all of red, then
 green, then blue). Axes are the training frame's. Properties are found by name, in any order and of any scalar type.
 
+A comment of the header says whether opacities are of Gaussians that are drawn antialiased, in one of two spellings
+(`drawn_antialiased`); without one they are not.
+
 Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models.
 """
 
@@ -24,6 +27,9 @@ NORMALS = ("nx", "ny", "nz")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+ANTIALIASED = "SplatRenderMode: mip"  # as Brush writes it
+DRAWN_ANTIALIASED = ("splatrendermode: mip", "antialiased 1")
+MARKED = ("splatrendermode: ", "antialiased ")
 REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 
 
@@ -35,7 +41,17 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
 
     Raises: FormatError: no 3DGS PLY, truncated, or rows that are no Gaussians.
     """
-    return gaussians_of(gaussian_rows(buffer, header))
+    return replace(gaussians_of(gaussian_rows(buffer, header)), antialiased=drawn_antialiased(header))
+
+
+def drawn_antialiased(header: Header) -> bool:
+    """Whether the last comment that says how the Gaussians are drawn says antialiased.
+
+    Brush writes `SplatRenderMode: default`, `mip` or `2dgs`, Postshot `antialiased 0` or `1`; case does not count.
+    """
+    said = [" ".join(comment.lower().split()) for comment in header.comments]
+    marks = [comment for comment in said if comment.startswith(MARKED)]
+    return bool(marks) and marks[-1] in DRAWN_ANTIALIASED
 
 
 def gaussian_rows(buffer: memoryview, header: Header) -> Records:

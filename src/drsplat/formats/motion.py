@@ -124,7 +124,8 @@ def _frames(
             moved = checked(means, quats, scales, opacities, canonical.sh)
         except FormatError as error:
             raise FormatError(f"{where}: frame {number}: {error}. {CURE}") from None
-        moved = replace(moved, extra=canonical.extra, origin=np.array(tensors["origin"]))
+        origin, antialiased = np.array(tensors["origin"]), canonical.antialiased
+        moved = replace(moved, extra=canonical.extra, origin=origin, antialiased=antialiased)
         return counted_from(moved, canonical.origin)
 
     return frame

@@ -147,11 +147,11 @@ def _float32_words(record: np.dtype, names: Sequence[str]) -> list[int] | None:
 
 def write_vertices(
     path: str | PathLike[str], columns: Mapping[str, Shaped[np.ndarray, " n"]], overwrite: bool = False,
-    comment: str = "",
+    comments: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """Write a binary little-endian PLY, atomically: one element `vertex`, a property per column.
 
-    comment: a line of the header.
+    comments: lines of the header.
 
     Raises: InputError: a name or type PLY cannot hold, unequal lengths, or `path` exists already.
     """
@@ -164,7 +164,7 @@ def write_vertices(
         "ply",
         "format binary_little_endian 1.0",
         f"element vertex {count}",
-        *([f"comment {comment}"] if comment else []),
+        *(f"comment {comment}" for comment in comments),
     ]
     header += [f"property {WRITTEN_TYPES[record[name].str[1:]]} {name}" for name in columns]
     with replacing(path, overwrite) as file:

@@ -56,11 +56,12 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """What a PLY file says it holds. `order`: "<", ">" or, for ASCII, "="; `body`: its offset."""
+    """What a PLY file says it holds. `order`: "<", ">" or, for ASCII, "="; `body`: its offset. comments: in order."""
 
     order: str
     elements: dict[str, Element]
     body: int
+    comments: tuple[str, ...] = ()
 
 
 def read_header(buffer: memoryview) -> Header:
@@ -77,8 +78,10 @@ def read_header(buffer: memoryview) -> Header:
     line_end = head.find(b"\n", end + 1)
     if end < 0 or line_end < 0 or head[end + 11 : line_end].strip():
         raise FormatError("PLY header has no 'end_header' line: the file is truncated or damaged")
-    order, elements = _parse_lines(head[4:end].decode("latin-1").split("\n"))
-    return Header(order, elements, line_end + 1)
+    lines = head[4:end].decode("latin-1").split("\n")
+    order, elements = _parse_lines(lines)
+    comments = tuple(line[8:].strip() for line in lines if line.startswith("comment "))
+    return Header(order, elements, line_end + 1, comments)
 
 
 def _parse_lines(lines: list[str]) -> tuple[str, dict[str, Element]]:

@@ -76,6 +76,8 @@ def write_ply_sequence(folder: Path, moving: Moving, overwrite: bool = False) ->
 def _same_rows(gaussians: Gaussians, canonical: Gaussians, path: Path) -> Gaussians:
     if gaussians.sh.shape != canonical.sh.shape:
         raise FormatError(f"{path}: harmonics {gaussians.sh.shape}, those of the first frame {canonical.sh.shape}")
+    if gaussians.antialiased != canonical.antialiased:
+        raise FormatError(f"{path}: marked antialiased {gaussians.antialiased}, the first frame is the other way")
     return counted_from(gaussians, canonical.origin)
 
 

@@ -5,7 +5,8 @@ and maxs of sign(x) ln(1 + |x|). quats holds three components of [-1, 1] / sqrt 
 (w, x, y, z), the largest. Version 2 looks up the logarithms of scales, the colours and the further harmonics in
 codebooks of 256; its alpha is the opacity. Version 1, which states no version, has steps of 255 between
 mins and maxs instead, and the logit of the opacity. Harmonics beyond the first are those of a palette: 64
-entries a row, a pixel for each coefficient (of the three channels); labels are 16 bits in red and green.
+entries a row, a pixel for each coefficient (of the three channels); labels are 16 bits in red and green. A `model`
+"antialiased" says how opacities are drawn.
 
 Axes are those of the PLY that it was made from, as splat-transform reads and writes it.
 
@@ -32,6 +33,7 @@ PALETTE_ROW = 64
 LARGEST_PALETTE = 1 << 16
 SPARE_ROWS = 8  # writers round both sides of a picture up to fours
 _FIRST_TAG = 252
+ANTIALIASED = "antialiased"  # the `model` of meta.json
 Bytes = UInt8[np.ndarray, "n 4"]
 
 
@@ -68,7 +70,8 @@ class _Sog:
     def gaussians(self) -> Gaussians:
         means, quats, scales = self._means(), self._quats(), self._scales()
         colours = self._plane("sh0")
-        return checked(means, quats, scales, self._opacities(colours), self._harmonics(colours))
+        opacities, antialiased = self._opacities(colours), self.meta.get("model") == ANTIALIASED
+        return checked(means, quats, scales, opacities, self._harmonics(colours), antialiased=antialiased)
 
     def _plane(self, part: str, place: int = 0) -> Bytes:
         """The pixels of the Gaussians, in a picture that holds them and hardly more."""

@@ -1,6 +1,7 @@
 """Scene files as rows that are read when they are asked for: what is cut into tiles may be larger than memory."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -13,7 +14,7 @@ from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.similarity import IDENTITY, Similarity, similarity_of
 from .compressed_ply import is_compressed
-from .gaussian_ply import MEANS, SCALES, gaussian_rows, gaussians_of
+from .gaussian_ply import MEANS, SCALES, drawn_antialiased, gaussian_rows, gaussians_of
 from .json_files import as_matrix, as_vector, is_text, read_json, shown
 from .ply import Records
 from .ply_header import read_header
@@ -57,8 +58,8 @@ class Block(NamedTuple):
 class _MappedPly:
     """Rows of a binary PLY, read from the file when they are asked for."""
 
-    def __init__(self, path: Path, rows: Records) -> None:
-        self.name, self._path, self._rows = path.name, path, rows
+    def __init__(self, path: Path, rows: Records, antialiased: bool) -> None:
+        self.name, self._path, self._rows, self._antialiased = path.name, path, rows, antialiased
 
     def positions(self) -> Float64[np.ndarray, "n 3"]:
         result = np.empty((len(self._rows), 3))
@@ -79,7 +80,7 @@ class _MappedPly:
 
     def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
         try:
-            return gaussians_of(self._rows[rows])
+            return replace(gaussians_of(self._rows[rows]), antialiased=self._antialiased)
         except FormatError as error:
             raise FormatError(f"{self._path}: {error}") from None
 
@@ -120,7 +121,7 @@ def sources_of(path: Path) -> list[Source]:
         header = read_header(content.data)
         if header.order == "=" or is_compressed(header):
             return [_Whole(path)]
-        return [_MappedPly(path, gaussian_rows(content.data, header))]
+        return [_MappedPly(path, gaussian_rows(content.data, header), drawn_antialiased(header))]
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
 

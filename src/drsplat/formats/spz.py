@@ -28,7 +28,7 @@ from .spz_streams import gunzipped, unzstd
 MAGIC = b"NGSP"
 PREFIX = struct.Struct("<4sIIBBBB")
 HEADER_BYTES = 32
-HAS_EXTENSIONS, HAS_LOD_TREE = 0x02, 0x80
+ANTIALIASED, HAS_EXTENSIONS, HAS_LOD_TREE = 0x01, 0x02, 0x80
 COORDINATE_SYSTEM = 0xADBE0003
 COLOUR_SCALE = 0.15
 REST_COEFFICIENTS = (0, 3, 8, 15, 24)
@@ -75,6 +75,7 @@ def parse_spz(buffer: memoryview) -> Gaussians:
         exp(log_scales),
         alphas.astype(np.float32) / 255,
         _harmonics(colours, rest, header, signs),
+        antialiased=bool(header.flags & ANTIALIASED),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..errors import FormatError, InputError
-from ..scene.gaussians import Gaussians, ShapesDigest, filled
+from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
 from ..scene.placing import near_plane
 from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
@@ -61,7 +61,7 @@ class Tiles:
     """A scene on disk. near: as `Gaussians.near` of the whole. sources: names of what it was cut from, by block.
 
     fingerprint: that of `gaussians()`. digest: their `ShapesDigest`. origin: that the tiles' positions are counted
-    from, in the world.
+    from, in the world. antialiased: as of `Gaussians`.
     """
 
     path: Path
@@ -71,6 +71,7 @@ class Tiles:
     digest: str
     fingerprint: str
     sources: tuple[str, ...]
+    antialiased: bool = False
 
     def __repr__(self) -> str:
         return f"Tiles({len(self):,} Gaussians in {len(self.tiles):,} tiles, {self.fingerprint})"
@@ -83,8 +84,9 @@ class Tiles:
         arrays = self._read(tile, SHAPES, _SHAPES)
         means, quats, widths, opacities = (arrays[name] for name in _SHAPES)
         return Gaussians(
-            means, quats, widths, opacities, np.zeros((tile.num_rows, 1, 3), np.float32), origin=self.origin
-        )
+            means, quats, widths, opacities, np.zeros((tile.num_rows, 1, 3), np.float32), origin=self.origin,
+            antialiased=self.antialiased,
+        )  # fmt: skip
 
     def gaussians(self) -> Gaussians:
         """The whole scene in memory, with the block and the row there that each Gaussian came from as extra columns.
@@ -97,7 +99,7 @@ class Tiles:
         means, quats, widths, opacities = (np.concatenate([getattr(part, name) for part in shapes]) for name in _SHAPES)
         sh = np.concatenate([filled(part["sh"], most) for part in colours])
         origins = {name: np.concatenate([part[name] for part in colours]) for name in ("block", "source_row")}
-        return Gaussians(means, quats, widths, opacities, sh, origins, self.origin)
+        return Gaussians(means, quats, widths, opacities, sh, origins, self.origin, self.antialiased)
 
     def verify(self) -> list[str]:
         """Compare every file with its checksums, a tile at a time; return their names. Raises: FormatError: damaged."""
@@ -145,7 +147,7 @@ def read_tiles(path: Path) -> Tiles:
     return Tiles(
         path, tuple(tiles), as_vector(document.get("origin"), 3, f"{where}: origin"),
         as_number(document.get("near"), f"{where}: near"), str(document.get("shapes")), str(document.get("scene")),
-        tuple(sources),
+        tuple(sources), document.get("antialiased") is True,
     )  # fmt: skip
 
 
@@ -173,6 +175,7 @@ class _Writer:
         self.tiles: list[dict[str, object]] = []
         self.means: list[Float32[np.ndarray, "n 3"]] = []
         self.opacities: list[Float32[np.ndarray, " n"]] = []
+        self.antialiased: list[bool] = []
 
     def add(self, part: Gaussians) -> None:
         name = f"tile{len(self.tiles):05d}"
@@ -183,6 +186,7 @@ class _Writer:
             for kind, arrays in ((SHAPES, shapes), (COLOURS, colours))
         }
         self.digest.add(part)
+        self.antialiased.append(part.antialiased)
         self.means.append(part.means)
         self.opacities.append(part.opacities)
         self.tiles.append(
@@ -198,16 +202,16 @@ class _Writer:
 
     def manifest(self, sources: Sequence[str]) -> dict[str, object]:
         """What is told of the whole: its fingerprint and near plane need all positions, 16 bytes a Gaussian."""
-        means = np.concatenate(self.means)
+        means, antialiased = np.concatenate(self.means), drawn_alike(self.antialiased)
         bare = np.zeros((len(means), 4), np.float32)
         whole = Gaussians(
             means, bare, bare[:, :3], np.concatenate(self.opacities), np.zeros((len(means), 1, 3), np.float32),
-            origin=self.origin,
+            origin=self.origin, antialiased=antialiased,
         )  # fmt: skip
         return {
             "format": FORMAT, "version": VERSION, "scene": whole.fingerprint, "num_gaussians": len(means),
             "shapes": self.digest.text(), "near": near_plane(means, whole.opacities), "origin": self.origin.tolist(),
-            "sources": list(sources), "tiles": self.tiles,
+            "sources": list(sources), **({"antialiased": True} if antialiased else {}), "tiles": self.tiles,
         }  # fmt: skip
 
 
@@ -216,7 +220,7 @@ def write_tiles(
 ) -> Tiles:
     """Write tiles as they come, all or none. parts: counted from `origin`, with the columns block and source_row.
 
-    Raises: InputError: as `replacing_folder`.
+    Raises: InputError: as `replacing_folder`; parts of which some are drawn antialiased.
     """
     with replacing_folder(path, overwrite, TILES) as folder:
         writer = _Writer(folder, origin)

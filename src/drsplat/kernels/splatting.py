@@ -25,7 +25,7 @@ MOST_COUNTED = 2**31 - 1  # no ray meets so many: as good as all
 class SplatArrays(NamedTuple):
     """What the kernels need of a scene, as structure of arrays; make it once, use it for all views.
 
-    means: relative to origin. near: camera z up to which nothing is drawn.
+    means: relative to origin. near: camera z up to which nothing is drawn. antialiased: as of `Gaussians`.
     """
 
     means: Float32[np.ndarray, "3 n"]
@@ -33,6 +33,7 @@ class SplatArrays(NamedTuple):
     opacities: Float32[np.ndarray, " n"]
     near: float = PUBLISHED_NEAR
     origin: Float64[np.ndarray, " 3"] = np.zeros(3)
+    antialiased: bool = False
 
     def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "SplatArrays":
         """Of the Gaussians at `index`, as `Gaussians.subset`; the near plane is that of the whole."""
@@ -108,15 +109,17 @@ def laid_out(gaussians: Gaussians, near: float) -> SplatArrays:
         with np.errstate(over="ignore"):  # infinite ones are drawn nowhere
             covariances[:, part] = covariances_of(gaussians.quats[part], gaussians.scales[part])
     means = np.ascontiguousarray(gaussians.means.T)
-    return SplatArrays(means, covariances, np.ascontiguousarray(gaussians.opacities), near, gaussians.origin)
+    opacities = np.ascontiguousarray(gaussians.opacities)
+    return SplatArrays(means, covariances, opacities, near, gaussians.origin, gaussians.antialiased)
 
 
-def _seen(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Means, covariances, opacities and the camera."""
+def _seen(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool, np.ndarray]:
+    """Means, covariances, opacities, whether they are drawn antialiased, and the camera."""
     return (
         splats.means,
         splats.covariances,
         splats.opacities,
+        splats.antialiased,
         camera_numbers(view.relative_to(splats.origin), splats.near),
     )
 

@@ -99,7 +99,7 @@ def _alphas(
     x_error, y_error = (column(entry) for entry in projection.center_error.T)
     error = column(projection.covariance_error) * (gx * gx + gy * gy)
     error += np.abs(gx) * x_error + np.abs(gy) * y_error + ROUNDING * column(projection.cancellation) * exponent
-    return alphas, np.maximum(ALPHA_BAND, error)
+    return alphas, np.maximum(ALPHA_BAND, error + column(projection.dimming_error))
 
 
 def _covers(rectangles: Int[np.ndarray, "n 4"], rows: slice, columns: slice) -> Bool[np.ndarray, " n"]:

@@ -24,7 +24,7 @@ class Splats(Protocol):
     """Structure of arrays: what `drsplat.kernels.splat_arrays` gives, in any float type.
 
     means: relative to origin, which is a world position. covariances: rows xx, xy, xz, yy, yz, zz. opacities: in
-    [0, 1]. near: camera z up to which nothing is drawn.
+    [0, 1]. near: camera z up to which nothing is drawn. antialiased: opacities are dimmed as splats are widened.
     """
 
     @property
@@ -37,16 +37,20 @@ class Splats(Protocol):
     def near(self) -> float: ...
     @property
     def origin(self) -> Float64[np.ndarray, " 3"]: ...
+    @property
+    def antialiased(self) -> bool: ...
 
 
 class Projection(NamedTuple):
     """Gaussians in front of the camera as image-plane ellipses, front to back, ties by content.
 
-    centers: pixels. depths: camera z. conics: inverse covariances (xx, xy, yy) in 1 / pixel^2.
+    opacities: at the centre, dimmed if antialiased. centers: pixels. depths: camera z. conics: inverse covariances
+    (xx, xy, yy) in 1 / pixel^2.
     tiles, certain_tiles, possible_tiles: half-open tile rectangles (x0, y0, x1, y1) of the 3-sigma
     square: in float64, and the least and the most that rounding could make of it.
     *_error: bounds on the float32 error, in the unit of the quantity (of covariances: per entry).
     cancellation: by how much the determinant of the covariance magnifies relative rounding.
+    dimming_error: bound on the float32 error of the logarithm of an antialiased opacity.
     """
 
     ids: Int[np.ndarray, " n"]
@@ -58,6 +62,7 @@ class Projection(NamedTuple):
     conics: Float64[np.ndarray, "n 3"]
     covariance_error: Float64[np.ndarray, " n"]
     cancellation: Float64[np.ndarray, " n"]
+    dimming_error: Float64[np.ndarray, " n"]
     tiles: Int[np.ndarray, "n 4"]
     certain_tiles: Int[np.ndarray, "n 4"]
     possible_tiles: Int[np.ndarray, "n 4"]
@@ -83,21 +88,26 @@ def project(splats: Splats, view: View) -> Projection:
 
     jacobian = _jacobian(slopes, depths, view) @ rotation
     solid = _symmetric(splats.covariances[:, ids].T.astype(np.float64))
-    covariances = _upper(jacobian @ solid @ jacobian.transpose(0, 2, 1) + BLUR * np.eye(2))
+    sharp = _upper(jacobian @ solid @ jacobian.transpose(0, 2, 1))
+    covariances = sharp + BLUR * np.array([1, 0, 1])
     sizes = np.abs(jacobian) @ np.abs(solid) @ np.abs(jacobian).transpose(0, 2, 1)
     covariance_error = np.trace(sizes, axis1=1, axis2=2) + 2 * BLUR
     covariance_error *= ROUNDING + 2 * depth_error / depths
 
     a, b, c = covariances.T
-    determinants = a * c - b * b
+    determinants = determinants_of(covariances)
     cancellation = (a * c + b * b) / determinants
+    opacities, dimming_error = splats.opacities[ids].astype(np.float64), np.zeros(len(ids))
+    if splats.antialiased:
+        dimmed, dimming_error = dimming(sharp, covariances), _dimming_error(sharp, cancellation, depth_error / depths)
+        opacities = opacities * dimmed
     solvable = ROUNDING * cancellation < 0.5  # else float32 may find no positive determinant
     centers = focal * slopes + principal
     radius, radius_error = _three_sigma(covariances, covariance_error)
     margin = center_error.max(axis=1, initial=0.0)
     return Projection(
         ids=ids,
-        opacities=splats.opacities[ids].astype(np.float64),
+        opacities=opacities,
         centers=centers,
         center_error=center_error,
         depths=depths,
@@ -105,12 +115,40 @@ def project(splats: Splats, view: View) -> Projection:
         conics=np.stack([c, -b, a], axis=1) / determinants[:, None],
         covariance_error=covariance_error,
         cancellation=cancellation,
+        dimming_error=dimming_error,
         tiles=_tile_rectangles(centers, np.ceil(radius), depths > near),
         certain_tiles=_tile_rectangles(
             centers, np.ceil(radius - radius_error) - margin, solvable & (depths > near + depth_error)
         ),
         possible_tiles=_tile_rectangles(centers, np.ceil(radius + radius_error) + margin, depths > near - depth_error),
     )
+
+
+def dimming(sharp: Float64[np.ndarray, "n 3"], widened: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """Return the factor sqrt(det sharp / det widened) on opacities: a splat's light stays as its area grows.
+
+    sharp, widened: xx, xy, yy of a splat's covariance before and after BLUR was added.
+
+    Source: Yu et al. 2024 (Mip-Splatting), "2D Mip filter".
+    """
+    ratio = determinants_of(sharp) / determinants_of(widened)
+    return np.asarray(np.sqrt(np.clip(ratio, 0, 1)))
+
+
+def determinants_of(covariances: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    a, b, c = covariances.T
+    return np.asarray(a * c - b * b)
+
+
+def _dimming_error(
+    sharp: Float64[np.ndarray, "n 3"], cancellation: Float64[np.ndarray, " n"], depth_error: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """Half the relative errors of both determinants; without bound where a splat is a line."""
+    a, b, c = sharp.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        magnified = (a * c + b * b) / np.maximum(determinants_of(sharp), 0)
+    relative = ROUNDING + 2 * depth_error
+    return np.asarray(0.5 * relative * (np.nan_to_num(magnified, nan=np.inf) + cancellation))
 
 
 def _front_to_back(splats: Splats, depths: Float64[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

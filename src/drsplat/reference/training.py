@@ -78,6 +78,7 @@ class _Splats(NamedTuple):
     opacities: Float64[np.ndarray, " n"]
     near: float
     origin: Float64[np.ndarray, " 3"]
+    antialiased: bool = False
 
 
 def decide(parameters: Parameters, view: View, sh_degree: int, near: float = PUBLISHED_NEAR) -> Decisions:

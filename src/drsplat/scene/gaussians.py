@@ -24,7 +24,8 @@ class Gaussians:
     deviations along the local axes, scene units, > 0. opacities: in [0, 1]. sh: spherical-harmonic colour coefficients,
     degree 0-3 (1, 4, 9 or 16 per channel), RGB last. extra: further per-Gaussian columns of the file it came from, by
     name, each of length N. origin: in the coordinates of the world, which are those of views and answers; zero unless
-    the scene is far from zero for its size (`placing.local_origin`).
+    the scene is far from zero for its size (`placing.local_origin`). antialiased: opacities are of Gaussians as they
+    are; a picture widens them, and dims them as it does (method.md 1; "mip" in other programs).
 
     Raises: InputError: shapes disagree, or an origin that is not finite.
     """
@@ -36,6 +37,7 @@ class Gaussians:
     sh: Float32[np.ndarray, "n k 3"]
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     origin: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    antialiased: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -67,9 +69,11 @@ class Gaussians:
     def fingerprint(self) -> str:
         """Count and position hash: equal for the same Gaussians in the same order, whatever the file.
 
-        Of positions in the world, so that it does not depend on the origin they are counted from.
+        Of positions in the world, so that it does not depend on the origin they are counted from. The same positions
+        have another one where they are drawn antialiased, since they then weigh otherwise.
         """
         digest = hashlib.blake2b(np.ascontiguousarray(self.narrow_positions).tobytes(), digest_size=12)
+        digest.update(drawing_mark(self.antialiased))
         return f"{len(self)}-{digest.hexdigest()}"
 
     @property
@@ -120,7 +124,7 @@ class Gaussians:
         extra = {name: column[index] for name, column in self.extra.items()}
         return Gaussians(
             self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
-            self.origin,
+            self.origin, self.antialiased,
         )  # fmt: skip
 
 
@@ -139,16 +143,17 @@ class ShapesDigest:
     """A hash of all places and shapes, whatever the parts that rows come in; all of them counted from one origin."""
 
     def __init__(self, origin: Float64[np.ndarray, " 3"]) -> None:
-        self._origin = origin
+        self._origin, self._mark = origin, b""
         self._hashes = {name: hashlib.blake2b(digest_size=16) for name in ("means", "quats", "scales", "opacities")}
 
     def add(self, part: Gaussians) -> "ShapesDigest":
         for name, digest in self._hashes.items():
             digest.update(np.ascontiguousarray(getattr(part, name)).data)
+        self._mark = drawing_mark(part.antialiased)
         return self
 
     def text(self) -> str:
-        whole = b"".join(digest.digest() for digest in self._hashes.values()) + self._origin.tobytes()
+        whole = b"".join(digest.digest() for digest in self._hashes.values()) + self._origin.tobytes() + self._mark
         return hashlib.blake2b(whole, digest_size=16).hexdigest()
 
 
@@ -156,6 +161,8 @@ def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
     """All rows, in the order given, counted from one origin; harmonics that some have not are zero there.
 
     Further columns stay where all have them.
+
+    Raises: InputError: some are drawn antialiased and others are not.
     """
     positions = np.concatenate([part.positions for part in parts])
     origin = local_origin(positions)
@@ -172,7 +179,23 @@ def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
             if all(name in p.extra for p in parts)
         },
         origin,
+        drawn_alike([part.antialiased for part in parts]),
     )
+
+
+def drawn_alike(antialiased: Sequence[bool]) -> bool:
+    """Whether all of some Gaussians are drawn antialiased. Raises: InputError: some are and others are not."""
+    if len(set(antialiased)) > 1:
+        raise InputError(
+            f"{sum(antialiased)} of {len(antialiased)} parts are drawn antialiased (mip) and the others are not: the "
+            "same opacity is of another picture there, and one scene is drawn in one way. Train the parts alike"
+        )
+    return any(antialiased)
+
+
+def drawing_mark(antialiased: bool) -> bytes:
+    """What a hash takes of it; nothing for scenes that are not, so that theirs stay."""
+    return b"antialiased" if antialiased else b""
 
 
 def filled(sh: Float32[np.ndarray, "n k 3"], coefficients: int) -> Float32[np.ndarray, "n c 3"]:

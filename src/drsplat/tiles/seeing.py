@@ -95,7 +95,7 @@ class Gallery:
         means, covariances, opacities = (
             np.concatenate([part[k] for part in (NOTHING, *parts)], axis=-1) for k in range(3)
         )
-        splats = SplatArrays(means, covariances, opacities, self.near, self.tiles.origin)
+        splats = SplatArrays(means, covariances, opacities, self.near, self.tiles.origin, self.tiles.antialiased)
         return Seen(splats, np.concatenate([NO_ROWS, *rows]))
 
     def _splats(self, tile: Tile) -> SplatArrays:

@@ -182,6 +182,7 @@
     const which = buffer("which", 1, true);
     gl.uniform1i(at("shape"), 0);
     gl.uniform1i(at("paint"), 1);
+    gl.uniform1i(at("antialiased"), header.antialiased ? 1 : 0);
     gl.disable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -403,6 +404,7 @@ uniform vec3 eye;
 uniform mat3 world_to_camera;
 uniform float focal;
 uniform vec2 viewport;
+uniform bool antialiased;
 in vec2 corner;
 in uint which;
 out vec4 color;
@@ -420,7 +422,10 @@ void main() {
   mat3 S = world_to_camera * world * transpose(world_to_camera);
   vec2 lens = 0.65 * viewport / focal, ray = clamp(p.xy / p.z, -lens, lens);
   vec3 jx = vec3(focal / p.z, 0.0, -focal * ray.x / p.z), jy = vec3(0.0, focal / p.z, -focal * ray.y / p.z);
-  float xx = dot(jx, S * jx) + 0.3, yy = dot(jy, S * jy) + 0.3, xy = dot(jx, S * jy);
+  float xx = dot(jx, S * jx), yy = dot(jy, S * jy), xy = dot(jx, S * jy), sharp = xx * yy - xy * xy;
+  xx += 0.3;
+  yy += 0.3;
+  if (antialiased) color.a *= sqrt(clamp(sharp / (xx * yy - xy * xy), 0.0, 1.0));
   float middle = 0.5 * (xx + yy), apart = length(vec2(0.5 * (xx - yy), xy));
   float large = middle + apart, small = max(middle - apart, 0.1);
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0)) : normalize(vec2(xy, large - xx));

@@ -145,6 +145,7 @@ def _header(page: Page) -> dict[str, Any]:
         "times": None if page.times is None else header_of(page.times),
         "film": None if page.path is None else _film(frame, page.path, page.target),
         "plays": page.plays,
+        "antialiased": page.shown.antialiased,
         "words": list(page.words)[:MOST_WORDS],
         "objects": list(page.objects),
         "annotations": list(page.annotations),

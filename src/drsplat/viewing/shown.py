@@ -35,7 +35,7 @@ class Shown:
     """The `ids` of a scene that are shown, ascending, and what they look like from afar.
 
     centers, covariances: in the browser's frame. rgb: the colour without view dependence, in [0, 1].
-    num_left_out: Gaussians beyond the budget.
+    num_left_out: Gaussians beyond the budget. antialiased: as of `Gaussians`.
     """
 
     ids: Int64[np.ndarray, " m"]
@@ -45,6 +45,7 @@ class Shown:
     opacities: Float32[np.ndarray, " m"]
     frame: Frame
     num_left_out: int
+    antialiased: bool = False
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -72,7 +73,7 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     frame = frame or frame_of(gaussians)
     return Shown(
         ids, _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part),
-        part.opacities, frame, len(gaussians) - len(ids),
+        part.opacities, frame, len(gaussians) - len(ids), gaussians.antialiased,
     )  # fmt: skip
 
 
