@@ -33,7 +33,7 @@ class Dense(NamedTuple):
     offsets: Tensor
 
 
-def render(scene: Scene, view: View, sh_degree: int, background: Tensor) -> Dense:
+def render(scene: Scene, view: View, sh_degree: int, background: Tensor, antialiased: bool = False) -> Dense:
     """The image, and a leaf whose gradient is that by the projected centres in pixels."""
     pose = torch.tensor(view.cam_from_world, dtype=scene.means.dtype)
     points = scene.means @ pose[:3, :3].T + pose[:3, 3]
@@ -43,6 +43,9 @@ def render(scene: Scene, view: View, sh_degree: int, background: Tensor) -> Dens
     flat = flat_covariances(scene, points, view)
     colors = view_colors(scene, view, sh_degree)
     opacities = torch.sigmoid(scene.logits)
+    if antialiased:
+        sharp = flat - 0.3 * torch.eye(2, dtype=flat.dtype)
+        opacities = opacities * torch.sqrt(torch.linalg.det(sharp) / torch.linalg.det(flat))
 
     order = torch.sort(points[:, 2].detach().float(), stable=True).indices
     visible = (points[:, 2] > 0.2) & (opacities >= 1 / 255)

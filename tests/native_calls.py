@@ -293,7 +293,7 @@ def training(rogue: Rogue) -> Call:
     means = rogue.rng.standard_normal((n, 3)).astype(np.float32) + np.float32([0, 0, 3])
     scales = rogue.rng.uniform(-5, 1, (n, 3)).astype(np.float32)
     scene = rogue.spoiled(means), rogue.spoiled(scales), rogue.floats(n, 4), rogue.floats(n)
-    given = *scene, rogue.floats(n, k, 3), camera(rogue, width, height), width, height
+    given = *scene, rogue.floats(n, k, 3), n % 2 == 1, camera(rogue, width, height), width, height
     gradient = rogue.floats(height, width, 3)
     order = rogue.one(("fb", "b", "ffb", "fbb", "fbf", "bfb", "f"))
 

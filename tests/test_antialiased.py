@@ -26,6 +26,8 @@ from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.similarity import similarity_of
 from drsplat.tiles.cutting import cut
 from drsplat.tiles.seeing import Gallery
+from drsplat.viewing.page import Page, _header
+from drsplat.viewing.shown import moved_shown, shown_of
 from scene_files import compressed_ply_bytes, ply_bytes, ply_columns, sog_files, spz_bytes, zip_bytes
 from scenes import look_at_view, random_gaussians
 
@@ -205,3 +207,12 @@ def test_inspect_says_it(tmp_path: Path, capsys, antialiased):
     assert answer_of(capsys, "inspect", path)["antialiased"] is antialiased
     line = next(line for line in text_of(capsys, "inspect", path).splitlines() if line.startswith("antialiased"))
     assert line.split()[1] == ("yes" if antialiased else "no")
+
+
+def test_a_page_to_send_dims_what_it_shows():
+    first = shown_of(marked(), 20)
+    assert first.antialiased
+    assert moved_shown(first, marked()).antialiased
+    for shown, said in ((first, True), (shown_of(random_gaussians(40), 20), False)):
+        middle = np.zeros(3)
+        assert _header(Page("room", shown, (), middle, middle, middle))["antialiased"] is said

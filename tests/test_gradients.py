@@ -37,6 +37,8 @@ class Case(NamedTuple):
     eye: tuple[float, float, float]
     options: dict
     background: tuple[float, float, float] = (0.2, 0.5, 0.9)
+    antialiased: bool = False
+    size: float = 0.3
 
 
 CASES = {
@@ -44,6 +46,7 @@ CASES = {
     "off-centre": Case(100, 1, (3.0, -3.0, 2.0), {"width": 48, "height": 40, "principal": (15.0, 28.0)}),
     "inside": Case(150, 2, (0.1, 0.2, 0.0), {"width": 48, "height": 40, **INSIDE}),
     "black": Case(60, 3, (0.0, -3.5, 0.5), {"width": 45, "height": 37}, (0.0, 0.0, 0.0)),
+    "antialiased": Case(150, 1, (0.0, -3.5, 0.5), {"width": 45, "height": 37}, antialiased=True, size=0.1),
 }
 every_case = pytest.mark.parametrize("case", CASES)
 every_isa = pytest.mark.parametrize("isa", available_isas())
@@ -60,14 +63,14 @@ def parameters_of(gaussians: Gaussians, seed: int = 0) -> SceneParameters:
     return SceneParameters(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
 
-def random_scene(count: int, seed: int, sh_degree: int) -> SceneParameters:
-    scene = random_gaussians(count, seed, extent=1.5, size=0.3, sh_degree=sh_degree)
+def random_scene(count: int, seed: int, sh_degree: int, size: float = 0.3) -> SceneParameters:
+    scene = random_gaussians(count, seed, extent=1.5, size=size, sh_degree=sh_degree)
     return parameters_of(scene, seed)
 
 
 @lru_cache
 def scene_of(case: str) -> SceneParameters:
-    return random_scene(CASES[case].count, list(CASES).index(case), CASES[case].sh_degree)
+    return random_scene(CASES[case].count, list(CASES).index(case), CASES[case].sh_degree, CASES[case].size)
 
 
 @lru_cache
@@ -81,7 +84,8 @@ def background_of(case: str) -> np.ndarray:
 
 @lru_cache
 def decisions_of(case: str) -> reference_training.Decisions:
-    return reference_training.decide(Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree)
+    given = Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree
+    return reference_training.decide(*given, antialiased=CASES[case].antialiased)
 
 
 @lru_cache
@@ -99,13 +103,18 @@ def off_the_boundary(unsure: np.ndarray, view: View, seed: int = 0) -> np.ndarra
 @lru_cache
 def slopes_of(case: str) -> reference_gradients.Gradients:
     """The finite differences."""
-    return reference_gradients.gradients(
-        Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree, background_of(case), image_gradient_of(case)
-    )
+    given = Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree, background_of(case)
+    return reference_gradients.gradients(*given, image_gradient_of(case), CASES[case].antialiased)
 
 
 def native_pass(case: str, **options):
-    return forward(scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), **options)
+    given = scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case)
+    return forward(*given, antialiased=CASES[case].antialiased, **options)
+
+
+def twin_image(case: str, background: np.ndarray) -> np.ndarray:
+    given = Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree, background, decisions_of(case)
+    return reference_training.image(*given, CASES[case].antialiased)
 
 
 def relative_error(kind: str, found: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -144,13 +153,7 @@ def test_the_cases_hold_every_rule():
         capped += entries.capped.sum()
         dark += (~branches.lit[seen]).sum()
         clamped += np.abs(branches.sides[seen]).sum()
-        image = reference_training.image(
-            Parameters(*scene_of(case)),
-            view_of(case),
-            CASES[case].sh_degree,
-            background_of(case) * 0 + 1e6,
-            decisions_of(case),
-        )
+        image = twin_image(case, background_of(case) * 0 + 1e6)
         stopped += (image < 1e6 * 2e-4).sum()
         assert unsure.mean() < 0.03
         assert len(seen) > 40
@@ -160,20 +163,19 @@ def test_the_cases_hold_every_rule():
 @every_case
 def test_held_decisions_change_no_image(case):
     """With the parameters they were taken for, the image is that of the compositing twin."""
-    scene, view, degree = scene_of(case), view_of(case), CASES[case].sh_degree
-    image = reference_training.image(Parameters(*scene), view, degree, background_of(case), decisions_of(case))
-    gaussians = activated(scene)
+    view, gaussians = view_of(case), activated(case)
+    image = twin_image(case, background_of(case))
     colors = reference.sh_colors(gaussians.sh, gaussians.means, view.center)
     expected = reference.render_channels(splat_arrays(gaussians), view, colors, background_of(case)).channels
     sure = ~decisions_of(case).unsure
     assert_allclose(image[sure], expected[sure], rtol=0, atol=2e-5)  # theirs activated in float32
 
 
-def activated(scene: SceneParameters) -> Gaussians:
-    wide = [column.astype(np.float64) for column in scene]
+def activated(case: str) -> Gaussians:
+    wide = [column.astype(np.float64) for column in scene_of(case)]
     quats = wide[2] / np.linalg.norm(wide[2], axis=1, keepdims=True)
     columns = (wide[0], quats, np.exp(wide[1]), 1 / (1 + np.exp(-wide[3])), wide[4])
-    return Gaussians(*(column.astype(np.float32) for column in columns))
+    return Gaussians(*(column.astype(np.float32) for column in columns), antialiased=CASES[case].antialiased)
 
 
 # --- the image and its gradient -------------------------------------------------------------------
@@ -190,9 +192,7 @@ def test_gradients_are_those_of_finite_differences(case, isa):
 @every_isa
 def test_the_image_is_that_of_the_twin(case, isa):
     view = native_pass(case, isa=isa)
-    expected = reference_training.image(
-        Parameters(*scene_of(case)), view_of(case), CASES[case].sh_degree, background_of(case), decisions_of(case)
-    )
+    expected = twin_image(case, background_of(case))
     sure = ~decisions_of(case).unsure
     assert_allclose(view.image[sure], expected[sure], rtol=0, atol=1e-5)
 
@@ -201,7 +201,7 @@ def test_the_image_is_that_of_the_twin(case, isa):
 def test_the_image_is_that_of_render(case):
     """Both activated in float32, so that not one decision differs."""
     view = native_pass(case)
-    picture = render(activated(scene_of(case)), view_of(case), background=CASES[case].background)
+    picture = render(activated(case), view_of(case), background=CASES[case].background)
     sure = ~decisions_of(case).unsure
     assert_allclose(view.image[sure], picture.rgb[sure], rtol=0, atol=1e-6)
     assert_allclose(view.alpha[sure], picture.alpha[sure], rtol=0, atol=1e-6)
@@ -348,7 +348,7 @@ def test_instruction_sets_agree(isa):
 # --- torch ----------------------------------------------------------------------------------------
 
 
-def autograd(scene, view, sh_degree, background, image_gradient) -> reference_gradients.Gradients:
+def autograd(scene, view, sh_degree, background, image_gradient, antialiased) -> reference_gradients.Gradients:
     """The gradients of the dense rasterizer in float64; in the way of the kernels."""
     import torch
 
@@ -356,7 +356,7 @@ def autograd(scene, view, sh_degree, background, image_gradient) -> reference_gr
 
     leaves = dense_torch.Scene(*(torch.tensor(c.astype(np.float64), requires_grad=True) for c in scene))
     behind = torch.tensor(background.astype(np.float64))
-    dense = dense_torch.render(leaves, view, sh_degree, behind)
+    dense = dense_torch.render(leaves, view, sh_degree, behind, antialiased)
     (dense.image * torch.tensor(image_gradient.astype(np.float64))).sum().backward()
     half_size = 0.5 * np.array([view.width, view.height])
     screen = np.linalg.norm(dense.offsets.grad.numpy() * half_size, axis=1)
@@ -373,8 +373,9 @@ oracle = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="t
 def test_finite_differences_are_those_of_autograd(case):
     """The twin and torch, both in float64: two ways to the truth."""
     expected = autograd(
-        scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), image_gradient_of(case)
-    )
+        scene_of(case), view_of(case), CASES[case].sh_degree, background_of(case), image_gradient_of(case),
+        CASES[case].antialiased,
+    )  # fmt: skip
     assert_gradients_agree(slopes_of(case), expected, 3e-5)
 
 
@@ -393,12 +394,12 @@ def test_gradients_are_those_of_autograd(seed):
         fov_degrees=rng.uniform(30, 100),
         principal=tuple(rng.uniform(0.3, 0.7, 2) * (width, height)),
     )
-    degree = int(rng.integers(0, 4))
+    degree, antialiased = int(rng.integers(0, 4)), bool(seed % 2)
     scene = random_scene(int(rng.integers(20, 200)), seed, 3)
-    unsure = reference_training.decide(Parameters(*scene), view, degree).unsure
+    unsure = reference_training.decide(Parameters(*scene), view, degree, antialiased=antialiased).unsure
     image_gradient = off_the_boundary(unsure, view, seed)
     background = rng.random(3).astype(np.float32)
-    expected = autograd(scene, view, degree, background, image_gradient)
+    expected = autograd(scene, view, degree, background, image_gradient, antialiased)
     for isa in available_isas():
-        found = forward(scene, view, degree, background, isa=isa).backward(image_gradient)
+        found = forward(scene, view, degree, background, antialiased=antialiased, isa=isa).backward(image_gradient)
         assert_gradients_agree(found, expected)

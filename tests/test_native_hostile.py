@@ -84,7 +84,7 @@ def training_pass(count: int) -> _native.TrainingPass:
     shapes = (count, 3), (count, 3), (count, 4), (count,), (count, 4, 3)
     arrays = [rng.uniform(-4, -1, shape).astype(np.float32) for shape in shapes]
     arrays[0][:, 2] += 8
-    return _native.training_pass(*arrays, camera, 80, 60, 4, np.zeros(3, "f"), 1, "")
+    return _native.training_pass(*arrays, True, camera, 80, 60, 4, np.zeros(3, "f"), 1, "")
 
 
 def test_no_backward_pass_before_a_forward_pass() -> None:

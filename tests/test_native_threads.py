@@ -32,7 +32,7 @@ def trained() -> list[np.ndarray]:
     """Image and gradients of one step, and what Adam makes of one of them."""
     arrays = [floats(500, 3), floats(500, 3) - 3, floats(500, 4), floats(500), floats(500, 4, 3)]
     arrays[0][:, 2] += 4
-    how = SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, ""
+    how = True, SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, ""
     view = _native.training_pass(*arrays, *how)
     image, alpha = view.forward()
     _, _, slope = _native.photometric_loss(image, np.zeros_like(image), 0.2, INSIDE, "")
@@ -111,7 +111,7 @@ def test_python_threads_at_once_change_no_bit() -> None:
 def test_one_pass_that_threads_share_is_gone_through_once() -> None:
     arrays = [floats(500, 3), floats(500, 3) - 3, floats(500, 4), floats(500), floats(500, 4, 3)]
     arrays[0][:, 2] += 4
-    view = _native.training_pass(*arrays, SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, "")
+    view = _native.training_pass(*arrays, False, SEEN, WIDTH, HEIGHT, 4, np.zeros(3, "f"), INSIDE, "")
     image = np.ones((HEIGHT, WIDTH, 3), np.float32)
 
     def step(place: int) -> bool:

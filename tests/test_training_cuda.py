@@ -201,7 +201,7 @@ def test_an_opacity_reset_is_that_of_the_cpu():
 
 def dense_rasterization(
     *, means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane, eps2d,
-    sh_degree, packed, backgrounds,
+    sh_degree, packed, backgrounds, rasterize_mode,
 ):  # fmt: skip
     """gsplat's, as far as we call it, by `dense_torch`."""
     import torch
@@ -216,7 +216,7 @@ def dense_rasterization(
     pose, K = (matrix[0].numpy().astype(np.float64) for matrix in (viewmats, Ks))
     view = ds.View("", K, pose, width, height)
     scene = dense_torch.Scene(means, torch.log(scales), quats, torch.logit(opacities), colors)
-    drawn = dense_torch.render(scene, view, sh_degree, backgrounds[0])
+    drawn = dense_torch.render(scene, view, sh_degree, backgrounds[0], rasterize_mode == "antialiased")
     with torch.no_grad():
         points = means @ viewmats[0, :3, :3].T + viewmats[0, :3, 3]
         centers = dense_torch.focal_of(view, points) * points[:, :2] / points[:, 2:] + Ks[0, :2, 2]

@@ -1,6 +1,7 @@
 """The parts of training that need no rendering: settings, schedules, first Gaussians, rows and moments,
 density control by hand-computed cases, relocation by its closed form, photos and their order."""
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -177,6 +178,11 @@ def test_the_penalty_is_the_slope_of_the_mean_opacity(weight):
 def test_the_fingerprint_is_of_what_changes_the_result():
     same = replace(DEFAULT, evaluate_every=5, photo_memory_bytes=0)
     assert same.fingerprint == DEFAULT.fingerprint != replace(DEFAULT, seed=1).fingerprint
+    assert replace(DEFAULT, antialiased=True).fingerprint != DEFAULT.fingerprint
+
+
+def test_checkpoints_of_runs_before_antialiasing_can_be_gone_on_with():
+    assert "antialiased" not in json.loads(DEFAULT.fingerprint)
 
 
 def test_harmonics_come_every_thousand_iterations():

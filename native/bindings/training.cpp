@@ -18,6 +18,7 @@ struct ParameterArrays {  // keeps the arrays alive as long as the pass that poi
   Rows means, log_scales, quats;
   Vector logits;
   Pixels sh;
+  bool antialiased;
 
   Parameters view() const {
     const size_t n = logits.shape(0), k = sh.shape(1);
@@ -26,7 +27,8 @@ struct ParameterArrays {  // keeps the arrays alive as long as the pass that poi
             "means (N, 3), log_scales (N, 3), quats (N, 4), logits (N)");
     require_sh(sh, n);
     require(n < (1u << 31), "fewer than 2^31 Gaussians");
-    return {means.data(), log_scales.data(), quats.data(), logits.data(), sh.data(), (uint32_t)n, (int32_t)k};
+    return {means.data(), log_scales.data(), quats.data(), logits.data(),
+            sh.data(),    (uint32_t)n,       (int32_t)k,   antialiased};
   }
 };
 
@@ -93,11 +95,11 @@ class Pass {
   std::mutex one_at_a_time_;  // Python threads may share a pass; the work is done without the GIL
 };
 
-std::unique_ptr<Pass> start_pass(Rows means, Rows log_scales, Rows quats, Vector logits, Pixels sh, Vector camera,
-                                 int width, int height, int active, Vector background, int threads,
+std::unique_ptr<Pass> start_pass(Rows means, Rows log_scales, Rows quats, Vector logits, Pixels sh, bool antialiased,
+                                 Vector camera, int width, int height, int active, Vector background, int threads,
                                  const std::string &isa) {
-  return std::make_unique<Pass>(ParameterArrays{means, log_scales, quats, logits, sh}, camera, width, height, active,
-                                background, threads, isa);
+  return std::make_unique<Pass>(ParameterArrays{means, log_scales, quats, logits, sh, antialiased}, camera, width,
+                                height, active, background, threads, isa);
 }
 
 nb::tuple loss_of(Pixels image, Pixels target, float ssim_weight, int threads, const std::string &isa) {
@@ -140,8 +142,8 @@ void bind_training(nb::module_ &m) {
           },
           "image"_a, "gradient"_a)
       .def_prop_ro("seconds", &Pass::seconds);
-  m.def("training_pass", &start_pass, "means"_a, "log_scales"_a, "quats"_a, "logits"_a, "sh"_a, "camera"_a, "width"_a,
-        "height"_a, "active"_a, "background"_a, "threads"_a, "isa"_a);
+  m.def("training_pass", &start_pass, "means"_a, "log_scales"_a, "quats"_a, "logits"_a, "sh"_a, "antialiased"_a,
+        "camera"_a, "width"_a, "height"_a, "active"_a, "background"_a, "threads"_a, "isa"_a);
   m.def("photometric_loss", &loss_of, "image"_a, "target"_a, "ssim_weight"_a, "threads"_a, "isa"_a);
   m.def("adam_step", &adam_of, "parameter"_a, "gradient"_a, "first"_a, "second"_a, "rate"_a, "step"_a, "beta1"_a,
         "beta2"_a, "epsilon"_a, "head_rate"_a, "row"_a, "threads"_a, "isa"_a);

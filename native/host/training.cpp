@@ -25,7 +25,8 @@ void TrainingPass::forward(float *image, float *alpha) {
   });
   seconds.activate = now() - t0;
   const StageSeconds s =
-      prepare(w, kernels_, {means, covariances, opacities, parameters_.count}, camera_, threads_, true);
+      prepare(w, kernels_, {means, covariances, opacities, parameters_.count, parameters_.antialiased}, camera_,
+              threads_, true);
   seconds.project = s.project, seconds.sort = s.sort, seconds.bin = s.bin;
   const double t1 = now();
   grow(w.colors, 3 * (size_t)w.visible);

@@ -163,6 +163,24 @@ static inline void add_tiles(const Visible &v, const Sums &from, uint32_t first,
   }
 }
 
+// Of antialiased splats: what comes through ln(opacity) = ... + 1/2 ln det S - 1/2 ln det W, W = S + kBlur I the
+// widened covariance, added to the second moments. dL/dW gains 1/2 g (S^-1 - Q) = 1/2 Q (g (W S^-1 W - W)) Q with g =
+// sum G, and W S^-1 W - W = kBlur (I + kBlur S^-1). Not inlined, so that other scenes keep every bit of their
+// gradients, whatever multiplications a compiler fuses.
+static __attribute__((noinline)) void add_dimming(const Visible &v, uint32_t first, int count, float (*sums)[16]) {
+  float cov[3][16];
+  for (int l = 0; l < 16; l++) {
+    const Extent &e = v.extents[first + (uint32_t)(l < count ? l : 0)];
+    cov[0][l] = e.cov_xx, cov[1][l] = e.cov_xy, cov[2][l] = e.cov_yy;
+  }
+  const Floats xx = load(cov[0]) - splat(kBlur), xy = load(cov[1]), yy = load(cov[2]) - splat(kBlur);
+  const Floats det = xx * yy - xy * xy, inverse = splat(kBlur) / maximum(det, splat(1e-30f));
+  const Floats slope = kBlur * keep(splat(0.f) < det, load(sums[3]));
+  store(sums[6], load(sums[6]) + slope * (splat(1.f) + inverse * yy));
+  store(sums[7], load(sums[7]) - slope * (inverse * xy));
+  store(sums[8], load(sums[8]) + slope * (splat(1.f) + inverse * xx));
+}
+
 static void splats_backward(const Visible &v, const Sums &from, const Parameters &p, const Camera &cam, int32_t active,
                             const float *center, const GradientArrays &out) {
   float unused[kMostColors];
@@ -172,6 +190,7 @@ static void splats_backward(const Visible &v, const Sums &from, const Parameters
     for (uint32_t l = 0; l < 16; l++)
       fetch_sums(v, from, first + l + kAhead), fetch_colors(v, p, active, first + l + kAhead);
     add_tiles(v, from, first, group.count, sums, colors);
+    if (p.antialiased) add_dimming(v, first, group.count, sums);
     const Floats color[3] = {load(colors[0]), load(colors[1]), load(colors[2])};
     const SplatLanes s = load_splats(v, first, group, p, sums);
     LaneGradients g = splat_gradients(s, cam);

@@ -22,7 +22,7 @@ struct Scene {               // structure of arrays, `count` floats each
   const float *covariances;  // 6 rows: xx, xy, xz, yy, yz, zz
   const float *opacities;
   uint32_t count;
-  bool antialiased = false;  // opacities are dimmed by what widening adds to a splat's area
+  bool antialiased;  // opacities are dimmed by what widening adds to a splat's area
 };
 
 // A projected Gaussian: log2(alpha) = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity, d = pixel - centre.
@@ -86,6 +86,7 @@ struct Parameters {  // a scene while it is trained: pre-activation, rows of Gau
   const float *means, *log_scales, *quats, *logits, *sh;
   uint32_t count;
   int32_t coefficients;
+  bool antialiased;
 };
 
 constexpr int kSplatSums = 9;  // see training_tiles.h

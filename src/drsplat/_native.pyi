@@ -87,6 +87,7 @@ def training_pass(
     quats: Array,
     logits: Array,
     sh: Array,
+    antialiased: bool,
     camera: Array,
     width: int,
     height: int,

@@ -93,6 +93,10 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         "--sh-degree", type=int, choices=range(4), default=3,
         help="degree of the colours' spherical harmonics (default: 3)",
     )  # fmt: skip
+    method.add_argument(
+        "--antialiased", action="store_true",
+        help="train opacities for viewers that draw antialiased (mip): the scene keeps its look from farther away",
+    )  # fmt: skip
     method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
     method.add_argument(
         "--test-every", type=whole, default=8, metavar="N",
@@ -191,6 +195,7 @@ def _settings(arguments: argparse.Namespace, views: Sequence[View]) -> TrainingS
         "seed": arguments.seed, "background": arguments.background, "strategy": arguments.strategy,
         "max_gaussians": arguments.max_gaussians, "sh_degree": arguments.sh_degree,
         "test_every": arguments.test_every, "evaluate_every": arguments.eval_every,
+        "antialiased": arguments.antialiased,
     }  # fmt: skip
     if arguments.schedule == "everyday":
         return everyday(views, planned_iterations(arguments), **chosen)

@@ -93,12 +93,13 @@ def forward(
     background: Float32[np.ndarray, "3"],
     *,
     near: float = PUBLISHED_NEAR,
+    antialiased: bool = False,
     threads: int = 0,
     isa: str = "",
 ) -> TrainingView:
     """Render the scene as it stands, with SH coefficients up to `sh_degree` (0-3).
 
-    near: camera z up to which nothing is drawn, scene units.
+    near: camera z up to which nothing is drawn, scene units. antialiased: as of `Gaussians`.
 
     Raises: InputError: a degree beyond what is stored; arrays that are not contiguous float32.
     Source: 3DGS Sec. 4-5.
@@ -111,7 +112,9 @@ def forward(
             raise InputError(f"{name}: expected contiguous float32, got {array.dtype}")
     seen = camera_numbers(view, near), view.width, view.height
     behind = np.ascontiguousarray(background, np.float32)
-    return TrainingView(_native.training_pass(*parameters, *seen, active, behind, threads, _checked_isa(isa)))
+    return TrainingView(
+        _native.training_pass(*parameters, antialiased, *seen, active, behind, threads, _checked_isa(isa))
+    )
 
 
 def photometric_loss(

@@ -37,21 +37,23 @@ def gradients(
     sh_degree: int,
     background: Float[np.ndarray, " 3"],
     image_gradient: Float[np.ndarray, "h w 3"],
+    antialiased: bool = False,
 ) -> Gradients:
     """Central differences of sum(image * image_gradient) by every parameter, the decisions held.
 
     One Gaussian is moved at a time, and only the pixels that it adds to are composited again.
     """
     scene = float64_of(parameters)
-    decisions = decide(scene, view, sh_degree)
-    marks = footprints(scene, view, sh_degree, decisions.branches)
+    decisions = decide(scene, view, sh_degree, antialiased=antialiased)
+    marks = footprints(scene, view, sh_degree, decisions.branches, antialiased)
     out = Gradients(*(np.zeros_like(column) for column in [*scene, scene.logits]))
     for i in np.unique(decisions.entries.ids).tolist():
         loss = _LossOfOne(i, marks, decisions.entries, view, background, image_gradient)
         branches = Branches(*(column[[i]] for column in decisions.branches))
         for name, step in STEPS.items():
             up, down = (
-                loss(footprints(_variants(scene, i, name, h), view, sh_degree, branches)) for h in (step, -step)
+                loss(footprints(_variants(scene, i, name, h), view, sh_degree, branches, antialiased))
+                for h in (step, -step)
             )
             column = getattr(out, name)
             column[i] = ((up - down) / (2 * step)).reshape(column[i].shape)

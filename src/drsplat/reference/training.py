@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Float64, Int
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
 from .compositing import ALPHA_BAND, MAX_ALPHA, contributors
-from .projection import BLUR, FRUSTUM_MARGIN
+from .projection import BLUR, FRUSTUM_MARGIN, dimming
 from .registering import sh_basis
 
 
@@ -78,31 +78,38 @@ class _Splats(NamedTuple):
     opacities: Float64[np.ndarray, " n"]
     near: float
     origin: Float64[np.ndarray, " 3"]
-    antialiased: bool = False
+    antialiased: bool
 
 
-def decide(parameters: Parameters, view: View, sh_degree: int, near: float = PUBLISHED_NEAR) -> Decisions:
+def decide(
+    parameters: Parameters, view: View, sh_degree: int, near: float = PUBLISHED_NEAR, antialiased: bool = False
+) -> Decisions:
     """Take the decisions of the view's forward pass."""
     scene = float64_of(parameters)
     rows, columns = np.triu_indices(3)
     solid = np.ascontiguousarray(_covariances(scene)[:, rows, columns].T)
-    splats = _Splats(scene.means.T, solid, _sigmoid(scene.logits), near, np.zeros(3))
+    splats = _Splats(scene.means.T, solid, _sigmoid(scene.logits), near, np.zeros(3), antialiased)
     seen = contributors(splats, view)
     slopes, limits = _slopes(scene, view), _limits(view)
     sides = (slopes > limits).astype(np.int64) - (slopes < -limits)
     branches = Branches(sides, _raw_colors(scene, view, sh_degree) > 0)
     free = Entries(seen.pixels, seen.ids, np.zeros(len(seen.ids), bool))
-    alphas = alphas_of(footprints(scene, view, sh_degree, branches), free, view.width)
+    alphas = alphas_of(footprints(scene, view, sh_degree, branches, antialiased), free, view.width)
     unsure = seen.unsure.copy()
     unsure.ravel()[seen.pixels[np.abs(alphas / MAX_ALPHA - 1) < ALPHA_BAND]] = True
     return Decisions(free._replace(capped=alphas > MAX_ALPHA), branches, unsure)
 
 
 def image(
-    parameters: Parameters, view: View, sh_degree: int, background: Float[np.ndarray, " 3"], decisions: Decisions
+    parameters: Parameters,
+    view: View,
+    sh_degree: int,
+    background: Float[np.ndarray, " 3"],
+    decisions: Decisions,
+    antialiased: bool = False,
 ) -> Float64[np.ndarray, "h w 3"]:
     """The view's image, under decisions that may have been taken for other parameters."""
-    marks = footprints(float64_of(parameters), view, sh_degree, decisions.branches)
+    marks = footprints(float64_of(parameters), view, sh_degree, decisions.branches, antialiased)
     out = np.tile(background.astype(np.float64), (view.height * view.width, 1))
     pixels, ids, _ = decisions.entries
     alphas = alphas_of(marks, decisions.entries, view.width)
@@ -110,7 +117,9 @@ def image(
     return np.asarray(out.reshape(view.height, view.width, 3))
 
 
-def footprints(scene: Parameters, view: View, sh_degree: int, branches: Branches) -> Footprints:
+def footprints(
+    scene: Parameters, view: View, sh_degree: int, branches: Branches, antialiased: bool = False
+) -> Footprints:
     """Activate and project, on the given side of every kink. One row of branches serves for all."""
     rotation, focal = view.cam_from_world[:3, :3], view.K[[0, 1], [0, 1]]
     depths = (scene.means @ rotation[2] + view.cam_from_world[2, 3])[:, None]
@@ -120,10 +129,13 @@ def footprints(scene: Parameters, view: View, sh_degree: int, branches: Branches
     jacobian[:, [0, 1], [0, 1]] = focal / depths
     jacobian[:, :, 2] = -focal * clamped / depths
     jacobian = jacobian @ rotation
-    flat = jacobian @ _covariances(scene) @ jacobian.transpose(0, 2, 1) + BLUR * np.eye(2)
+    sharp = (jacobian @ _covariances(scene) @ jacobian.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
+    widened, opacities = sharp + BLUR * np.array([1, 0, 1]), _sigmoid(scene.logits)
+    if antialiased:
+        opacities = opacities * dimming(sharp, widened)
     colors = np.where(branches.lit, _raw_colors(scene, view, sh_degree), 0.0)
     centers = focal * slopes + view.K[:2, 2]
-    return Footprints(centers, flat[:, [0, 0, 1], [0, 1, 1]], _sigmoid(scene.logits), colors)
+    return Footprints(centers, widened, opacities, colors)
 
 
 def composite(

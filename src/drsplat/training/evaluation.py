@@ -76,7 +76,9 @@ def rendered(
 ) -> Float32[np.ndarray, "h w 3"]:
     """The picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
     backdrop = np.array(settings.backdrop, np.float32)
-    drawn = forward(parameters, view, settings.sh_degree, backdrop, near=near, threads=threads)
+    drawn = forward(
+        parameters, view, settings.sh_degree, backdrop, near=near, antialiased=settings.antialiased, threads=threads
+    )
     clipped: np.ndarray = np.clip(drawn.image, 0, 1)
     return clipped
 

@@ -98,6 +98,7 @@ class DeviceRun(Run):
             sh_degree=active_sh_degree(self.settings, self.iteration), backgrounds=self._sent(self._background()),
             viewmats=pose, Ks=K, width=view.width, height=view.height,
             near_plane=self.near, eps2d=BLUR, packed=False,
+            rasterize_mode="antialiased" if self.settings.antialiased else "classic",
         )  # fmt: skip
         return images[0], seen
 

@@ -93,7 +93,10 @@ class Run:
 
     def _drawn(self, view: View, threads: int) -> TrainingView:
         degree = active_sh_degree(self.settings, self.iteration)
-        drawn = forward(self.optimizer.parameters, view, degree, self._background(), near=self.near, threads=threads)
+        drawn = forward(
+            self.optimizer.parameters, view, degree, self._background(), near=self.near,
+            antialiased=self.settings.antialiased, threads=threads,
+        )  # fmt: skip
         self._lap("forward")
         return drawn
 
@@ -146,7 +149,7 @@ class Run:
 
     def gaussians(self) -> Gaussians:
         """The scene as it is now, in the world's coordinates. Raises: as `Optimizer.gaussians`."""
-        return replace(self.optimizer.gaussians(), origin=self.origin)
+        return replace(self.optimizer.gaussians(), origin=self.origin, antialiased=self.settings.antialiased)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """Arrays and texts from which `restore` goes on."""

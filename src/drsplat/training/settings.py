@@ -37,6 +37,7 @@ class TrainingSettings:
     sh_degree: int = 3  # A: 4 bands
     sh_degree_every: int = 1000  # A: one more band every 1000 iterations
     dssim_weight: float = 0.2  # A: lambda
+    antialiased: bool = False  # D: splats are dimmed as they are widened (Yu et al., "Mip-Splatting", 2024)
     test_every: int = 8  # A: every 8th photo is held out; 0: none
     full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before a quarter of it
     evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
@@ -112,7 +113,7 @@ class TrainingSettings:
         least |= {"max_gaussians": 4}  # the size of the first ones comes from 3 neighbours
         for field in fields(self):
             value, low = getattr(self, field.name), least.get(field.name, 1)
-            if isinstance(value, int) and value < low:
+            if isinstance(value, int) and not isinstance(value, bool) and value < low:
                 raise InputError(f"{field.name}: expected at least {low}, got {value}")
         if self.test_every == 1:
             raise InputError("test_every: 1 would hold every photo out; 0 holds none out")
@@ -146,4 +147,6 @@ class TrainingSettings:
     def fingerprint(self) -> str:
         """JSON of what decides the result of an iteration: a run may go on only with the same."""
         named = {k: v for k, v in asdict(self).items() if k not in NOT_OF_AN_ITERATION}
+        if not self.antialiased:
+            del named["antialiased"]  # checkpoints of runs before there was a choice
         return json.dumps(named, sort_keys=True)
