@@ -100,8 +100,8 @@ def _check_level(masks: FeatureFolder) -> None:
         mask_ids = masks.stored(name)[0]
         if mask_ids.ndim == 3 and (mask_ids != mask_ids[-1]).any():
             raise InputError(
-                "crops of objects are of one level of masks, and these have four: take a segmenter that gives the large "
-                "ones alone, or embed each mask"
+                "crops of objects are of one level of masks, and these have four: take a segmenter that gives the "
+                "large ones alone, or embed each mask"
             )
 
 
