@@ -151,7 +151,10 @@ Planes blocks_of(const uint8_t *rgb, int32_t height, int32_t width, int levels) 
   return out;
 }
 
-int32_t border_of(float logit) { return (int32_t)std::nearbyint(kBorderSteps / (1 + std::exp(-(double)logit))); }
+int32_t border_of(float logit) {
+  const double steps = kBorderSteps / (1 + std::exp(-(double)logit));
+  return steps > 0 ? (int32_t)std::nearbyint(steps) : 0;  // no number, of weights that are none, is no border
+}
 
 int32_t trait_of(float value) {
   const float steps = value * kTraitSteps;
