@@ -37,9 +37,12 @@ INLINE Prepared prepared_at(const void *prepared, uint32_t subvectors, uint32_t 
 // Queries from `first` on are looked up eight by eight while this says so: half an eight pays.
 INLINE bool in_eights(uint32_t first, uint32_t queries) { return queries - first / kWide * kWide >= kWide / 2; }
 
-// One table in steps, every `stride`-th number.
+// One table in steps, every `stride`-th number; 0 where entries that are no finite numbers leave none.
 INLINE void round_table(const float *from, float low, float per_step, uint32_t stride, uint32_t *to) {
-  for (uint32_t c = 0; c < 256; c++) to[stride * c] = (uint32_t)(int32_t)((from[c] - low) * per_step + 0.5f);
+  for (uint32_t c = 0; c < 256; c++) {
+    const float steps = (from[c] - low) * per_step + 0.5f;
+    to[stride * c] = steps >= 0.f && steps < 1e9f ? (uint32_t)(int32_t)steps : 0u;
+  }
 }
 
 static void prepare(const QueryTables &q, uint32_t subvectors, Precision precision, uint32_t begin, uint32_t end,
