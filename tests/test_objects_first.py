@@ -115,11 +115,12 @@ def test_the_fit_of_a_node_is_its_iou_by_weight_in_the_photo_of_the_mask():
 
 
 def test_crops_are_of_cameras_far_from_each_other():
-    along = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 10.0])
-    distances = np.abs(along[:, None] - along)
-    assert sorted(_spread(np.ones(6), distances, 3).tolist()) == [0, 3, 5]
-    assert _spread(np.array([1.0, 1, 9, 1, 1, 1]), distances, 1).tolist() == [2]
-    assert len(_spread(np.ones(4), np.zeros((4, 4)), 3)) == 1  # all of one photo
+    centers = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 10.0])[:, None] * (1, 0, 0)
+    picks, distances = _spread(np.ones(6), centers, 3)
+    assert sorted(picks.tolist()) == [0, 3, 5]
+    np.testing.assert_allclose(distances, np.abs(centers[:, :1] - centers[picks, 0]))
+    assert _spread(np.array([1.0, 1, 9, 1, 1, 1]), centers, 1)[0].tolist() == [2]
+    assert len(_spread(np.ones(4), np.zeros((4, 3)), 3)[0]) == 1  # all of one photo
 
 
 # --- features -------------------------------------------------------------------------------------

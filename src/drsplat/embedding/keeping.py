@@ -48,7 +48,7 @@ class ChosenMasks(FeatureFolder):
 
 
 def kept_identity(folder: FeatureFolder) -> dict[str, object]:
-    """Who made the masks, as `embed` notes it."""
+    """Return what made the masks, as `embed` notes it."""
     settings = read_settings(folder.directory)
     return {"kept": None if settings is None else settings.get("segmenter")}
 

@@ -82,8 +82,7 @@ def embed_objects(
     }
     digest = _digest(masks, by_stem)
     with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
-        photos = dict.fromkeys(by_stem, digest)
-        pending = [stem for stem in photos if not record.is_finished(stem, digest)]
+        pending = [stem for stem in by_stem if not record.is_finished(stem, digest)]
         redone = sum(record.has_files(stem) for stem in pending)
         if pending:
             rows = _vectors(by_stem, masks, encoder, gaussians, parts, threads, track)
@@ -91,7 +90,7 @@ def embed_objects(
                 finish_photo(record, stem, digest, masks.stored(stem)[0], rows[stem], form)
         finish_folder(record, encoder)
     crops = sum(photo.masks.get("large", 0) for photo in finished_photos(parts / CROPS).values())
-    return replace(report_of(record, list(photos), len(pending), redone), crops=crops)
+    return replace(report_of(record, list(by_stem), len(pending), redone), crops=crops)
 
 
 def _check_level(masks: FeatureFolder) -> None:
@@ -105,10 +104,13 @@ def _check_level(masks: FeatureFolder) -> None:
             )
 
 
-def _digest(masks: FeatureFolder, stems: Mapping[str, View]) -> str:
-    """Return a hash of all masks: what any photo's vectors depend on."""
-    known = " ".join(f"{stem} {masks_hash(masks, stem)}" for stem in sorted(stems))
-    return hashlib.blake2b(known.encode(), digest_size=16).hexdigest()
+def _digest(masks: FeatureFolder, by_stem: Mapping[str, View]) -> str:
+    """Return a hash of all masks and cameras: what any photo's vectors depend on."""
+    digest = hashlib.blake2b(digest_size=16)
+    for stem, view in sorted(by_stem.items()):
+        digest.update(f"{stem} {masks_hash(masks, stem)} ".encode())
+        digest.update(view.K.tobytes() + view.cam_from_world.tobytes())
+    return digest.hexdigest()
 
 
 def _vectors(

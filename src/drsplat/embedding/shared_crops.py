@@ -62,10 +62,9 @@ def share_crops(
     (alone,) = np.nonzero(node_of < 0)
     rows, columns, data = [alone], [alone], [np.ones(len(alone))]
     for masks in _groups(node_of):
-        distances = np.linalg.norm(centers[masks][:, None] - centers[masks], axis=2)
-        picks = _spread(worth[masks], distances, most)
-        shares = np.full((len(masks), len(picks)), (1 - NEAREST_SHARE) / len(picks))
-        shares[np.arange(len(masks)), distances[:, picks].argmin(1)] += NEAREST_SHARE
+        picks, distances = _spread(worth[masks], centers[masks], most)
+        shares = np.full(distances.shape, (1 - NEAREST_SHARE) / len(picks))
+        shares[np.arange(len(masks)), distances.argmin(1)] += NEAREST_SHARE
         rows.append(np.repeat(masks, len(picks)))
         columns.append(np.tile(masks[picks], len(masks)))
         data.append(shares.ravel())
@@ -120,14 +119,18 @@ def _groups(node_of: Int64[np.ndarray, " m"]) -> list[Int64[np.ndarray, " k"]]:
 
 
 def _spread(
-    worth: Float64[np.ndarray, " k"], distances: Float64[np.ndarray, "k k"], most: int
-) -> Int64[np.ndarray, " p"]:
-    """Pick the mask of most worth, then those that show much from cameras far from all picked before."""
-    picks = [int(worth.argmax())]
-    while len(picks) < min(most, len(worth)):
-        gain = np.sqrt(worth) * distances[:, picks].min(1)
-        best = int(gain.argmax())
-        if gain[best] <= 0:  # the others are of photos that have been picked
-            break
-        picks.append(best)
-    return np.array(picks)
+    worth: Float64[np.ndarray, " k"], centers: Float64[np.ndarray, "k 3"], most: int
+) -> tuple[Int64[np.ndarray, " p"], Float64[np.ndarray, "k p"]]:
+    """Pick the mask of most worth, then those that show much from cameras far from all picked before.
+
+    Returns:
+        The picks, and the distance of each mask's camera from theirs.
+    """
+    picks: list[int] = []
+    distances: list[Float64[np.ndarray, " k"]] = []
+    gain = worth
+    while len(picks) < min(most, len(worth)) and gain.max() > 0:  # 0: the others are of photos that have been picked
+        picks.append(int(gain.argmax()))
+        distances.append(np.linalg.norm(centers - centers[picks[-1]], axis=1))
+        gain = np.sqrt(worth) * np.min(distances, axis=0)
+    return np.array(picks), np.stack(distances, 1)
