@@ -2,8 +2,8 @@
 
 usage: python check_installed.py CHECKOUT [--all] [pytest's arguments]
 
-Without --all: those of the kernels, readers and registration, which need nothing but pytest, hypothesis and beartype,
-and `drsplat demo`, with its time.
+Without --all: those of the kernels, readers and registration, which need nothing but pytest, hypothesis, beartype
+and jaxtyping, and `drsplat demo`, with its time.
 """
 
 import os

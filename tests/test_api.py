@@ -59,6 +59,7 @@ HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 # A module imports only from those before it, or from its own package.
 ORDER = (
     "errors",
+    "arrays",
     "terminal",
     "system",
     "kinds",
@@ -168,11 +169,16 @@ def test_nothing_that_runs_imports_a_twin() -> None:
 
 
 ROOMS = sorted(path.parent for path in SOURCE.glob("*/__init__.py"))
-EVERYWHERE = {"errors", "terminal", "system", "kinds", "contents", "progress"}
+EVERYWHERE = {"errors", "arrays", "terminal", "system", "kinds", "contents", "progress"}
+
+
+def test_annotations_of_arrays_are_from_one_module() -> None:
+    asking = [path for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text(encoding="utf-8")]
+    assert asking == [SOURCE / "arrays.py"]
 
 
 def test_few_modules_stand_outside_of_rooms() -> None:
-    assert len(list(SOURCE.glob("*.py"))) <= 11
+    assert len(list(SOURCE.glob("*.py"))) <= 12
 
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if room.name != "commands"], ids=lambda room: room.name)

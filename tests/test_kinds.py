@@ -7,13 +7,15 @@ import inspect
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated, Any
 
+import jaxtyping
 import numpy as np
 import pytest
 
 import drsplat as ds
 from drsplat.errors import InputError
-from drsplat.kinds import _annotations
+from drsplat.kinds import _annotations, checked
 from drsplat.viewing.session import Session
 from toy_capture import balls, write_toy_capture
 
@@ -81,6 +83,18 @@ def test_the_mistakes_that_people_make(room: Path) -> None:
     for said, mistake in mistakes.items():
         with pytest.raises(InputError, match=said):
             mistake()
+
+
+@pytest.mark.parametrize("of", [Annotated, jaxtyping.Float32])
+@pytest.mark.parametrize(("shape", "said"), [("n 3", r"an array \(n 3\) or None"), (" n", r"an array \(n\) or None")])
+def test_arrays_are_named_by_their_shape_whoever_notes_it(of: Any, shape: str, said: str) -> None:
+    def count(points: of[np.ndarray, shape] | None) -> int:
+        return 0 if points is None else len(points)
+
+    door = checked(count)
+    assert (door(np.zeros((2, 3), np.float32)), door(None)) == (2, 0)
+    with pytest.raises(InputError, match=f"^count: points: expected {said}, got list of int$"):
+        door([1, 2])
 
 
 def test_what_is_right_goes_through(room: Path) -> None:

@@ -10,7 +10,7 @@ import types
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from functools import cache, wraps
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from .errors import InputError
 
@@ -62,7 +62,7 @@ def _annotations(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         try:
-            hints |= get_type_hints(_Holder({name: parameter.annotation}, function))
+            hints |= get_type_hints(_Holder({name: parameter.annotation}, function), include_extras=True)
         except NameError:
             continue
     hints.pop("return", None)
@@ -76,6 +76,8 @@ def _is_a(value: object, hint: Any) -> bool:
         return any(_is_a(value, part) for part in parts)
     if origin is Literal:
         return value in parts
+    if origin is Annotated:  # an array
+        return _is_a(value, parts[0])
     if origin is not None and not isinstance(origin, type):
         return True
     kind = origin or hint
@@ -87,7 +89,7 @@ def _is_a(value: object, hint: Any) -> bool:
 def _is_kind(value: object, kind: type) -> bool:
     import numpy as np
 
-    array = getattr(kind, "array_type", None)  # of an annotation by jaxtyping
+    array = getattr(kind, "array_type", None)  # of jaxtyping, where `arrays` has it
     if array is not None:
         return isinstance(value, array)
     if kind in (int, float):
@@ -115,8 +117,9 @@ def _named(hint: Any) -> str:
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(_named(part) for part in parts))
-    if hasattr(hint, "array_type"):
-        return f"an array ({hint.dim_str})" if hint.dim_str else "an array"
+    if origin is Annotated or hasattr(hint, "array_type"):
+        shape = parts[1].strip() if parts else hint.dim_str
+        return f"an array ({shape})" if shape else "an array"
     kind = origin or hint
     if isinstance(kind, type) and issubclass(kind, Sequence) and kind is not str and parts:
         return f"a list of {_named(parts[0])}"

@@ -20,7 +20,7 @@ Downloads nothing and needs no network."""
 
 PACKAGES = {
     "numpy": "core", "scipy": "core", "pillow": "core", "safetensors": "core", "zstandard": "core",
-    "rich": "core", "jaxtyping": "core", "torch": "models, cuda", "transformers": "models",
+    "rich": "core", "torch": "models, cuda", "transformers": "models",
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1 and TIPSv2", "torchvision": "open-clip, EdgeTAM",
     "timm": "open-clip, EdgeTAM", "open_clip_torch": "open-clip",
     "gsplat": "cuda", "viser": "viewer", "msgspec": "viewer", "websockets": "viewer",
