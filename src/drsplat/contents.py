@@ -12,8 +12,8 @@ from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
 
+from .arrays import UInt8
 from .errors import FormatError, InputError
 from .system import NO_WAITING, OF_OURS
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float32, Float64
 from scipy.sparse import csr_array
 
+from .arrays import Float32, Float64
 from .codes import PQ, CodeSpecification, Track, untracked
 from .encoders import EncoderIdentity
 from .errors import DrSplatWarning, InputError, MismatchError, did_you_mean

@@ -10,8 +10,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..errors import FormatError
 
 PAIR_BASE = 2147483647  # pair id = PAIR_BASE * (smaller image id) + larger image id

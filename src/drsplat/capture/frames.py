@@ -6,7 +6,8 @@ The clock plays no part: a camera that stands still gives one photo, one that tu
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, UInt8
+
+from ..arrays import Bool, Float64, Int64, UInt8
 
 STEP = 0.06  # of the picture's width, from one photo to the next
 FEWEST, MOST = 40, 1000  # photos that are aimed at: the step is shorter or longer for them

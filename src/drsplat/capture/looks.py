@@ -8,7 +8,8 @@ intra-normalisation of Arandjelovic and Zisserman, All about VLAD, CVPR 2013.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float32
+
+from ..arrays import Float32
 
 WORDS, ROUNDS = 32, 12
 SAMPLE = 40_000  # descriptors that the vocabulary is learnt from

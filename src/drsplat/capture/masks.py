@@ -6,9 +6,9 @@ People, a photographer's shadow, the gripper of a robot: what moves with the cam
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
 
+from ..arrays import UInt8
 from ..errors import MismatchError
 from ..formats.replacing import replacing
 from ..scene.photo_masks import KEPT_FROM, read_mask

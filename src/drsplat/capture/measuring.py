@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from ..arrays import Bool, Float64
 from ..errors import InputError
 from ..formats.photo_files import listed
 from .places import Marker, Place

@@ -6,7 +6,8 @@ Matching all pairs grows with the square of the photos; these pairs grow with th
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float32, Float64
+
+from ..arrays import Float32, Float64
 
 MOST_EXHAUSTIVE = 150  # photos: 11,175 pairs
 MOST_EXHAUSTIVE_NUMBERED = 40  # whose order says which overlap

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from ..arrays import UInt8
 from ..contents import open_file
 from ..errors import MissingExtraError
 from ..formats.checksums import hash_file

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..formats.replacing import replacing
 from ..scene.geodesy import geocentric
 from . import database as colmap_database

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import InputError
 from ..formats.georeference import Georeference
 from ..scene.boxes import upward

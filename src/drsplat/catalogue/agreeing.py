@@ -6,8 +6,8 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int64
 
+from ..arrays import Int64
 from ..encoders import Encoder
 from ..errors import FormatError
 from ..query import Query

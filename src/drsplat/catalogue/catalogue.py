@@ -9,8 +9,8 @@ from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..codes import Track, untracked
 from ..encoders import Encoder, EncoderIdentity
 from ..errors import DrSplatWarning, InputError

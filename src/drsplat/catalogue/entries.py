@@ -6,8 +6,8 @@ from datetime import datetime
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
+from ..arrays import Float64, UInt8
 from ..errors import FormatError, InputError
 from ..scene.photos import decoded_picture
 

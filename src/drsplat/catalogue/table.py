@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..encoders import EncoderIdentity, identity_json, identity_said
 from ..errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from ..formats.claiming import claimed_output

@@ -3,8 +3,9 @@
 import io
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
+
+from ..arrays import UInt8
 
 SIZE = (240, 180)
 MOST_BYTES = 16 << 10

@@ -3,7 +3,8 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, Integer
+
+from ..arrays import Float32, Int32, Int64, Integer
 
 
 class Hits(NamedTuple):

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt8, UInt16
 
+from ..arrays import Float32, Integer, UInt8, UInt16
 from ..encoders import EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..kernels import QueryTables, lookup_tables, pq_encode

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt8, UInt64
 
+from ..arrays import Float32, Int, UInt8, UInt64
 from ..kernels import pq_encode
 from ..kernels.algebra import CENTROIDS
 

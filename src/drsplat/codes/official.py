@@ -4,8 +4,8 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8, UInt32
 
+from ..arrays import UInt8, UInt32
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
 from ..formats.faiss_index import is_faiss, read_faiss_quantizer

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt8, UInt16
 
+from ..arrays import Float32, Integer, UInt8, UInt16
 from ..errors import InputError
 from ..kernels import (
     GroupedRows,

@@ -12,9 +12,9 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
 from PIL import Image
 
+from ..arrays import Bool
 from ..errors import InputError
 from ..formats.replacing import replacing, saying_what_is_full
 

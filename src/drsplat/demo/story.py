@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 
+from ..arrays import Bool, Float32, Float64, Int64
 from ..codes import Track, untracked
 from ..embedding.embed import embed
 from ..evaluation.metrics import mask_iou

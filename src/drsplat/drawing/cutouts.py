@@ -1,9 +1,9 @@
 """One thing of a photo: cut out of it, the rest darkened, with a line of text below."""
 
 import numpy as np
-from jaxtyping import Float32, Int64
 from PIL import Image, ImageDraw, ImageFont
 
+from ..arrays import Float32, Int64
 from .pictures import FAINT, INK, PAPER, OtherPixels, Pixels
 
 TILE, CAPTION = (320, 240), 44  # pixels: of the cut-out, and below it

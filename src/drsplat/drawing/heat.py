@@ -1,7 +1,8 @@
 """How warm an answer is: values as heat, and heat as colours."""
 
 import numpy as np
-from jaxtyping import Float32
+
+from ..arrays import Float32
 
 Values = Float32[np.ndarray, " n"]
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float64
 from PIL import Image, ImageDraw, ImageFont
 
+from ..arrays import Float64
 from ..scene.annotations import Annotation, Outline
 from ..scene.views import View
 from .pictures import OUTLINE, Pixels

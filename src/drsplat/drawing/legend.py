@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Int32
 from PIL import Image, ImageDraw, ImageFont
 
+from ..arrays import Float32, Int32
 from ..kernels import render_channels, splat_arrays
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View

@@ -3,7 +3,8 @@
 import colorsys
 
 import numpy as np
-from jaxtyping import UInt8
+
+from ..arrays import UInt8
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of red, green and blue: how light a colour looks
 GOLDEN = 0.6180339887498949  # of a turn: hues far from each other, however many

@@ -7,9 +7,9 @@ from dataclasses import replace
 from os import PathLike
 
 import numpy as np
-from jaxtyping import Bool, Float32, Integer, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from ..arrays import Bool, Float32, Integer, UInt8
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays

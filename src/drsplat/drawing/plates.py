@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64
+
+from ..arrays import Float64
 
 CROWD = 200  # names that make room for each other; further ones stand where they would alone
 STEPS = (0, 1, 2, 3)  # plates that a name goes further from its thing at most

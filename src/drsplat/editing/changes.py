@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
+from ..arrays import Float64, Int64
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians

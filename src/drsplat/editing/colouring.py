@@ -7,8 +7,8 @@ constant one.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
+from ..arrays import Float32, Float64, Int64
 from ..drawing.palette import LUMA
 from ..errors import InputError
 from ..scene.gaussians import SH_C0

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 
+from ..arrays import Bool, Float32, Float64, Int64
 from ..errors import InputError
 from ..formats.scenes import read_gaussians
 from ..scene.gaussians import Gaussians, filled

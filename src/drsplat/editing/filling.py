@@ -4,11 +4,11 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 from scipy import ndimage
 from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 
+from ..arrays import Bool, Float64, Int64
 from ..drawing.rendering import render
 from ..errors import DrSplatWarning, InputError
 from ..scene.boxes import HAZE

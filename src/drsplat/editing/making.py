@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..formats.runs import spans_of
 from ..formats.scenes import read_gaussians
 from ..kernels.boxes import box_of

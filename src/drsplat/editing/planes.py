@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+
+from ..arrays import Bool, Float64, Int64
 
 TRIES = 300  # of three points each
 LOOKED_AT = 4000  # points, to choose a plane by

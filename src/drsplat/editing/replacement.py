@@ -4,8 +4,8 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
+from ..arrays import Float64, Int64
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..formats.json_files import is_text
 from ..formats.runs import are_rows, ids_of

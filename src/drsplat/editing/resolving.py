@@ -1,9 +1,9 @@
 """From what a person says to rows: an object's number, a label, a query, and what hangs on to all of them."""
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, Integer
 from scipy.spatial import cKDTree
 
+from ..arrays import Bool, Float64, Int64, Integer
 from ..errors import InputError
 from ..field import LanguageField
 from ..query import Query, Scene

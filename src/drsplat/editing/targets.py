@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float64, Int64, Integer
 
+from ..arrays import Float64, Int64, Integer
 from ..errors import InputError
 from ..formats.json_files import is_text
 from ..formats.runs import are_rows, ids_of, spans_of

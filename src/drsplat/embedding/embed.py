@@ -12,8 +12,8 @@ from typing import NamedTuple
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
 
+from ..arrays import Float32, Int32, UInt8
 from ..codes import Track, encoder_from_json, untracked
 from ..encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from ..errors import DrSplatWarning, InputError

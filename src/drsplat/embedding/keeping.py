@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
 from scipy.ndimage import find_objects
 
+from ..arrays import Float32, Int32, UInt8
 from ..encoders import EncoderIdentity, ImageEncoder
 from ..errors import MismatchError
 from ..formats.checksums import hash_file

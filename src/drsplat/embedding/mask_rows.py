@@ -3,8 +3,8 @@
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..encoders import ImageEncoder
 from ..masks.crops import crops
 from ..masks.masks import Masks

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..codes import Track, untracked
 from ..encoders import ImageEncoder, identity_json
 from ..errors import InputError

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..codes import Track, untracked
 from ..encoders import EncoderIdentity, ImageEncoder, identity_json
 from ..errors import DrSplatWarning, InputError, MismatchError

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Float64, Int64
 from ..evidence.evidence import Evidence
 from ..objects.describing import node_weights
 from ..objects.finding import find_tree

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Integer
 from scipy.sparse import csc_array
 
+from ..arrays import Float64, Integer
 from ..codes import Track, untracked
 from ..evidence.aggregation import Sampling
 from ..evidence.columns import scenery_of

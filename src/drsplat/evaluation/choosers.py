@@ -1,8 +1,8 @@
 """A threshold per query, found in the scores alone: a column beside the fixed and the tuned one."""
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..query.thresholds import CUT, default_threshold
 from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer

@@ -7,8 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int32, Integer
 
+from ..arrays import Int32, Integer
 from ..contents import file_text
 from ..errors import FormatError, InputError
 

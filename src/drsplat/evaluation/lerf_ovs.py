@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
 from scipy.ndimage import uniform_filter
 
+from ..arrays import Bool, Float32, Int64
 from ..codes import Track, untracked
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.captures import read_views

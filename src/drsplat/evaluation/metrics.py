@@ -6,7 +6,8 @@ Labels are 1 to C; 0 is "none" in a prediction and "not counted" in the truth.
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float64, Integer, Real
+
+from ..arrays import Bool, Float64, Integer, Real
 
 Labels = Integer[np.ndarray, " n"]
 Numbers = Sequence[float | int] | Real[np.ndarray, " n"]

@@ -14,9 +14,9 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from jaxtyping import Bool, Float32
 from PIL import Image
 
+from ..arrays import Bool, Float32
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.json_files import read_json, shown
 from ..formats.replacing import replacing

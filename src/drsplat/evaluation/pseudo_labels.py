@@ -13,9 +13,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
+from ..arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 

@@ -1,8 +1,8 @@
 """Slow twins in float64, a line or two per equation: what the fast functions are tested against."""
 
 import numpy as np
-from jaxtyping import Float64, Integer
 
+from ..arrays import Float64, Integer
 from ..scene.gaussians import Gaussians
 
 Positions = Float64[np.ndarray, "m 3"]

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
 
+from ..arrays import UInt8
 from ..formats.replacing import replacing
 from .svg import scatter
 from .tables import Table, tables_of

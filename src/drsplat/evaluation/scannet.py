@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
 
+from ..arrays import Float32, Float64, Int32
 from ..codes import Track, untracked
 from ..errors import FormatError, MismatchError
 from ..formats.npy import write_npy

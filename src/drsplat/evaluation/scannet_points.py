@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int32
 
+from ..arrays import Int32
 from ..errors import MismatchError
 from . import metrics
 from .predictions import read_manifests

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..encoders import Encoder
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores

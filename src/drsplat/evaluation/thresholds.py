@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
 
+from ..arrays import Bool, Float32, Float64
 from .predictions import is_sweep
 
 MIN_GAIN = 1e-12

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
 
+from ..arrays import Float64, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume

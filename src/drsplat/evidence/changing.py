@@ -1,9 +1,9 @@
 """W with columns taken out and others put in, in one pass over its entries: what is new is sorted, the rest copied."""
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Bool, Float64, Int32, Int64
 from ..errors import MismatchError
 from ..kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical

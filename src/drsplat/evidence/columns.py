@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, UInt32
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Int32, Int64, UInt32
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.tensors import map_tensors, read_tensors, write_tensors
 from ..kernels import SplatArrays, Triples, default_isa, splat_arrays

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Integer
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Float64, Int32, Integer
 from ..contents import release
 from ..errors import FormatError, InputError
 from ..formats.tensors import check_tensors

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
 
+from ..arrays import Float64, Int64, UInt8
 from ..errors import InputError
 from ..scene.boxes import upward_of
 from ..scene.views import View

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Integer
 
+from ..arrays import Float32, Integer
 from ..errors import InputError, MissingExtraError
 from ..query import Match
 from ..scene.gaussians import SH_C0, Gaussians

@@ -3,9 +3,9 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64, Integer, UInt32
 from scipy.sparse import csr_array
 
+from ..arrays import Bool, Float32, Int32, Int64, Integer, UInt32
 from ..codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
 from ..codes.codebook import BLOCK
 from ..codes.mixture import Mixed, SceneAtoms, encode_with

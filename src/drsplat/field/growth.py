@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int32, UInt32
 from scipy.sparse import csr_array
 
+from ..arrays import Int32, UInt32
 from ..codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
 from ..codes.mixture import MixtureCode, SceneAtoms, quantised
 from ..codes.mixture.dictionary import SCENE_ATOM

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64, Integer
 
+from ..arrays import Float64, Int64, Integer
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
 from ..formats.json_files import as_vector, is_text, read_json

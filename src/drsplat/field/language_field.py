@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, Integer, UInt32
 
+from ..arrays import Float32, Float64, Int64, Integer, UInt32
 from ..codes import Best, Code, Codebook, Hits, PQCode
 from ..encoders import EncoderIdentity, identity_json, identity_said
 from ..errors import InputError, MismatchError

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
 from ..codes.mixture import MixtureCode, mixture_from_tensors
 from ..errors import FormatError, InputError, MismatchError

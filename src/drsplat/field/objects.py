@@ -5,8 +5,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 
+from ..arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
 from ..terminal import counted, numbers_said, rows_html
 

@@ -7,9 +7,9 @@ changed the row is copied.
 from collections.abc import Collection
 
 import numpy as np
-from jaxtyping import Bool, Int32, Int64
 from scipy.sparse import csr_array, vstack
 
+from ..arrays import Bool, Int32, Int64
 from ..codes import Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
 from ..codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
 from ..errors import InputError

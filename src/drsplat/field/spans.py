@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
 
+from ..arrays import Bool
 from ..codes import PQ, Codebook, Mixture, PQCode
 from ..errors import InputError
 from ..evidence.aggregation import aggregator

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ..arrays import Float32, Float64
 from ..drawing.heat import heat_of
 from ..drawing.labels import Mark, marked
 from ..drawing.pictures import Pixels, heated, highlighted

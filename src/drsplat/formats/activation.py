@@ -7,8 +7,8 @@ because dropping or mending rows would change what a row number means.
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float32, Integer
 
+from ..arrays import Bool, Float32, Integer
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians
 

@@ -4,8 +4,8 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
+from ..arrays import Float64, UInt8
 from ..errors import FormatError, InputError
 from ..scene.views import View
 from . import colmap_binary, colmap_text

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import zstandard
-from jaxtyping import Float32, Int32, Int64
 
+from ..arrays import Float32, Int32, Int64
 from ..errors import FormatError, InputError
 from .tensors import check_tensors, read_tensors, write_tensors
 

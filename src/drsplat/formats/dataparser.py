@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import FormatError
 from ..scene.views import View
 from .json_files import as_matrix, as_number, read_json

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..contents import file_bytes, open_file
 from ..errors import FormatError, InputError
 

@@ -13,8 +13,8 @@ Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its 
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ..arrays import Float32, Float64
 from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.placing import local_origin

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import FormatError
 from ..scene.geodesy import geodetic
 from .json_files import as_matrix, as_number, read_json

@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..contents import file_text
 from ..errors import FormatError, InputError
 

@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ..arrays import Float32, Float64
 from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked

@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64
 
+from ..arrays import Float32, Int32, Int64
 from ..encoders import EncoderIdentity
 from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..masks.features import ViewFeatures

@@ -11,8 +11,8 @@ from typing import TypeVar
 from urllib.parse import urlsplit
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
+from ..arrays import Bool, Float64, Int64
 from ..contents import file_text
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_number, shown

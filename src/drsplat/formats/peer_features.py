@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Integer, Num
 
+from ..arrays import Float32, Integer, Num
 from ..errors import FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
 from .tensors import map_tensors

@@ -10,8 +10,8 @@ from itertools import islice
 from os import PathLike
 
 import numpy as np
-from jaxtyping import Float32, Shaped
 
+from ..arrays import Float32, Shaped
 from ..errors import DrSplatWarning, FormatError, InputError
 from .ply_header import SCALAR_TYPES, Element, Header
 from .replacing import replacing

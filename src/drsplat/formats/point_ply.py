@@ -5,8 +5,8 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
+from ..arrays import Float64, UInt8
 from ..errors import FormatError, InputError
 from .ply import Records, read_elements
 from .ply_header import read_header

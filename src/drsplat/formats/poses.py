@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import FormatError, InputError
 from ..scene.rotations import rotation_matrices
 from ..scene.views import View

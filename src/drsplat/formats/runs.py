@@ -1,8 +1,8 @@
 """Rows of a scene in few numbers: spans in memory, lengths in turns in JSON."""
 
 import numpy as np
-from jaxtyping import Int64, Integer
 
+from ..arrays import Int64, Integer
 from ..errors import FormatError
 from .json_files import as_count
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int32
 
+from ..arrays import Float32, Int32
 from ..contents import file_bytes, file_text
 from ..errors import FormatError, InputError, MismatchError
 from .json_files import read_json, shown

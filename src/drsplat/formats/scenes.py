@@ -8,8 +8,8 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
 
+from ..arrays import Shaped
 from ..contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated, filled

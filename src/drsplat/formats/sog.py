@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three, sigmoid

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
 
+from ..arrays import UInt8
 from ..errors import FormatError
 from .json_files import shown
 

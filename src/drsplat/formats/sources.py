@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Integer
 
+from ..arrays import Bool, Float32, Float64, Integer
 from ..contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians

@@ -18,8 +18,8 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three

@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ..arrays import Float32, Float64
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
 from ..scene.placing import near_plane

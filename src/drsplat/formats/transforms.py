@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.photos import photo_size
 from ..scene.views import View

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, did_you_mean
 from .checksums import check_checksums

@@ -7,8 +7,8 @@ from pathlib import Path
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Bool
 
+from ..arrays import Bool
 from ..codes import Track, untracked
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..evidence.aggregation import Aggregator, aggregator

@@ -5,9 +5,9 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 """
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, Integer, UInt8
 
 from .. import _native
+from ..arrays import Float32, Int32, Int64, Integer, UInt8
 from ..errors import InputError
 from .splatting import _checked_isa
 

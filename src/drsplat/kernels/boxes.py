@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64, Integer
 
 from .. import _native
+from ..arrays import Float64, Int64, Integer
 from ..errors import InputError
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
 
 from .. import _native
+from ..arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
 from .splatting import _checked_isa
 

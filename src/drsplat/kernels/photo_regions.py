@@ -7,9 +7,9 @@ traits in steps of 1 / TRAIT_STEPS, borders in steps of 1 / BORDER_STEPS.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, UInt8
 
 from .. import _native
+from ..arrays import Float32, Float64, Int32, UInt8
 from ..errors import InputError
 from .splatting import _checked_isa
 

@@ -4,10 +4,10 @@ from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, Integer
 from scipy.sparse import csr_array
 
 from .. import _native
+from ..arrays import Float32, Int32, Integer
 from ..errors import InputError
 
 

@@ -10,9 +10,9 @@ with fused multiply-add, and may be called from several threads at once.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, Integer, UInt8, UInt16
 
 from .. import _native
+from ..arrays import Float32, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
 from .algebra import CENTROIDS
 from .splatting import _checked_isa

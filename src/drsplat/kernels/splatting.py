@@ -9,9 +9,9 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Integer, UInt32
 
 from .. import _native
+from ..arrays import Bool, Float32, Float64, Int32, Integer, UInt32
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR

@@ -8,9 +8,9 @@ is the same to the bit for any number of threads.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
 
 from .. import _native
+from ..arrays import Float32
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View

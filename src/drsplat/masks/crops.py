@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import overload
 
 import numpy as np
-from jaxtyping import Bool, Int64, Integer, UInt8
 from PIL import Image
 
+from ..arrays import Bool, Int64, Integer, UInt8
 from ..errors import InputError
 from .masks import Masks
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32
 
+from ..arrays import Float32, Int32
 from ..errors import InputError
 from ..terminal import counted
 

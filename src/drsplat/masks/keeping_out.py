@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Bool
 
+from ..arrays import Bool
 from .masks import Masks, tight_box
 
 LEAST_KEPT_SHARE = 0.5  # of a mask's pixels; of less, what is embedded would be a rest of something else

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 
+from ..arrays import Bool, Float32, Int32, Int64, UInt8
 from ..errors import InputError
 
 LEVELS = ("default", "small", "medium", "large")

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Bool, Float64, Int32, Int64
 from ..errors import InputError
 from .masks import LEVELS, Masks
 

@@ -1,8 +1,8 @@
 """Convolutions of small networks on NumPy and the native product of matrices."""
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..kernels.algebra import dense_rows
 
 

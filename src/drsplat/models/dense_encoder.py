@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 from PIL import Image
 
+from ..arrays import Float32, UInt8
 from ..masks.masks import Masks
 from .memory import fitting
 from .torch_encoder import as_rows

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 from scipy import ndimage
 
+from ..arrays import Bool, Float64, Int64
 from ..masks.masks import tight_box
 
 Box = tuple[int, int, int, int]

@@ -10,7 +10,8 @@ Source: Kirillov et al. 2023 Sec. A (the two-way decoder); the names of modules 
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+
+from ..arrays import Float32
 
 
 class Projection(NamedTuple):

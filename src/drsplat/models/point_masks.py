@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
+from ..arrays import Bool, Float32, Float64, Int64, UInt8
 from ..errors import InputError
 from ..masks.masks import LEVELS, Masks, tight_box
 from ..masks.selection import mask_nms

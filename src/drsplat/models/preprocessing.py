@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 from PIL import Image
 
+from ..arrays import Float32, UInt8
 from ..errors import FormatError, InputError
 from ..formats.json_files import as_count, as_number, as_vector, read_json, shown
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from PIL import Image
 
+from ..arrays import Bool, Float32, Float64, Int64, UInt8
 from ..errors import FormatError, InputError, MissingExtraError
 from ..formats.json_files import as_vector, read_json, shown
 from .devices import chosen_device

@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError
 from .memory import fitting

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ..arrays import Float32, Float64
 from ..encoders import EncoderIdentity
 from ..errors import InputError
 

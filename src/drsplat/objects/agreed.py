@@ -1,7 +1,8 @@
 """Which objects photos agree on well enough to be shown to people first."""
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Integer
+
+from ..arrays import Bool, Float32, Float64, Integer
 
 LEAST_AGREEMENT = 0.25
 FEW_PHOTOS = 2  # of no object at all, counted with those of each object

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64
 
+from ..arrays import Bool, Float32, Int32, Int64
 from ..field.learning import drawn
 from ..kernels import SplatArrays, render_channels, splat_arrays, topk_contributions
 from ..scene.gaussians import Gaussians

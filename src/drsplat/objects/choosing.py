@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 
+from ..arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..field.objects import GROUP, PART, THING
 from ..kernels import Forest
 

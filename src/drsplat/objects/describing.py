@@ -7,9 +7,9 @@ nodes times Gaussians.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..evidence.evidence import Evidence
 from ..field import LanguageField

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Int64
 from ..field.objects import MOST_DESCRIPTORS
 from ..kernels import weighted_rows
 from .heaviest import heaviest

@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64, Integer
 from scipy.sparse import csr_array
 
+from ..arrays import Float64, Int64, Integer
 from ..errors import InputError
 from ..field import LanguageField
 

@@ -7,9 +7,9 @@ their masks agree; of the regions that come about, things are those that single 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt32
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Int32, UInt32
 from ..errors import InputError
 from ..evidence.aggregation.entries import column_counts, of_columns
 from ..evidence.changing import without_views

@@ -1,8 +1,9 @@
 """The heaviest entries of each row of a sparse matrix."""
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.sparse import csr_array
+
+from ..arrays import Float64
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:

@@ -11,8 +11,8 @@ from math import fsum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
 
+from ..arrays import Bool, Float32, Int64
 from ..field.objects import PART, THING
 from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners

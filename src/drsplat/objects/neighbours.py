@@ -1,9 +1,9 @@
 """Which Gaussians lie next to each other, and an order in which neighbours are near."""
 
 import numpy as np
-from jaxtyping import Float, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
+from ..arrays import Float, Float64, Int32, Int64
 from ..scene.morton import morton_order
 
 NEIGHBOURS = 12

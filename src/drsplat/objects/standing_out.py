@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Bool, Float64, Int64
 from .borders import Borders
 
 GOES_ON = 0.5  # least share of the borders within a set along which depth goes on

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, Integer
 from PIL import Image
 
+from ..arrays import Float32, Float64, Int32, Int64, Integer
 from ..drawing.pictures import picture_html
 from ..errors import InputError
 from ..evidence.evidence import Explanation

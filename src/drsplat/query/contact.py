@@ -5,9 +5,9 @@ of whether it stands there; Gaussians beside its foot do. Defined in docs/object
 """
 
 import numpy as np
-from jaxtyping import Float64, Integer
 from scipy.spatial import cKDTree
 
+from ..arrays import Float64, Integer
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
 

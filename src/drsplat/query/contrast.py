@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt16
 
+from ..arrays import Bool, Float32, Float64, UInt16
 from ..field import LanguageField
 from .thresholds import PEAK, clear_threshold, peak_score
 

@@ -1,10 +1,11 @@
 """Points that hang together, by the distances between them."""
 
 import numpy as np
-from jaxtyping import Float64, Int64, Integer
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+
+from ..arrays import Float64, Int64, Integer
 
 NEIGHBOURS = 8
 BORDER = 0.5

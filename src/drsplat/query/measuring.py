@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..encoders import Encoder, ImageEncoder
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Integer
 
+from ..arrays import Float, Integer
 from ..field.objects import GROUP, THING, Objects
 from ..terminal import counted
 from .objects import most_seen, objects_of

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Integer
 
+from ..arrays import Float, Integer
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField

@@ -1,8 +1,8 @@
 """From a point of the world to the Gaussian that is there."""
 
 import numpy as np
-from jaxtyping import Float64, Integer
 
+from ..arrays import Float64, Integer
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 

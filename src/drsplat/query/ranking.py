@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
 
+from ..arrays import Bool, Float32, Int64
 from ..encoders import Encoder, identity_said
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians

@@ -6,9 +6,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Integer
 from PIL import Image
 
+from ..arrays import Bool, Float32, Float64, Int32, Integer
 from ..drawing.pictures import (
     OtherPixels,
     as_pixels,

@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float32, Int64
 
+from ..arrays import Float32, Int64
 from ..encoders import Encoder
 from ..errors import InputError
 from ..field import LanguageField, Negatives

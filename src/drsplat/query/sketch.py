@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Int8, Int32, Int64, Integer
 from scipy.sparse import csr_array
 
+from ..arrays import Float32, Int8, Int32, Int64, Integer
 from ..codes.code import Best, Hits
 from ..codes.mixture.scene_atoms import spherical_kmeans
 from ..encoders import Encoder, EncoderIdentity

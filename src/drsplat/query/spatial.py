@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
+from ..arrays import Float64
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians

@@ -3,8 +3,8 @@
 from itertools import islice
 
 import numpy as np
-from jaxtyping import Float32, Integer
 
+from ..arrays import Float32, Integer
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField

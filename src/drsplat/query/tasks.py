@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64
 
+from ..arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of

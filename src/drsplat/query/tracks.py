@@ -5,8 +5,8 @@ from itertools import product
 from typing import cast
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from ..arrays import Bool, Float64
 from ..errors import InputError
 from ..field import LanguageField
 from ..field.spans import field_during

@@ -1,8 +1,8 @@
 """From what each Gaussian says to what whole objects say."""
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt32
 
+from ..arrays import Float32, Int32, UInt32
 from ..field import LanguageField
 from ..field.objects import Objects
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..encoders import Encoder
 from ..errors import InputError
 from ..formats.vocabulary import VocabularyEncoder

@@ -1,8 +1,9 @@
 """The float64 twins of `kernels.algebra`: slow, plain, and what the native kernels must compute."""
 
 import numpy as np
-from jaxtyping import Float, Float64, Integer, UInt8
 from scipy import sparse
+
+from ..arrays import Float, Float64, Integer, UInt8
 
 
 def weighted_rows(

@@ -1,9 +1,9 @@
 """The slow twin of `kernels.boxes`: one set at a time."""
 
 import numpy as np
-from jaxtyping import Bool, Float64, Integer
 from scipy.special import ndtr
 
+from ..arrays import Bool, Float64, Integer
 from ..kernels.boxes import OUTLIERS, SPARSE, STRAYS
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
 
+from ..arrays import Bool, Float64, Int
 from ..scene.views import View
 from .projection import MIN_ALPHA, ROUNDING, TILE, Projection, Splats, project
 

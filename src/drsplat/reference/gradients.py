@@ -6,8 +6,8 @@ Source: Kerbl et al. 2023 (3D Gaussian Splatting) Sec. 4, 5.2 (the densification
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64
 
+from ..arrays import Float, Float64
 from ..scene.views import View
 from .training import Branches, Entries, Footprints, Parameters, alphas_of, composite, decide, float64_of, footprints
 

@@ -7,8 +7,9 @@ SSIM; Kingma and Ba 2015, Algorithm 1, for Adam.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64
 from scipy.ndimage import correlate1d
+
+from ..arrays import Float, Float64
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2

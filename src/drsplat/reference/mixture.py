@@ -1,8 +1,8 @@
 """The float64 twins of `kernels.mixture`: slow, plain, and what the native kernels must compute."""
 
 import numpy as np
-from jaxtyping import Float, Float64, Int32, Int64, UInt8
 
+from ..arrays import Float, Float64, Int32, Int64, UInt8
 from ..kernels.mixture import Blocks, Candidates, Dictionary, Encoded
 
 DEPENDENT = 1e-4  # an atom adds nothing if its squared sine to the chosen ones is below

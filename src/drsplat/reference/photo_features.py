@@ -1,8 +1,8 @@
 """What a pair of touching regions looks like, as numbers for the rule that merges."""
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..kernels.photo_regions import (
     AREA,
     AROUND,

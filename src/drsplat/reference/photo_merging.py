@@ -4,8 +4,8 @@ import heapq
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
+from ..arrays import Float64, Int64
 from ..kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
 from .photo_features import pair_features
 

@@ -1,8 +1,8 @@
 """The twin of `kernels.photo_regions.look`: windows of pixels times weights, in float64."""
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
+from ..arrays import Float64, UInt8
 from ..kernels.photo_regions import BORDER_STEPS, MOST, TRAIT_STEPS, Layers, Sight
 
 

@@ -1,8 +1,8 @@
 """The twins of `kernels.photo_regions`: colours of scikit-image, a union-find in plain Python, sums of NumPy."""
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64, UInt8
 
+from ..arrays import Float64, Int32, Int64, UInt8
 from ..kernels.photo_regions import (
     AREA,
     AROUND,

@@ -7,8 +7,8 @@ Zwicker et al. 2001 for the affine approximation.
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
 
+from ..arrays import Float, Float64, Int
 from ..scene.views import View
 
 TILE = 16

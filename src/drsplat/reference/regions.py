@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int32, Integer
 from scipy.sparse import csr_array
 
+from ..arrays import Float, Int32, Integer
 from ..kernels.regions import Forest, MergeRule
 
 Votes = Mapping[int, Mapping[int, float]]  # of a region, by view and mask

@@ -10,8 +10,8 @@ Source: Kerbl et al. 2023 (3D Gaussian Splatting) Eq. 3; Dr. Splat Sec. A for to
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int, Int32
 
+from ..arrays import Bool, Float, Float64, Int, Int32
 from ..scene.views import View
 from .compositing import Contributors, contributors, rank_in_pixel, select
 from .projection import Splats

@@ -1,8 +1,8 @@
 """The float64 twins of `kernels.scan`: slow, plain, and what the native kernels must compute."""
 
 import numpy as np
-from jaxtyping import Float, Float64, Int64
 
+from ..arrays import Float, Float64, Int64
 from ..kernels.scan import GroupedRows, QueryTables, rows_of_groups
 
 

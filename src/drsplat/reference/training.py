@@ -11,8 +11,8 @@ Source: Kerbl et al. 2023 (3D Gaussian Splatting) Eq. 3-6; Zwicker et al. 2001 f
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
 
+from ..arrays import Bool, Float, Float64, Int
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
 from .compositing import ALPHA_BAND, MAX_ALPHA, contributors

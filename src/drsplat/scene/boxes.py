@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from jaxtyping import Float64, Integer
 
+from ..arrays import Float64, Integer
 from ..errors import InputError
 from .gaussians import Gaussians
 from .views import View

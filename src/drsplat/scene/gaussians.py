@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Integer
 
+from ..arrays import Bool, Float32, Float64, Integer
 from ..errors import InputError
 from .placing import FEWEST, local_origin, near_plane
 from .rotations import rotation_matrices, rotation_rows

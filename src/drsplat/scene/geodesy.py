@@ -4,7 +4,8 @@ Source: WGS 84, NGA.STND.0036: semi-major axis and flattening; Bowring 1976 for 
 """
 
 import numpy as np
-from jaxtyping import Float64
+
+from ..arrays import Float64
 
 RADIUS, FLATTENING = 6_378_137.0, 1 / 298.257223563
 E2 = FLATTENING * (2 - FLATTENING)

@@ -7,8 +7,8 @@ Source: the OpenCV camera model with k1, k2, p1, p2; COLMAP's SIMPLE_RADIAL, RAD
 import math
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import InputError
 from .views import View
 

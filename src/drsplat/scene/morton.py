@@ -1,7 +1,8 @@
 """The order along a Morton curve: what is near in space is mostly near in the order."""
 
 import numpy as np
-from jaxtyping import Float, Int64, UInt64
+
+from ..arrays import Float, Int64, UInt64
 
 BITS = 21  # of each axis: three of them fill 63
 _SPREAD = (  # shift, mask: each bit of 21 to every third place

@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ..arrays import Float32, Float64
 from ..errors import InputError
 from .gaussians import Gaussians
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Bool
 from PIL import Image
 
+from ..arrays import Bool
 from ..contents import open_file
 from ..errors import DrSplatWarning, FormatError, MismatchError
 from .photos import PHOTO_FORMATS, photo_size, undistort_ids

@@ -6,9 +6,9 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from ..arrays import Bool, Float64, Int32, UInt8
 from ..contents import open_file
 from ..errors import FormatError, InputError
 from .lens import distort_points

@@ -5,7 +5,8 @@ exact as one about zero. Poses, boxes and whatever else is reported stay in the 
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+
+from ..arrays import Bool, Float, Float32, Float64
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing that is nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: scenes smaller than four units

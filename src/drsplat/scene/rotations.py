@@ -1,7 +1,8 @@
 """Unit quaternions (w, x, y, z) to matrices."""
 
 import numpy as np
-from jaxtyping import Float
+
+from ..arrays import Float
 
 
 def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:

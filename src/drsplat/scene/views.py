@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import InputError
 
 LITTLE = 0.05  # of a side: what rounding may change of a raster that shows the same

@@ -5,9 +5,9 @@ import binascii
 import io
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
 
+from ..arrays import UInt8
 from ..errors import FormatError, InputError
 from ..scene.photos import decoded_picture
 

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Bool, Float32, Int32, Int64
 from ..codes import Codebook, Codes, Track, untracked
 from ..codes.mixture import Mixed, SceneAtoms, assembled, atoms_by_use, encode_rows, left_in, plan_of
 from ..contents import pieces

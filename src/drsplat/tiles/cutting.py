@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt16, UInt32
 
+from ..arrays import Float32, Float64, Int64, UInt16, UInt32
 from ..errors import InputError
 from ..formats.sources import Block
 from ..formats.tiles import Tiles, write_tiles

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, UInt32
 
+from ..arrays import Float32, UInt32
 from ..codes import Track, untracked
 from ..evidence.aggregation import Sampling
 from ..evidence.columns import ColumnMaker, part_name

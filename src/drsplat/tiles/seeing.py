@@ -5,8 +5,8 @@ from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from ..arrays import Bool, Float64
 from ..evidence.columns import Seen
 from ..formats.tiles import SHAPES, Tile, Tiles, file_name
 from ..kernels import SplatArrays, laid_out

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int64
 from scipy.sparse import csr_array
 
+from ..arrays import Int64
 from ..contents import pieces
 from ..evidence.columns import is_finished, stacked
 from ..formats.replacing import replacing

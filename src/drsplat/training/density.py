@@ -8,8 +8,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float32, Integer
 
+from ..arrays import Bool, Float32, Integer
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients, SceneParameters
 from .optimizer import Optimizer

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ..arrays import Float32, UInt8
 from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
 from ..scene.placing import PUBLISHED_NEAR

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from math import comb, sqrt
 
 import numpy as np
-from jaxtyping import Float32, Float64, Integer
 
+from ..arrays import Float32, Float64, Integer
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients
 from .density import add_opacity_penalty

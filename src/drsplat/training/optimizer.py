@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Integer
 
+from ..arrays import Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.training import Gradients, SceneParameters, adam_step

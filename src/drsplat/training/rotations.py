@@ -1,8 +1,8 @@
 """Quaternions (w, x, y, z) of any length, acting on vectors row by row."""
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..scene.rotations import rotation_matrices
 
 

@@ -9,8 +9,8 @@ from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float32
 
+from ..arrays import Float32
 from ..errors import DrSplatError
 from ..kernels.training import Gradients, Loss, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians

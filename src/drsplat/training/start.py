@@ -6,9 +6,9 @@ from typing import NamedTuple
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
+from ..arrays import Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters

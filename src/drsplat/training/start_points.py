@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from ..arrays import Bool, Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..scene.views import View

@@ -7,10 +7,10 @@ from functools import cache
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float32
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from ..arrays import Float32
 from .metrics import C1, C2, SIGMA, WINDOW
 
 Planes = Float32[Tensor, "3 h w"]

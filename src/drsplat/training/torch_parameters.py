@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 from torch import Tensor
 from torch.nn import Parameter
 from torch.optim import Adam
 
+from ..arrays import Float32
 from ..kernels.training import SceneParameters
 from .optimizer import Optimizer, Rates
 

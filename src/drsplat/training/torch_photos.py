@@ -2,9 +2,9 @@
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
 
+from ..arrays import Bool, Float32, UInt8
 from .training_photos import Photo, TrainingPhotos
 
 MEMORY_BYTES = 1 << 30

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
+from ..arrays import Bool, Float64
 from ..scene.views import View
 
 SEVERAL = 3  # cameras, or all where there are fewer

@@ -4,10 +4,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
+from ..arrays import Bool, Float32, Float64, UInt8
 from ..errors import InputError
 from ..scene.lens import undistort_points
 from ..scene.photo_masks import load_mask

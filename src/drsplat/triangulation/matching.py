@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Integer
 
+from ..arrays import Bool, Float64, Integer
 from ..scene.views import View
 from .keypoints import Keypoints
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Integer
 
+from ..arrays import Bool, Float64, Integer
 from ..scene.views import View
 from .tracks import Tracks
 

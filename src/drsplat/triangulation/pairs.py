@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64, Integer
 
+from ..arrays import Float64, Integer
 from ..scene.views import View
 
 RANKS = (1, 2, 3, 5, 8, 12, 18)

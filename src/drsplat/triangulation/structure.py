@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Integer, UInt8
 
+from ..arrays import Float64, Integer, UInt8
 from ..scene.views import View
 from .detecting import detect_all
 from .keypoints import Keypoints, as_stored, located

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Integer
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+
+from ..arrays import Integer
 
 
 class Tracks(NamedTuple):

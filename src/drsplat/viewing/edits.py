@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
 
+from ..arrays import Bool, Float32, Int64
 from ..editing import Edit, EditFile, EditList
 from ..editing.draft import OBJECT_ID
 from ..editing.edits import drafted

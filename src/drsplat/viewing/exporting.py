@@ -5,8 +5,8 @@ from dataclasses import replace
 from os import PathLike
 
 import numpy as np
-from jaxtyping import Float64, Shaped, UInt8, UInt16
 
+from ..arrays import Float64, Shaped, UInt8, UInt16
 from ..drawing.heat import heat_of
 from ..editing.kept import KeptEdits, without_kept
 from ..errors import DrSplatError, InputError

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
+from ..arrays import Float64, UInt8
 from ..errors import DrSplatError
 from ..evidence.evidence import Explanation
 from ..models.mini.lexicon import NAMES, STRUCTURES

@@ -11,8 +11,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8, UInt16
 
+from ..arrays import Float32, Float64, UInt8, UInt16
 from ..drawing.heat import HEAT
 from ..errors import InputError
 from ..filming.looking import FOV_DEGREES

@@ -5,9 +5,9 @@ import io
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt16
 from PIL import Image
 
+from ..arrays import Float64, UInt16
 from ..filming.looking import before
 from ..query import Match
 from ..scene.annotations import Annotation

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float16, Float64, Int64, UInt8, UInt16
 
+from ..arrays import Bool, Float16, Float64, Int64, UInt8, UInt16
 from ..errors import InputError
 from ..query import Match
 from ..query.tracks import tracks

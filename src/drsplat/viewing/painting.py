@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
 
+from ..arrays import Bool, Float32, Int32, UInt8
 from ..drawing import palette
 from ..drawing.heat import heat_colors
 from ..field import LanguageField

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
+from ..arrays import Bool, Float64, Int64
 from ..scene.gaussians import Gaussians
 
 REACH = 3.0  # standard deviations at which a Gaussian ends

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64
 
+from ..arrays import Float32, Int32, Int64
 from ..drawing.heat import heat_of
 from ..query import Answer, Match, Scene
 from ..terminal import counted

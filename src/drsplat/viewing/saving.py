@@ -8,9 +8,9 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 from PIL import Image
 
+from ..arrays import Float64, UInt8
 from ..drawing.pictures import as_pixels
 from ..errors import InputError
 from ..filming.looking import looking_at, swing

@@ -6,8 +6,8 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
+from ..arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from ..drawing.heat import heat_colors
 from ..drawing.palette import class_colors
 from ..editing import Edit, Isolate, Recolour, Remove, Rows

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
+from ..arrays import Float32, Float64, Int64
 from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
 

@@ -4,8 +4,8 @@ import io
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
+from ..arrays import UInt8
 from ..errors import FormatError, InputError
 from ..scene.photos import decoded_picture
 from .messages import PART, UPLOAD

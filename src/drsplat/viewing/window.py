@@ -9,8 +9,8 @@ from contextlib import redirect_stdout
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
+from ..arrays import Float64
 from ..errors import MissingExtraError
 from ..filming.looking import FOV_DEGREES, looking_at
 from ..filming.paths import KeyFrame

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Integer, UInt8, UInt16
 
+from ...arrays import Float32, Integer, UInt8, UInt16
 from ...errors import FormatError, InputError
 from ...formats.tensors import check_tensors
 from ...kernels.mixture import (

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32, Integer
 
+from ...arrays import Float32, Int32, Integer
 from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, Dictionary
 

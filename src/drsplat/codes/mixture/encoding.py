@@ -3,9 +3,9 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, Integer
 from scipy.sparse import csr_array
 
+from ...arrays import Float32, Int32, Int64, Integer
 from ...contents import release
 from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode

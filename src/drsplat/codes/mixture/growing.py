@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int32, Int64, Integer
 
+from ...arrays import Bool, Int32, Int64, Integer
 from ...kernels.mixture import ADDRESSABLE, Encoded
 from ..kmeans import Track, untracked
 from .dictionary import SCENE_ATOM

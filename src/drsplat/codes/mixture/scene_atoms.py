@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32
 
+from ...arrays import Float32, Int32
 from ...errors import InputError
 from ...kernels import weighted_rows
 from ...kernels.mixture import Dictionary, nearest_centres, nearest_members

@@ -6,9 +6,9 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Integer
 from scipy.sparse import csr_array
 
+from ...arrays import Bool, Float32, Int32, Integer
 from ...errors import InputError, MismatchError
 from ...scene.gaussians import Gaussians
 from ..evidence import Evidence

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, Integer
 
+from ...arrays import Bool, Float64, Int64, Integer
 from ..evidence import Evidence
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, Integer
 from scipy.sparse import csr_array
 
+from ...arrays import Bool, Float32, Float64, Int64, Integer
 from ...contents import release
 from ..evidence import Evidence, MaskIds
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from ...arrays import Float32, Float64
 from ..evidence import Evidence
 from .entries import RowBlock, reweighted
 

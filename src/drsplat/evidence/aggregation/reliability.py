@@ -1,8 +1,8 @@
 """How far a Gaussian's feature can be believed: agreement of its votes, and how many views they are of."""
 
 import numpy as np
-from jaxtyping import Float64
 
+from ...arrays import Float64
 from ...kernels import weighted_rows
 from ..evidence import Evidence
 from .by_view import effective_views

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Int32
 
+from ...arrays import Int32
 from ...errors import InputError
 from ...kernels import SplatArrays, Triples, view_weights
 from ...scene.views import View

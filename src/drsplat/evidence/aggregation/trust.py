@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Integer
 
+from ...arrays import Float32, Float64, Integer
 from ..evidence import Evidence
 from .entries import ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, Integer
 from scipy.spatial import cKDTree
 
+from ...arrays import Float32, Float64, Int32, Int64, Integer
 from ...scene.gaussians import Gaussians
 from ..evidence import Evidence
 from .reliability import reliability

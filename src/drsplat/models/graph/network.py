@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from importlib.resources import files
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
+from ...arrays import Float32, UInt8
 from ...kernels.photo_regions import Layers, Sight
 from ...kernels.photo_regions import look as look_through
 

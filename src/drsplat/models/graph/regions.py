@@ -1,9 +1,9 @@
 """An image to small regions of like colour."""
 
 import numpy as np
-from jaxtyping import Int32, UInt8
 from PIL import Image
 
+from ...arrays import Int32, UInt8
 from ...kernels import photo_regions
 
 WORKING_PIXELS = 640 * 480

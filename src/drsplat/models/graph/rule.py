@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
-from jaxtyping import Float64
 
+from ...arrays import Float64
 from ...kernels.photo_regions import PairRule
 
 DIGITS = 6  # that count: the last bits of a product depend on the processor

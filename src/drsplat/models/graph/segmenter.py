@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from jaxtyping import Int32, UInt8
 
+from ...arrays import Int32, UInt8
 from ...errors import InputError
 from ...kernels.photo_regions import RegionGraph, lab_colors, merged_regions, region_graph
 from ...masks.masks import Masks

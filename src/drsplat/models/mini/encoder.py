@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from importlib.resources import files
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 from PIL import Image
 
+from ...arrays import Float32, UInt8
 from ...encoders import EncoderIdentity
 from ...errors import InputError, did_you_mean
 from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of

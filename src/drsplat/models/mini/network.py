@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float32
 
+from ...arrays import Float32
 from ...kernels.algebra import dense_rows
 from ..convolving import convolve
 
