@@ -143,7 +143,7 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_views": None if evidence is None else len(evidence.masks.view_names),
         "times": None if field.times is None else [field.times.min(), field.times.max()],
         "num_masks": None if evidence is None else len(evidence.masks),
-        "num_weights": None if evidence is None else int(evidence.weights.nnz),
+        "num_weights": None if evidence is None else len(evidence.entries.data),
         "num_objects": None if field.objects is None else len(field.objects),
         "negatives": list(field.negatives.texts) if field.negatives else [],
         "file_bytes": {file.name: file.stat().st_size for file in files},

@@ -3,12 +3,12 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from ..arrays import Float32, Float64, Int32, Integer
+from ..arrays import Float32, Float64, Int32, Integer, Sparse
 from ..contents import release
 from ..errors import FormatError, InputError
 from ..formats.tensors import check_tensors
@@ -54,6 +54,14 @@ class MaskIds:
         return len(self.views)
 
 
+class Entries(NamedTuple):
+    """The arrays of a sparse matrix by rows: what `scipy.sparse.csr_array` calls so."""
+
+    indptr: Integer[np.ndarray, " n1"]
+    indices: Integer[np.ndarray, " e"]
+    data: Float32[np.ndarray, " e"]
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """W (rows x M) with its columns and their unit embeddings.
@@ -63,30 +71,42 @@ class Evidence:
     Raises: InputError: shapes disagree, indices out of range, embeddings that are not unit vectors.
     """
 
-    weights: csr_array
+    weights: Sparse
     masks: MaskIds
     embeddings: Float32[np.ndarray, "m d"]
 
     def __post_init__(self) -> None:
-        weights, embeddings = self.weights, self.embeddings
+        from scipy.sparse import csr_array
+
+        weights = self.weights
         if not isinstance(weights, csr_array) or weights.dtype != np.float32:
             raise InputError("weights: expected a float32 scipy.sparse.csr_array")
+        self._check(weights.shape[1])
+
+    def _check(self, columns: int) -> None:
+        embeddings, indices = self.embeddings, self.entries.indices
         if not embeddings.ndim == 2 or embeddings.dtype != np.float32:
             raise InputError(f"embeddings: expected float32 (M, D), got {embeddings.dtype} {embeddings.shape}")
-        if not weights.shape[1] == len(self.masks) == len(embeddings):
+        if not columns == len(self.masks) == len(embeddings):
             raise InputError(
-                f"expected one mask and one embedding per column: {weights.shape[1]} columns, "
+                f"expected one mask and one embedding per column: {columns} columns, "
                 f"{len(self.masks)} masks, {len(embeddings)} embeddings"
             )
-        if len(weights.indices) and not 0 <= weights.indices.min() <= weights.indices.max() < weights.shape[1]:
-            raise InputError(f"weights: a column index is out of range ({weights.shape[1]} columns)")
+        if len(indices) and not 0 <= indices.min() <= indices.max() < columns:
+            raise InputError(f"weights: a column index is out of range ({columns} columns)")
         norms = np.sqrt(np.einsum("md,md->m", embeddings, embeddings))
         if not (np.abs(norms - 1) < UNIT_TOLERANCE).all():
             raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
-        release(weights.indices, embeddings)
+        release(indices, embeddings)
 
     def __len__(self) -> int:
-        return int(self.weights.shape[0])
+        return len(self.entries.indptr) - 1
+
+    @property
+    def entries(self) -> Entries:
+        """The arrays of the weights, which need no SciPy where a file has them."""
+        weights = self.weights
+        return Entries(weights.indptr, weights.indices, weights.data)
 
     @property
     def dim(self) -> int:
@@ -95,11 +115,11 @@ class Evidence:
     @property
     def num_seen(self) -> int:
         """Rows that any mask sees."""
-        return int((np.diff(self.weights.indptr) > 0).sum())
+        return int((np.diff(self.entries.indptr) > 0).sum())
 
     def check_weights(self) -> None:
         """Raises: InputError: weights that are no numbers, infinite or negative."""
-        data = self.weights.data
+        data = self.entries.data
         if len(data) and not 0 <= data.min() <= data.max() < np.inf:  # NaN fails as well
             raise InputError("weights: expected finite numbers of 0 or more")
 
@@ -108,8 +128,7 @@ class Evidence:
 
         Source: Dr. Splat Sec. A "Training stage".
         """
-        w = self.weights
-        return weighted_rows(w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads)
+        return weighted_rows(*self.entries, self.embeddings, begin, end, threads=threads)
 
     def rows(self, index: Integer[np.ndarray, " r"]) -> "Evidence":
         """The evidence of some rows, in that order. Weights are shared where only empty rows go."""
@@ -123,8 +142,17 @@ class Evidence:
         return self._with_weights(kept.data, kept.indices, kept.indptr)
 
     def _with_weights(self, data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> "Evidence":
-        shape = (len(indptr) - 1, self.weights.shape[1])
-        return Evidence(csr_array((data, indices, indptr), shape=shape), self.masks, self.embeddings)
+        weights = _matrix(Entries(indptr, indices, data), self.weights.shape[1])
+        return Evidence(weights, self.masks, self.embeddings)
+
+    def column_sums(self, rows: Integer[np.ndarray, " r"]) -> Float32[np.ndarray, " m"]:
+        """How much each mask says of some rows together, added up row by row."""
+        indptr, indices, data = self.entries
+        lengths = indptr[rows + 1] - indptr[rows]
+        at = np.arange(lengths.sum()) + np.repeat(indptr[rows + 1] - np.cumsum(lengths), lengths)
+        sums = np.zeros(len(self.masks), np.float32)
+        np.add.at(sums, indices[at], data[at])
+        return sums
 
     def explain(self, row: int, query: Float32[np.ndarray, " d"], top: int = 5) -> list[Explanation]:
         """The photos and masks that speak most for `query` in a row: the largest W_ij <q, e_j>.
@@ -135,9 +163,10 @@ class Evidence:
         """
         if not 0 <= row < len(self) or query.shape != (self.dim,):
             raise InputError(f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)")
-        entries = slice(self.weights.indptr[row], self.weights.indptr[row + 1])
-        columns = self.weights.indices[entries]
-        support = self.weights.data[entries] * (self.embeddings[columns].astype(np.float64) @ query)
+        indptr, indices, data = self.entries
+        of_row = slice(indptr[row], indptr[row + 1])
+        columns = indices[of_row]
+        support = data[of_row] * (self.embeddings[columns].astype(np.float64) @ query)
         total = support[support > 0].sum()
         order = np.argsort(-support, kind="stable")[:top]
         return [self._explanation(int(columns[k]), float(support[k] / total)) for k in order if support[k] > 0]
@@ -164,6 +193,35 @@ class Evidence:
         return {"view_names": json.dumps(self.masks.view_names)}
 
 
+class StoredEvidence(Evidence):
+    """Evidence of a file. Its matrix is made when it is first asked for: a search does without SciPy, which is slow to
+    load.
+    """
+
+    @classmethod
+    def of(cls, entries: Entries, masks: MaskIds, embeddings: Float32[np.ndarray, "m d"]) -> "StoredEvidence":
+        """Raises: InputError: as of `Evidence`. The row starts have to fit the entries."""
+        made = cls.__new__(cls)
+        made.__dict__.update(stored=entries, masks=masks, embeddings=embeddings)
+        made._check(len(embeddings))
+        return made
+
+    @property
+    def entries(self) -> Entries:
+        return self.__dict__.get("stored") or super().entries
+
+    @cached_property
+    def weights(self) -> Sparse:  # type: ignore[override]
+        return _matrix(self.entries, len(self.embeddings))
+
+
+def _matrix(entries: Entries, columns: int) -> Sparse:
+    from scipy.sparse import csr_array
+
+    indptr, indices, data = entries
+    return csr_array((data, indices, indptr), shape=(len(indptr) - 1, columns))
+
+
 _ARRAYS = {
     "indptr": ("int32 int64", "r"), "indices": ("int32 int64", "e"), "data": ("float32", "e"),
     "embeddings": ("float32", "m d"), "segment_views": ("int32", "m"), "segment_ids": ("int32", "m"),
@@ -178,15 +236,14 @@ def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[s
     """
     check_tensors(tensors, _ARRAYS | (_TIMES if "view_times" in tensors else {}), where)
     indptr, indices, data, embeddings, views, ids = (np.asarray(tensors[name]) for name in _ARRAYS)
-    # SciPy checks neither; it would read where the row starts point.
+    # SciPy would read where the row starts point.
     whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)
     if not whole or (indptr[1:] < indptr[:-1]).any():
         raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
-    shape = (len(indptr) - 1, len(embeddings))
     try:
         masks = MaskIds(_view_names(metadata), views, ids, tensors.get("view_times"))
-        return Evidence(csr_array((data, indices, indptr), shape=shape), masks, embeddings)
-    except ValueError as error:  # ours, or SciPy's
+        return StoredEvidence.of(Entries(indptr, indices, data), masks, embeddings)
+    except ValueError as error:
         raise FormatError(f"{where}: {error}") from error
 
 

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from ..arrays import Int32, UInt32
+from ..arrays import Int32, Sparse, UInt32
 from ..codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
 from ..codes.mixture import MixtureCode, SceneAtoms, quantised
 from ..codes.mixture.dictionary import SCENE_ATOM
@@ -44,7 +43,7 @@ class Growth:
     provenance: Provenance
     code: PQ | Mixture | Smaller | None
     rest_ids: UInt32[np.ndarray, " q"]
-    rest: csr_array
+    rest: Sparse
     learnt_from: tuple[str, ...] = ()
     scene_atoms: SceneAtoms | None = None
     scene_places: Int32[np.ndarray, " p"] | None = None
@@ -144,7 +143,9 @@ def growth_from_tensors(
         raise FormatError(f"{where}: {error}") from error
 
 
-def _rest(tensors: Mapping[str, np.ndarray], masks: int) -> csr_array:
+def _rest(tensors: Mapping[str, np.ndarray], masks: int) -> Sparse:
+    from scipy.sparse import csr_array
+
     indptr, indices, data = (tensors[f"rest_{name}"] for name in ("indptr", "indices", "data"))
     # SciPy checks neither; it would read where the row starts point.
     whole = len(indptr) > 0 and indptr[0] == 0 and indptr[-1] == len(indices)

@@ -4,10 +4,9 @@ from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from .. import _native
-from ..arrays import Float32, Int32, Integer
+from ..arrays import Float32, Int32, Integer, Sparse
 from ..errors import InputError
 
 
@@ -54,7 +53,7 @@ class Forest(NamedTuple):
 
 
 def agglomerate(
-    weights: csr_array,
+    weights: Sparse,
     views: Int32[np.ndarray, " v"],
     embeddings: Float32[np.ndarray, "m d"],
     edges: Integer[np.ndarray, "e 2"],

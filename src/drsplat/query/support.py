@@ -26,7 +26,7 @@ def supporting_masks(
         raise InputError("this field holds no evidence: register again and keep it")
     evidence = field.evidence
     rows = np.flatnonzero(np.isin(field.gaussian_ids, gaussian_ids))
-    weights = np.asarray(evidence.weights[rows].sum(axis=0, dtype=np.float64)).ravel()
+    weights = evidence.column_sums(rows).astype(np.float64)
     used = np.flatnonzero(weights)
     support = weights[used] * (evidence.embeddings[used].astype(np.float64) @ (query / np.linalg.norm(query)))
     total = support[support > 0].sum()

@@ -3,9 +3,8 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from ...arrays import Float32, Int32, Int64, Integer
+from ...arrays import Float32, Int32, Int64, Integer, Sparse
 from ...contents import release
 from ...errors import InputError
 from ...kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode
@@ -25,7 +24,7 @@ class MixtureSource(Protocol):
     """What features are mixtures of: `Evidence` is one."""
 
     @property
-    def weights(self) -> csr_array: ...
+    def weights(self) -> Sparse: ...
     @property
     def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
     def __len__(self) -> int: ...
