@@ -210,6 +210,12 @@ def dense(rogue: Rogue) -> Call:
     return partial(_native.dense_rows, rogue.floats(n, k), rogue.floats(k, m), *rogue.how())
 
 
+def keeping(rogue: Rogue) -> Call:
+    n, kept, more = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((1, 9, 256, 257, 0))), int(rogue.one((0, 1, 8))))
+    given = rogue.floats(n, kept), rogue.whole(0, 9, (n, kept), "u2"), rogue.floats(more, n)
+    return partial(_native.keep_best, *given, rogue.one((0, 8, 65535, 65536, 2**63, -1)), *rogue.how())
+
+
 def columns(rogue: Rogue) -> Call:
     n, m = (int(rogue.one((0, 1, 17, 300))) for _ in range(2))
     matrices = []
@@ -345,6 +351,7 @@ FAMILIES = (
     neighbours,
     rows,
     dense,
+    keeping,
     boxes,
     columns,
     merges,

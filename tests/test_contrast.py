@@ -187,16 +187,6 @@ def test_a_peak_above_many_words_has_to_be_higher_than_one_above_few() -> None:
     assert not (values > middle_threshold(values, clear_margin=many)).any()
 
 
-def test_blocks_of_rows_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(3)
-    rows, words = unit_rows(rng, 50, 8), unit_rows(rng, 30, 8)
-    whole = contrast_of(rows, words)
-    monkeypatch.setattr("drsplat.query.contrast.BLOCK", 7)
-    blocks = contrast_of(rows, words)
-    assert_array_equal(whole.scores, blocks.scores)
-    assert_array_equal(whole.words, blocks.words)
-
-
 def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:
     """One row in 3,000, of 10 to PEAK; above a short list PEAK in any scene."""
     texts = np.eye(CROWD, dtype=np.float32)

@@ -58,6 +58,13 @@ def photographed() -> list[np.ndarray]:
     return [lab, labels, *sight, *graph, _native.merged_regions(graph, 2000.0, rule, 0.5, 60.0, 2.5, "")]
 
 
+def kept(found: np.ndarray, threads: int, isa: str) -> tuple[np.ndarray, np.ndarray]:
+    """The best three of eight scores of each row, and which."""
+    best = np.full((found.shape[1], 3), -np.inf, np.float32), np.zeros((found.shape[1], 3), np.uint16)
+    _native.keep_best(*best, found, 0, threads, isa)
+    return best
+
+
 def calls() -> list[Callable[[], object]]:
     given, rng, how = (*splats(), True), np.random.default_rng(0), (INSIDE, "")
     segments = rng.integers(-1, 9, (HEIGHT, WIDTH)).astype(np.int32)
@@ -68,6 +75,7 @@ def calls() -> list[Callable[[], object]]:
     atoms = rng.integers(-127, 128, (300, 32)).astype("i1"), np.full(300, 0.002, "f")
     weights = rng.integers(0, 256, (15, 4, 64)).astype("u1")
     code = ids, weights, np.full(900, 0.004, np.float16).view("u2"), *atoms
+    found = floats(8, 9000)
     starts, columns = np.arange(0, 4001, 5), rng.integers(0, 300, 4000).astype("i4")
     further = rng.integers(0, 300, (800, 4)).astype("i4")
     return [
@@ -88,6 +96,7 @@ def calls() -> list[Callable[[], object]]:
         lambda: [_native.nearest_centres(floats(800, 32), floats(50, 32), *how)],
         lambda: [_native.weighted_rows(starts, columns, floats(4000), floats(300, 32), *how)],
         lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
+        lambda: kept(found, *how),
         lambda: [_native.pq_encode(floats(800, 32), floats(8, 256, 4), *how)],
         photographed,
         trained,

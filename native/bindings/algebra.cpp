@@ -51,6 +51,22 @@ nb::object pq_encode_of(Rows features, Array<float, 3> centroids, int threads, c
   return codes.numpy({rows, subvectors});
 }
 
+using Kept = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;  // written in place
+using Names = nb::ndarray<uint16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+void keep_best_of(Kept scores, Names names, Rows found, size_t first, int threads, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t rows = scores.shape(0), kept = scores.shape(1), count = found.shape(0);
+  require(names.shape(0) == rows && names.shape(1) == kept && found.shape(1) == rows && kept > 0 && kept <= kMostKept,
+          "scores and names (rows, 1 to 256), found (count, rows)");
+  require(count <= 65536 && first <= 65536 - count, "names below 65,536");
+  without_gil([&] {
+    keep_best(kernels,
+              {scores.data(), names.data(), found.data(), rows, (uint32_t)kept, (uint32_t)count, (uint32_t)first},
+              thread_count(threads));
+  });
+}
+
 nb::tuple changed_columns_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns, Vector weights,
                              Array<int32_t, 1> numbers, Array<int64_t, 1> more_starts, Array<int32_t, 1> more_columns,
                              Vector more_weights, int threads) {
@@ -82,5 +98,6 @@ void bind_algebra(nb::module_ &m) {
   m.def("dense_rows", &dense_rows_of, "a"_a, "b"_a, "threads"_a, "isa"_a);
   m.def("changed_columns", &changed_columns_of, "starts"_a, "columns"_a, "weights"_a, "numbers"_a, "more_starts"_a,
         "more_columns"_a, "more_weights"_a, "threads"_a);
+  m.def("keep_best", &keep_best_of, "scores"_a, "names"_a, "found"_a, "first"_a, "threads"_a, "isa"_a);
   m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);
 }

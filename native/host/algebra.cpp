@@ -29,6 +29,11 @@ void pq_encode(const Kernels &kernels, const Quantizer &quantizer, const float *
   });
 }
 
+void keep_best(const Kernels &kernels, const Contest &contest, int threads) {
+  over_rows(contest.rows, 4096, threads,
+            [&](int, uint64_t begin, uint64_t end) { kernels.keep_best(contest, begin, end); });
+}
+
 bool changed_starts(const ColumnChange &change, int threads, int64_t *starts) {
   std::atomic<bool> ok{true};
   const SparseRows &w = change.weights, &more = change.added;

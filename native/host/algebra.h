@@ -13,6 +13,9 @@ void dense_rows(const Kernels &, const DenseProduct &, uint64_t rows, int thread
 // Per row and sub-vector the nearest of 256 centroids, ties to the lowest.
 void pq_encode(const Kernels &, const Quantizer &, const float *features, uint64_t rows, int threads, uint8_t *codes);
 
+// Puts more scores among the best that are kept of each row.
+void keep_best(const Kernels &, const Contest &, int threads);
+
 // W with its columns numbered anew (below 0: left out) and the entries of `added` put in, row by row; columns ascend in
 // both, and so do numbers.
 struct ColumnChange {

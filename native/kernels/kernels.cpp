@@ -3,6 +3,7 @@
 
 #include "kernels/activation.h"
 #include "kernels/adam.h"
+#include "kernels/best_kept.h"
 #include "kernels/colors.h"
 #include "kernels/compositing.h"
 #include "kernels/dense_rows.h"
@@ -42,6 +43,7 @@ const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
                        weighted_rows,
                        dense_rows,
                        pq_encode,
+                       keep_best,
                        activate,
                        splat_colors,
                        tile_forward,

@@ -123,6 +123,15 @@ struct AdamStep {
 };
 constexpr int kAdamHead = 3;
 
+struct Contest {       // of `count` more scores of each row with the `kept` best, highest first
+  float *scores;       // rows x kept
+  uint16_t *names;     // as scores
+  const float *found;  // count x rows
+  uint64_t rows;
+  uint32_t kept, count, first;  // first: name of the first score found, the others count up
+};
+constexpr uint32_t kMostKept = 256;
+
 struct ScanKernels;     // scan_kernels.h
 struct MixtureKernels;  // mixture_kernels.h
 struct PhotoKernels;    // photo_kernels.h
@@ -142,6 +151,7 @@ struct Kernels {
   void (*dense_rows)(const DenseProduct &, uint64_t begin, uint64_t end, float *out);
   void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch,
                     uint8_t *codes);
+  void (*keep_best)(const Contest &, uint64_t begin, uint64_t end);
 
   // training
   void (*activate)(const Parameters &, uint32_t begin, uint32_t end, float *means, float *covariances,

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..arrays import Bool, Float32, Float64, UInt16
 from ..field import LanguageField
+from ..kernels.ranking import keep_best
 from .thresholds import PEAK, clear_threshold, peak_score
 
 TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
@@ -31,7 +32,6 @@ PEAK_SHARE, LEAST_PEAK = 1 / 3000, 10  # of the rows: a peak above a long list, 
 TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
 Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
-BLOCK = 4096  # rows whose best words are sorted at once, in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ _LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
     usual, spread = _usual(usual_pictures(field), vectors)
-    scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads))
+    scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads), threads)
     return Contrast(vectors, usual, spread, scores, words)
 
 
@@ -196,7 +196,7 @@ def _usual(
 
 
 def _best_words(
-    vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"], rows: int, score: Score
+    vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"], rows: int, score: Score, threads: int = 1
 ) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
     """score: the cosines (c, r) of some words with all rows."""
     kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
@@ -204,24 +204,8 @@ def _best_words(
     words = np.zeros((rows, kept), np.uint16)
     for begin in range(0, len(vectors), CHUNK):
         some = vectors[begin : begin + CHUNK]
-        found = score(some) - (some @ usual)[:, None]
-        for row in range(0, rows, BLOCK):
-            block = slice(row, row + BLOCK)
-            _keep_best(scores[block], words[block], found[:, block], begin)
+        keep_best(scores, words, score(some) - (some @ usual)[:, None], begin, threads=threads)
     return scores, words
-
-
-def _keep_best(
-    scores: Float32[np.ndarray, "r t"], words: UInt16[np.ndarray, "r t"], found: Float32[np.ndarray, "c r"], begin: int
-) -> None:
-    """Let some words' scores take the place of lower ones."""
-    rows = np.flatnonzero(found.max(0) > scores[:, -1])
-    both = np.concatenate([scores[rows], found[:, rows].T], axis=1)
-    new = np.broadcast_to(np.arange(begin, begin + len(found), dtype=np.uint16), (len(rows), len(found)))
-    names = np.concatenate([words[rows], new], axis=1)
-    order = np.argsort(-both, axis=1, kind="stable")[:, : scores.shape[1]]
-    scores[rows] = np.take_along_axis(both, order, axis=1)
-    words[rows] = np.take_along_axis(names, order, axis=1)
 
 
 def _sigmoid(margin: float) -> float:

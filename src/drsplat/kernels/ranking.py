@@ -1,0 +1,30 @@
+"""The best of many scores of each row, kept while more of them come (native)."""
+
+import numpy as np
+
+from .. import _native
+from ..arrays import Float32, UInt16
+from ..errors import InputError
+from .splatting import _checked_isa
+
+
+def keep_best(
+    scores: Float32[np.ndarray, "r t"],
+    names: UInt16[np.ndarray, "r t"],
+    found: Float32[np.ndarray, "c r"],
+    first: int,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> None:
+    """Let higher scores take the place of lower ones, in place; of equal ones the earlier stays in front.
+
+    scores: of each row the best, highest first, and `names` which they are. found: more, named first, first + 1, ...
+
+    Raises: InputError: more than 256 scores a row, names above 65,535, arrays that are read-only or do not fit.
+    Twin: reference.ranking.keep_best.
+    """
+    try:
+        _native.keep_best(scores, names, np.ascontiguousarray(found), first, threads, _checked_isa(isa))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"scores {scores.shape}, names {names.shape}, found {found.shape}: {error}") from None
