@@ -1,7 +1,7 @@
 """Kinds and shapes of arrays, for annotations: jaxtyping's for whoever checks types, and notes that cost nothing else.
 
-Loading jaxtyping takes as long as loading NumPy, loading SciPy's sparse arrays twice that. Whoever checks with
-jaxtyping, as the tests do, has loaded it before.
+Loading jaxtyping takes as long as loading NumPy, loading SciPy's sparse arrays twice that. So `Sparse` and `PilImage`
+are of their libraries only where jaxtyping is loaded already, as by the tests.
 """
 
 import sys
@@ -27,15 +27,17 @@ if TYPE_CHECKING or "jaxtyping" in sys.modules:
         UInt32,
         UInt64,
     )
+    from PIL.Image import Image as PilImage
     from scipy.sparse import csr_array as Sparse
 else:
-    from typing import Annotated
-    from typing import Any as Sparse
+    from typing import Annotated, Any
+
+    PilImage = Sparse = Any
 
     Bool = Float = Float16 = Float32 = Float64 = Int = Int8 = Int32 = Int64 = Integer = Num = Real = Shaped = Annotated
     UInt8 = UInt16 = UInt32 = UInt64 = Annotated
 
 __all__ = [
-    "Bool", "Float", "Float16", "Float32", "Float64", "Int", "Int8", "Int32", "Int64", "Integer", "Num", "Real",
-    "Shaped", "Sparse", "UInt8", "UInt16", "UInt32", "UInt64",
+    "Bool", "Float", "Float16", "Float32", "Float64", "Int", "Int8", "Int32", "Int64", "Integer", "Num", "PilImage",
+    "Real", "Shaped", "Sparse", "UInt8", "UInt16", "UInt32", "UInt64",
 ]  # fmt: skip

@@ -63,7 +63,7 @@ def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:
     return keys
 
 
-def _starts(keys: UInt64[np.ndarray, " n"], rng: np.random.Generator) -> Int[np.ndarray, " c"]:
+def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[np.ndarray, " c"]:
     """256 points of distinct values; all of them, the first one repeated, where there are fewer."""
     distinct = np.sort(np.unique(keys, return_index=True)[1])
     if len(distinct) <= CENTROIDS:

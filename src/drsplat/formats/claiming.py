@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import socket
 import stat
 import time
 from collections.abc import Iterator
@@ -127,8 +126,10 @@ def _is_named(file: BinaryIO, lock: Path) -> bool:
 
 
 def _sign(file: BinaryIO) -> None:
+    from socket import gethostname
+
     file.truncate(0)
-    file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode())
+    file.write(json.dumps({"pid": os.getpid(), "host": gethostname()}).encode())
     file.flush()
 
 

@@ -1,6 +1,5 @@
 """Small tables that people write: a line of column names, then a line for each row."""
 
-import csv
 from pathlib import Path
 
 from ..contents import file_text
@@ -16,6 +15,8 @@ def read_rows(path: Path, columns: tuple[str, ...], each: str) -> list[list[str]
 
     Raises: InputError: there is no such file. FormatError: no table of these columns, or more than `MOST_ROWS`.
     """
+    import csv
+
     try:
         rows = list(csv.reader(file_text(path).splitlines(), strict=True))
     except FileNotFoundError:

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from ..errors import FormatError, InputError, MismatchError
-from ..scene.photos import photo_size
 from ..scene.views import View, same_aspect
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".bmp")
@@ -71,6 +70,8 @@ def on_photo(view: View, path: Path) -> View:
 
     Raises: FormatError: not a photo. MismatchError: the photo has another shape than the camera.
     """
+    from ..scene.photos import photo_size
+
     width, height = photo_size(path)
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(

@@ -8,7 +8,6 @@ import errno
 import io
 import os
 import re
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -144,7 +143,7 @@ def _told(path: Path, reason: str) -> str:
 
 def temporary_beside(path: Path, name: str = "") -> Path:
     """A hidden name that is free, and swept if what gets it is left there."""
-    return path.with_name(f".{name}{secrets.token_hex(8)}.tmp")
+    return path.with_name(f".{name}{os.urandom(8).hex()}.tmp")
 
 
 def lock(descriptor: int) -> None:

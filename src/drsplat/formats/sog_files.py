@@ -9,12 +9,10 @@ Source: PKWARE APPNOTE.TXT 6.3 (ZIP); RFC 9649 (WebP).
 
 import io
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ..arrays import UInt8
 from ..errors import FormatError
@@ -56,6 +54,8 @@ def zip_member(buffer: memoryview) -> Member:
     that is missing, encrypted or larger than the archive.
     """
     _refuse_large_directory(buffer)
+    import zipfile
+
     try:
         archive = zipfile.ZipFile(io.BytesIO(buffer))
         found = archive.infolist()
@@ -138,6 +138,8 @@ def webp_pixels(data: bytes, name: str) -> UInt8[np.ndarray, "h w 4"]:
 
     Raises: FormatError: it cannot be decoded, or is not of the size that it declares.
     """
+    from PIL import Image
+
     size = webp_size(data, name)
     try:
         with Image.open(io.BytesIO(data), formats=("WEBP",)) as picture:

@@ -10,8 +10,6 @@ Source: RFC 1952 (gzip), RFC 8878 (zstd).
 import zlib
 from collections.abc import Callable
 
-import zstandard
-
 from ..errors import FormatError
 
 FREE_BYTES = 1 << 20
@@ -65,6 +63,8 @@ def unzstd(compressed: memoryview, size: int) -> bytes:
     if size == 0:
         return b""
     refuse_implausible(size, len(compressed))
+    import zstandard
+
     try:
         declared = zstandard.frame_content_size(compressed)
         if declared not in (-1, size):  # -1: not stored in the frame

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..arrays import Float64
 from ..errors import DrSplatWarning, FormatError, InputError
-from ..scene.photos import photo_size
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
 from .json_files import as_count, as_matrix, as_number, read_json, shown
@@ -140,6 +139,8 @@ def _focal(entry: Entry, key: str, angle_key: str, side: int, where: str) -> flo
 def _size(entry: Entry, photo: Path, where: str) -> tuple[int, int]:
     if "w" in entry and "h" in entry:
         return as_count(entry["w"], f"{where}: w"), as_count(entry["h"], f"{where}: h")
+    from ..scene.photos import photo_size
+
     return photo_size(photo)
 
 

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import overload
 
 import numpy as np
-from PIL import Image
 
 from ..arrays import Bool, Int64, Integer, UInt8
 from ..errors import InputError
@@ -58,6 +57,8 @@ def _shrunk(
     pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"], scale: float
 ) -> UInt8[np.ndarray, "_ _ 3"]:
     height, width = (max(1, round(length * scale)) for length in part.shape)
+    from PIL import Image
+
     shown = Image.fromarray(np.where(part[..., None], pixels, np.uint8(0)))
     return np.asarray(shown.resize((width, height), Image.Resampling.BOX))
 

@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
 
-from ..arrays import Float32, Float64, Int32, Int64, Integer
-from ..drawing.pictures import picture_html
+from ..arrays import Float32, Float64, Int32, Int64, Integer, PilImage
 from ..errors import InputError
 from ..evidence.evidence import Explanation
 from ..field import LanguageField
@@ -65,17 +63,21 @@ class Answer:
         }
         return facts_html("Answer", facts) + self._picture_html()
 
-    def show(self, view: View | str | None = None, max_side: int = 640) -> Image.Image:
+    def show(self, view: View | str | None = None, max_side: int = 640) -> PilImage:
         """A picture of what is selected, the rest in grey; a notebook shows it, `.show()` opens it elsewhere.
 
         view: as of `Scene.picture`. Raises: InputError: the answer is of no scene with Gaussians and views.
         """
         if self.drawn is None:
             raise InputError("this answer is of a field alone: ask a scene that has Gaussians and views")
+        from PIL import Image
+
         return Image.fromarray(self.drawn(view, self, max_side=max_side))
 
     def _picture_html(self) -> str:
         """Nothing where there is nothing to look at, or from."""
+        from ..drawing.pictures import picture_html
+
         try:
             return picture_html(self.show(max_side=320)) if len(self.gaussian_ids) else ""
         except InputError:

@@ -1,6 +1,6 @@
 """Plain names of what photos show: a query has to fit better than nearly all of them."""
 
-from importlib.resources import files
+from pathlib import Path
 
 _THINGS = """
 apple, banana, orange, pear, lemon, grapes, strawberry, watermelon, tomato, carrot, potato, onion, pepper, cucumber,
@@ -45,5 +45,5 @@ def broad_list() -> tuple[str, ...]:
 
     Source: the names of LVIS 1.0 (Gupta, Dollar, Girshick, CVPR 2019), CC BY 4.0; `lvis_names.txt` says so too.
     """
-    lines = (files(__package__) / "lvis_names.txt").read_text(encoding="utf-8").splitlines()
+    lines = Path(__file__).with_name("lvis_names.txt").read_text(encoding="utf-8").splitlines()
     return tuple(dict.fromkeys((*NOUNS, *(line for line in lines if not line.startswith("#")))))

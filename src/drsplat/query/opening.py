@@ -9,7 +9,6 @@ from pathlib import Path
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..field.labels import LabelFile
-from ..formats.captures import read_views
 from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
@@ -138,6 +137,8 @@ def open_scene(
     def photos() -> Sequence[View]:
         if files.capture is None:
             return ()
+        from ..formats.captures import read_views
+
         with warnings.catch_warnings():  # of photos that are missing; the views stay
             warnings.simplefilter("ignore", DrSplatWarning)
             return read_views(

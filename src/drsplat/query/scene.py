@@ -6,19 +6,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
-from ..arrays import Bool, Float32, Float64, Int32, Integer
-from ..drawing.pictures import (
-    OtherPixels,
-    as_pixels,
-    best_views,
-    highlighted,
-    photo_or_rendering,
-    picture_html,
-    visible_share,
-)
-from ..drawing.rendering import render
+from ..arrays import Bool, Float32, Float64, Int32, Integer, UInt8
 from ..encoders import Encoder
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
@@ -213,8 +202,14 @@ class Scene:
             "objects": "none" if self.field.objects is None else f"{len(self.field.objects):,}",
         }
         seen = self.has_gaussians and bool(self.views)
-        picture = picture_html(Image.fromarray(self.picture(max_side=320))) if seen else ""
-        return facts_html(f"Scene '{self.name}'", facts) + picture
+        return facts_html(f"Scene '{self.name}'", facts) + (self._picture_html() if seen else "")
+
+    def _picture_html(self) -> str:
+        from PIL import Image
+
+        from ..drawing.pictures import picture_html
+
+        return picture_html(Image.fromarray(self.picture(max_side=320)))
 
     def ask(self, query: Query | str) -> Answer:
         """Values of the field for a query, and the threshold. A text stands for `Query(text)`.
@@ -374,7 +369,7 @@ class Scene:
         *,
         photo: bool = False,
         max_side: int | None = None,
-    ) -> OtherPixels:
+    ) -> UInt8[np.ndarray, "_ _ 3"]:
         """RGB of the scene from a view: as it is, or with what was found in colour and the rest grey.
 
         view: a View, a name, or None for the one that shows most of what is shown. photo: the photo of
@@ -382,6 +377,9 @@ class Scene:
 
         Raises: InputError: no such view, or none to choose from.
         """
+        from ..drawing.pictures import as_pixels, highlighted, photo_or_rendering, visible_share
+        from ..drawing.rendering import render
+
         ids = shown.gaussian_ids if isinstance(shown, Answer) else shown
         chosen = self.best_view(ids) if view is None else view
         chosen = self.view(chosen) if isinstance(chosen, str) else chosen
@@ -409,6 +407,8 @@ class Scene:
             )
         if gaussian_ids is None:
             return self.views[0]
+        from ..drawing.pictures import best_views
+
         return best_views(self.motion or self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
 
     def _label_of(self, number: int | None) -> str | None:

@@ -26,8 +26,14 @@ def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
 
 
 def middle_of(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """The median along each axis, in float64: the sum of two float32 may be beyond float32."""
-    return np.asarray(np.median(positions.astype(np.float64), axis=0))
+    """The median along each axis, in float64: the sum of two float32 may be beyond float32.
+
+    As `np.median` of finite numbers, which loads NumPy's masked arrays to look for others.
+    """
+    if not len(positions):
+        return np.full(3, np.nan)
+    both = sorted({(len(positions) - 1) // 2, len(positions) // 2})
+    return np.partition(positions.astype(np.float64), both, axis=0)[both].mean(axis=0)
 
 
 def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None) -> float:

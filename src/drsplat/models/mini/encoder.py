@@ -2,14 +2,14 @@
 
 import hashlib
 from collections.abc import Sequence
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
-from ...arrays import Float32, UInt8
+from ...arrays import Float32, PilImage, UInt8
 from ...encoders import EncoderIdentity
 from ...errors import InputError, did_you_mean
+from ...formats.tensors import map_tensors
 from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of
 from .network import SIDE, embed_images
 
@@ -36,16 +36,13 @@ class MiniEncoder:
     least_fit = 0.29
 
     def __init__(self, *, threads: int = 0) -> None:
-        from safetensors.numpy import load
-
-        folder = files(__package__)
-        data = (folder / "mini.safetensors").read_bytes()
+        file = Path(__file__).with_name("mini.safetensors")
         self.threads = threads
-        self._weights = {name: array.astype(np.float32) for name, array in load(data).items()}
+        self._weights = {name: array.astype(np.float32) for name, array in map_tensors(file)[0].items()}
         # A file of its own, which is no part of the identity: it changes what is asked and not what masks are embedded
         # as, so that fields made before it stay valid.
-        self._photo_colors: np.ndarray = load((folder / "photo_colors.safetensors").read_bytes())["photo_colors"]
-        weights = hashlib.blake2b(data, digest_size=8).hexdigest()
+        self._photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
+        weights = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
 
     def on_one_thread(self) -> "MiniEncoder":
@@ -106,7 +103,9 @@ def _pixels(images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray,
     return np.stack(scaled).astype(np.float32) / 127.5 - 1
 
 
-def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> Image.Image:
+def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> PilImage:
+    from PIL import Image
+
     h, w = image.shape[:2]
     side = max(h, w)
     picture = Image.fromarray(image)
