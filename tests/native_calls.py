@@ -212,7 +212,7 @@ def dense(rogue: Rogue) -> Call:
 
 def keeping(rogue: Rogue) -> Call:
     n, kept, more = (int(rogue.one((0, 1, 17, 300))), int(rogue.one((1, 9, 256, 257, 0))), int(rogue.one((0, 1, 8))))
-    given = rogue.floats(n, kept), rogue.whole(0, 9, (n, kept), "u2"), rogue.floats(more, n)
+    given = rogue.floats(kept, n), rogue.whole(0, 9, (kept, n), "u2"), rogue.floats(more, n)
     return partial(_native.keep_best, *given, rogue.one((0, 8, 65535, 65536, 2**63, -1)), *rogue.how())
 
 

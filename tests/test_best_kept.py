@@ -17,7 +17,7 @@ few = settings(derandomize=True, deadline=None, max_examples=60)
 
 
 def nothing(rows: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.full((rows, kept), -np.inf, np.float32), np.zeros((rows, kept), np.uint16)
+    return np.full((kept, rows), -np.inf, np.float32), np.zeros((kept, rows), np.uint16)
 
 
 @every_isa

@@ -60,7 +60,7 @@ def photographed() -> list[np.ndarray]:
 
 def kept(found: np.ndarray, threads: int, isa: str) -> tuple[np.ndarray, np.ndarray]:
     """The best three of eight scores of each row, and which."""
-    best = np.full((found.shape[1], 3), -np.inf, np.float32), np.zeros((found.shape[1], 3), np.uint16)
+    best = np.full((3, found.shape[1]), -np.inf, np.float32), np.zeros((3, found.shape[1]), np.uint16)
     _native.keep_best(*best, found, 0, threads, isa)
     return best
 

@@ -56,9 +56,9 @@ using Names = nb::ndarray<uint16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 void keep_best_of(Kept scores, Names names, Rows found, size_t first, int threads, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
-  const size_t rows = scores.shape(0), kept = scores.shape(1), count = found.shape(0);
-  require(names.shape(0) == rows && names.shape(1) == kept && found.shape(1) == rows && kept > 0 && kept <= kMostKept,
-          "scores and names (rows, 1 to 256), found (count, rows)");
+  const size_t kept = scores.shape(0), rows = scores.shape(1), count = found.shape(0);
+  require(names.shape(0) == kept && names.shape(1) == rows && found.shape(1) == rows && kept > 0 && kept <= kMostKept,
+          "scores and names (1 to 256, rows), found (count, rows)");
   require(count <= 65536 && first <= 65536 - count, "names below 65,536");
   without_gil([&] {
     keep_best(kernels,

@@ -23,26 +23,32 @@ static inline void insert_16(BestOf16 &best, uint32_t count, Floats score, Ints 
   }
 }
 
+INLINE void keep_16(const Contest &c, uint64_t row, uint64_t rows, BestOf16 &best) {
+  for (uint32_t k = 0; k < c.kept; k++) {
+    const uint64_t at = k * c.rows + row;
+    memcpy(best.scores[k], c.scores + at, rows * sizeof(float));
+    for (uint64_t l = 0; l < rows; l++) best.names[k][l] = c.names[at + l];
+  }
+  for (uint32_t i = 0; i < c.count; i++) {
+    alignas(64) float found[16] = {};
+    memcpy(found, c.found + i * c.rows + row, rows * sizeof(float));
+    insert_16(best, c.kept, load(found), splat_int((int32_t)(c.first + i)));
+  }
+  for (uint32_t k = 0; k < c.kept; k++) {
+    const uint64_t at = k * c.rows + row;
+    memcpy(c.scores + at, best.scores[k], rows * sizeof(float));
+    for (uint64_t l = 0; l < rows; l++) c.names[at + l] = (uint16_t)best.names[k][l];
+  }
+}
+
 // Rows [begin, end).
 static void keep_best(const Contest &c, uint64_t begin, uint64_t end) {
   BestOf16 best;
-  memset(&best, 0, sizeof best);
-  for (uint64_t row = begin; row < end; row += 16) {
-    const uint64_t rows = end - row < 16 ? end - row : 16;
-    float *scores = c.scores + row * c.kept;
-    uint16_t *names = c.names + row * c.kept;
-    for (uint64_t l = 0; l < rows; l++)
-      for (uint32_t k = 0; k < c.kept; k++)
-        best.scores[k][l] = scores[l * c.kept + k], best.names[k][l] = names[l * c.kept + k];
-    for (uint32_t i = 0; i < c.count; i++) {
-      alignas(64) float found[16] = {};
-      memcpy(found, c.found + i * c.rows + row, rows * sizeof(float));
-      insert_16(best, c.kept, load(found), splat_int((int32_t)(c.first + i)));
-    }
-    for (uint64_t l = 0; l < rows; l++)
-      for (uint32_t k = 0; k < c.kept; k++)
-        scores[l * c.kept + k] = best.scores[k][l], names[l * c.kept + k] = (uint16_t)best.names[k][l];
-  }
+  memset(best.scores, 0, c.kept * sizeof best.scores[0]);
+  memset(best.names, 0, c.kept * sizeof best.names[0]);
+  uint64_t row = begin;
+  for (; row + 16 <= end; row += 16) keep_16(c, row, 16, best);
+  if (row < end) keep_16(c, row, end - row, best);
 }
 
 }  // namespace drsplat::DRSPLAT_ISA

@@ -124,7 +124,7 @@ struct AdamStep {
 constexpr int kAdamHead = 3;
 
 struct Contest {       // of `count` more scores of each row with the `kept` best, highest first
-  float *scores;       // rows x kept
+  float *scores;       // kept x rows
   uint16_t *names;     // as scores
   const float *found;  // count x rows
   uint64_t rows;

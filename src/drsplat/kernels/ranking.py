@@ -9,8 +9,8 @@ from .splatting import _checked_isa
 
 
 def keep_best(
-    scores: Float32[np.ndarray, "r t"],
-    names: UInt16[np.ndarray, "r t"],
+    scores: Float32[np.ndarray, "t r"],
+    names: UInt16[np.ndarray, "t r"],
     found: Float32[np.ndarray, "c r"],
     first: int,
     *,

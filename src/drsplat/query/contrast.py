@@ -105,9 +105,9 @@ class Contrast:
 
     def _level(self, near: Bool[np.ndarray, " n"], rank: int) -> Float32[np.ndarray, " r"]:
         """Per row the score of the `rank`-th best word that is not near, or of the last one kept."""
-        others = np.cumsum(~near[self.words], axis=1) >= rank
-        others[:, -1] = True
-        return np.take_along_axis(self.scores, others.argmax(1)[:, None], axis=1)[:, 0]
+        better = np.cumsum(np.take(~near, self.words.T), axis=0, dtype=np.uint16) < rank
+        places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
+        return np.asarray(self.scores[np.arange(len(places)), places])
 
 
 def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
@@ -200,12 +200,12 @@ def _best_words(
 ) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
     """score: the cosines (c, r) of some words with all rows."""
     kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
-    scores = np.full((rows, kept), -np.inf, np.float32)
-    words = np.zeros((rows, kept), np.uint16)
+    scores = np.full((kept, rows), -np.inf, np.float32)
+    words = np.zeros((kept, rows), np.uint16)
     for begin in range(0, len(vectors), CHUNK):
         some = vectors[begin : begin + CHUNK]
         keep_best(scores, words, score(some) - (some @ usual)[:, None], begin, threads=threads)
-    return scores, words
+    return scores.T, words.T
 
 
 def _sigmoid(margin: float) -> float:

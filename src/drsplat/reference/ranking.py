@@ -6,10 +6,10 @@ from ..arrays import Float, Integer
 
 
 def keep_best(
-    scores: Float[np.ndarray, "r t"], names: Integer[np.ndarray, "r t"], found: Float[np.ndarray, "c r"], first: int
-) -> tuple[Float[np.ndarray, "r t"], Integer[np.ndarray, "r t"]]:
+    scores: Float[np.ndarray, "t r"], names: Integer[np.ndarray, "t r"], found: Float[np.ndarray, "c r"], first: int
+) -> tuple[Float[np.ndarray, "t r"], Integer[np.ndarray, "t r"]]:
     """Return the best of both, highest first, and their names; of equal ones the earlier."""
-    new = np.broadcast_to(np.arange(first, first + len(found)), found.T.shape)
-    both, every = np.concatenate([scores, found.T], axis=1), np.concatenate([names, new], axis=1)
-    order = np.argsort(-both, axis=1, kind="stable")[:, : scores.shape[1]]
-    return np.take_along_axis(both, order, axis=1), np.take_along_axis(every, order, axis=1)
+    new = np.broadcast_to(np.arange(first, first + len(found))[:, None], found.shape)
+    both, every = np.concatenate([scores, found]), np.concatenate([names, new])
+    order = np.argsort(-both, axis=0, kind="stable")[: len(scores)]
+    return np.take_along_axis(both, order, axis=0), np.take_along_axis(every, order, axis=0)
