@@ -20,6 +20,7 @@ from .ply import Records, gather, read_elements
 from .ply_header import Header
 
 CHUNK_ROWS = 256
+CHUNKS = 64  # taken at once
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 POSITION_BOUNDS = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 SCALE_BOUNDS = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
@@ -53,7 +54,7 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     sh = np.empty((len(vertex), 1 + len(rest) // 3, 3), np.float32)
     sh[:, 0] = (colour[:, :3] - 0.5) / SH_C0
     if rest:
-        sh[:, 1:] = _decode_rest(tables["sh"], rest)
+        _decode_rest(tables["sh"], rest, sh[:, 1:])
     extra = extra_columns(vertex, set(PACKED))
     antialiased = drawn_antialiased(header)
     return checked(means, _rotations(vertex), exp(log_scales), colour[:, 3].copy(), sh, extra, antialiased)
@@ -99,9 +100,10 @@ def _unpack(
 
 def _within_chunks(fractions: Float32[np.ndarray, "n 3"], bounds: Float32[np.ndarray, "c 6"]) -> None:
     """Replace each fraction by the point it marks between the bounds of its row's chunk."""
-    for start, (low, high) in enumerate(zip(bounds[:, :3], bounds[:, 3:], strict=True)):
-        block = fractions[start * CHUNK_ROWS : (start + 1) * CHUNK_ROWS]
-        block[:] = low * (1 - block) + high * block
+    for start in range(0, len(bounds), CHUNKS):
+        block = fractions[start * CHUNK_ROWS : (start + CHUNKS) * CHUNK_ROWS]
+        of_rows = np.repeat(bounds[start : start + CHUNKS], CHUNK_ROWS, axis=0)[: len(block)]
+        block[:] = of_rows[:, :3] * (1 - block) + of_rows[:, 3:] * block
 
 
 def _rotations(vertex: Records) -> Float32[np.ndarray, "n 4"]:
@@ -110,9 +112,9 @@ def _rotations(vertex: Records) -> Float32[np.ndarray, "n 4"]:
     return from_smallest_three(three, packed >> np.uint32(30))
 
 
-def _decode_rest(table: Records, names: list[str]) -> Float32[np.ndarray, "n k 3"]:
+def _decode_rest(table: Records, names: list[str], into: Float32[np.ndarray, "n k 3"]) -> None:
     """Bytes to [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step."""
-    values = gather(table, names)
-    ends = np.where(values == 0, np.float32(-4), np.float32(4))
-    result = np.where((values == 0) | (values == 255), ends, (values + np.float32(0.5)) / 32 - 4)
-    return result.reshape(len(table), -1, 3)
+    steps = (np.arange(256, dtype=np.float32) + np.float32(0.5)) / 32 - 4
+    steps[[0, 255]] = -4, 4
+    for place, name in enumerate(names):
+        into[:, place // 3, place % 3] = steps[table[name]]

@@ -6,7 +6,7 @@ exact as one about zero. Poses, boxes and whatever else is reported stay in the 
 
 import numpy as np
 
-from ..arrays import Bool, Float, Float32, Float64
+from ..arrays import Bool, Float, Float64
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing that is nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: scenes smaller than four units
@@ -26,14 +26,8 @@ def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
 
 
 def middle_of(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """The median along each axis, in float64: the sum of two float32 may be beyond float32.
-
-    As `np.median` of finite numbers, which loads NumPy's masked arrays to look for others.
-    """
-    if not len(positions):
-        return np.full(3, np.nan)
-    both = sorted({(len(positions) - 1) // 2, len(positions) // 2})
-    return np.partition(positions.astype(np.float64), both, axis=0)[both].mean(axis=0)
+    """The median along each axis, in float64: the sum of two float32 may be beyond float32."""
+    return np.asarray(np.median(positions.astype(np.float64), axis=0))
 
 
 def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None) -> float:
@@ -76,7 +70,6 @@ def _held(positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " 3"]:
         return np.asarray((positions.astype(np.float32) == positions).all(axis=0))
 
 
-def rounding(positions: Float32[np.ndarray, "n 3"]) -> float:
-    """Scene units by which the largest coordinates of the middle of a scene may be off in float32."""
-    largest = np.abs(middle_of(positions)).max(initial=0.0)
-    return float(np.spacing(np.float32(largest)) / 2)
+def rounding(coordinates: Float[np.ndarray, "..."]) -> float:
+    """Scene units by which the largest of some coordinates may be off in float32."""
+    return float(np.spacing(np.float32(np.abs(coordinates).max(initial=0.0))) / 2)

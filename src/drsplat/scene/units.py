@@ -16,10 +16,13 @@ ENOUGH = 1 << 16  # Gaussians, spread over the file, that tell where the scene i
 
 def lost_precision(gaussians: Gaussians) -> list[str]:
     """Return a sentence on what float32 positions far from zero have lost, if that is much."""
-    lost = rounding(gaussians.means)
-    if len(gaussians) < FEWEST or not lost > LOST_SHARE * size_of(gaussians.means) > 0:
+    much = LOST_SHARE * size_of(gaussians.means)
+    if len(gaussians) < FEWEST or not rounding(gaussians.means) > much > 0:
+        return []  # not even the farthest have, and the middle is nearer
+    middle = middle_of(gaussians.means)
+    away, lost, typical = np.abs(middle).max(), rounding(middle), float(np.median(gaussians.scales))
+    if not lost > much:
         return []
-    away, typical = np.abs(middle_of(gaussians.means)).max(), float(np.median(gaussians.scales))
     return [
         f"the scene lies {away:.3g} units from zero and its positions are float32, which "
         f"rounds them there to {lost:.2g} units; half of its Gaussians are smaller than {typical:.2g}. Keep x, y and z "
