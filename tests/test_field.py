@@ -56,6 +56,29 @@ def mixed_field() -> LanguageField:
     return build_field(evidence, SCENE, TOY, Mixture(3))
 
 
+@few
+@given(st.integers(0, 60), st.integers(0, 999))
+def test_columns_are_summed_as_scipy_does(count: int, seed: int) -> None:
+    """To the bit, also of rows that come twice or are empty."""
+    rng = np.random.default_rng(seed)
+    evidence = random_evidence(rng)
+    rows = rng.integers(0, len(evidence), count)
+    assert_array_equal(evidence.column_sums(rows), evidence.weights[rows].sum(axis=0))
+
+
+def test_evidence_of_a_file_is_what_was_saved(tmp_path: Path) -> None:
+    field = toy_field()
+    field.save(tmp_path / "toy.field")
+    stored = load_field(tmp_path / "toy.field").evidence
+    assert "weights" not in vars(stored)  # which need SciPy
+    for ours, theirs in zip(stored.entries, field.evidence.entries, strict=True):
+        assert_array_equal(ours, theirs)
+    other = replace(stored, embeddings=-stored.embeddings)
+    for evidence in (stored, other):
+        assert (evidence.weights != field.evidence.weights).nnz == 0
+    assert_array_equal(other.entries.data, other.weights.data)
+
+
 def test_features_are_the_normalised_means_of_their_evidence() -> None:
     evidence = random_evidence(np.random.default_rng(0))
     field = build_field(evidence, SCENE, TOY)

@@ -146,7 +146,7 @@ class Evidence:
         return Evidence(weights, self.masks, self.embeddings)
 
     def column_sums(self, rows: Integer[np.ndarray, " r"]) -> Float32[np.ndarray, " m"]:
-        """How much each mask says of some rows together, added up row by row."""
+        """Return how much each mask says of some rows together, added up row by row."""
         indptr, indices, data = self.entries
         lengths = indptr[rows + 1] - indptr[rows]
         at = np.arange(lengths.sum()) + np.repeat(indptr[rows + 1] - np.cumsum(lengths), lengths)
@@ -194,13 +194,14 @@ class Evidence:
 
 
 class StoredEvidence(Evidence):
-    """Evidence of a file. Its matrix is made when it is first asked for: a search does without SciPy, which is slow to
-    load.
+    """Evidence of a file, whose matrix is made when it is first asked for.
+
+    A search does without, and so without SciPy, which is slow to load.
     """
 
     @classmethod
     def of(cls, entries: Entries, masks: MaskIds, embeddings: Float32[np.ndarray, "m d"]) -> "StoredEvidence":
-        """Raises: InputError: as of `Evidence`. The row starts have to fit the entries."""
+        """Return the evidence of arrays whose row starts fit. Raises: InputError: as of `Evidence`."""
         made = cls.__new__(cls)
         made.__dict__.update(stored=entries, masks=masks, embeddings=embeddings)
         made._check(len(embeddings))
