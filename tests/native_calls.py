@@ -216,6 +216,13 @@ def keeping(rogue: Rogue) -> Call:
     return partial(_native.keep_best, *given, rogue.one((0, 8, 65535, 65536, 2**63, -1)), *rogue.how())
 
 
+def convolution(rogue: Rogue) -> Call:
+    n, side, c, o = (int(rogue.one(sizes)) for sizes in ((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 33)))
+    images = rogue.floats(n, side, int(rogue.one((0, 1, 9))), c)
+    stride = int(rogue.one((-1, 0, 1, 2, 2**31 - 1)))
+    return partial(_native.convolve, images, rogue.floats(9 * c, o), rogue.floats(o), stride, *rogue.how())
+
+
 def columns(rogue: Rogue) -> Call:
     n, m = (int(rogue.one((0, 1, 17, 300))) for _ in range(2))
     matrices = []
@@ -352,6 +359,7 @@ FAMILIES = (
     rows,
     dense,
     keeping,
+    convolution,
     boxes,
     columns,
     merges,

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
-from drsplat.kernels.algebra import changed_columns, dense_rows
+from drsplat.kernels.algebra import changed_columns, convolve, dense_rows
 from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
 from test_views_hostile import unchecked_types
@@ -69,6 +69,29 @@ def test_dense_rows_are_those_of_the_twin(isa: str, rows: int, depth: int, width
     assert_allclose(dense_rows(a, b, isa=isa), reference_algebra.dense_rows(a, b), rtol=0, atol=1e-4)
     part = slice(rows // 3, rows)
     assert_array_equal(dense_rows(a[part], b, threads=2, isa=isa), dense_rows(a, b, threads=1, isa=isa)[part])
+
+
+@every_isa
+@few
+@given(*(st.integers(*ends) for ends in ((0, 9), (1, 12), (1, 12), (0, 9), (0, 50), (1, 4), (0, 99))))
+def test_convolutions_are_those_of_the_twin(
+    isa: str, count: int, height: int, width: int, channels: int, outputs: int, stride: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    shapes = (count, height, width, channels), (9 * channels, outputs), (outputs,)
+    images, weight, bias = (rng.standard_normal(shape).astype(np.float32) for shape in shapes)
+    found = convolve(images, weight, bias, stride, threads=1, isa=isa)
+    assert_allclose(found, reference_algebra.convolve(images, weight, bias, stride), rtol=0, atol=1e-4)
+    part = slice(count // 3, count)
+    assert_array_equal(convolve(images[part], weight, bias, stride, threads=2, isa=isa), found[part])
+
+
+def test_convolutions_that_do_not_fit_are_refused() -> None:
+    images = np.zeros((1, 4, 4, 2), np.float32)
+    with pytest.raises(InputError, match=r"weights \(17, 16\)"):
+        convolve(images, np.zeros((17, 16), np.float32), np.zeros(16, np.float32))
+    with pytest.raises(InputError, match="stride 0"):
+        convolve(images, np.zeros((18, 16), np.float32), np.zeros(16, np.float32), 0)
 
 
 def test_matrices_that_do_not_fit_are_refused() -> None:

@@ -97,6 +97,7 @@ def calls() -> list[Callable[[], object]]:
         lambda: [_native.weighted_rows(starts, columns, floats(4000), floats(300, 32), *how)],
         lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
         lambda: kept(found, *how),
+        lambda: [_native.convolve(floats(9, 8, 8, 3), floats(27, 16), floats(16), 1, *how)],
         lambda: [_native.pq_encode(floats(800, 32), floats(8, 256, 4), *how)],
         photographed,
         trained,

@@ -32,9 +32,31 @@ nb::object dense_rows_of(Rows a, Rows b, int threads, const std::string &isa) {
           "(n, k) and (k, m), m a multiple of 16, k and m below 2^24");
   Fresh<float> out(rows * width);
   without_gil([&] {
-    dense_rows(kernels, {a.data(), b.data(), (uint32_t)depth, (uint32_t)width}, rows, thread_count(threads), out.get());
+    dense_rows(kernels, a.data(), b.data(), rows, (uint32_t)depth, (uint32_t)width, thread_count(threads), out.get());
   });
   return out.numpy({rows, width});
+}
+
+nb::object convolve_of(Array<float, 4> images, Rows weights, Vector bias, int stride, int threads,
+                       const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t count = images.shape(0), channels = images.shape(3), outputs = weights.shape(1);
+  require(images.shape(1) <= 65536 && images.shape(2) <= 65536 && channels < (1u << 20) && outputs < (1u << 20),
+          "up to 65536 x 65536 pixels of fewer than 2^20 channels");
+  require(weights.shape(0) == 9 * channels && bias.shape(0) == outputs && outputs % 16 == 0 && stride > 0,
+          "weights (9 c, o) and a bias (o) for images of c channels, o a multiple of 16, and a stride above 0");
+  const Convolution c = {images.data(),
+                         weights.data(),
+                         bias.data(),
+                         count,
+                         (uint32_t)images.shape(1),
+                         (uint32_t)images.shape(2),
+                         (uint32_t)channels,
+                         (uint32_t)outputs,
+                         (uint32_t)stride};
+  Fresh<float> out(count * c.rows() * c.columns() * outputs);
+  without_gil([&] { convolve(kernels, c, thread_count(threads), out.get()); });
+  return out.numpy({count, c.rows(), c.columns(), outputs});
 }
 
 nb::object pq_encode_of(Rows features, Array<float, 3> centroids, int threads, const std::string &isa) {
@@ -96,6 +118,7 @@ nb::tuple changed_columns_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns
 void bind_algebra(nb::module_ &m) {
   m.def("weighted_rows", &weighted_rows_of, "starts"_a, "columns"_a, "weights"_a, "embeddings"_a, "threads"_a, "isa"_a);
   m.def("dense_rows", &dense_rows_of, "a"_a, "b"_a, "threads"_a, "isa"_a);
+  m.def("convolve", &convolve_of, "images"_a, "weights"_a, "bias"_a, "stride"_a, "threads"_a, "isa"_a);
   m.def("changed_columns", &changed_columns_of, "starts"_a, "columns"_a, "weights"_a, "numbers"_a, "more_starts"_a,
         "more_columns"_a, "more_weights"_a, "threads"_a);
   m.def("keep_best", &keep_best_of, "scores"_a, "names"_a, "found"_a, "first"_a, "threads"_a, "isa"_a);

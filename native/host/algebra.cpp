@@ -4,8 +4,11 @@
 #include "host/parallel.h"
 
 #include <atomic>
+#include <vector>
 
 namespace drsplat {
+
+constexpr uint64_t kDenseBlock = 64;  // rows of a product that a thread takes at once
 
 bool weighted_rows(const Kernels &kernels, const SparseRows &weights, const Embeddings &embeddings, uint64_t rows,
                    int threads, float *out) {
@@ -16,9 +19,48 @@ bool weighted_rows(const Kernels &kernels, const SparseRows &weights, const Embe
   return ok;
 }
 
-void dense_rows(const Kernels &kernels, const DenseProduct &product, uint64_t rows, int threads, float *out) {
-  over_rows(rows, 64, threads,
-            [&](int, uint64_t begin, uint64_t end) { kernels.dense_rows(product, begin, end, out); });
+void dense_rows(const Kernels &kernels, const float *a, const float *b, uint64_t rows, uint32_t depth, uint32_t width,
+                int threads, float *out) {
+  const DenseProduct product{b, depth, width, 1, 0, nullptr};
+  over_rows(rows, kDenseBlock, threads, [&](int, uint64_t begin, uint64_t end) {
+    const float *starts[kDenseBlock];
+    for (uint64_t row = begin; row < end; row++) starts[row - begin] = a + row * depth;
+    kernels.dense_rows(product, starts, (uint32_t)(end - begin), out + begin * width);
+  });
+}
+
+namespace {
+
+// An image with a pixel of zeros around it.
+void pad(const Convolution &c, uint64_t image, float *padded) {
+  const size_t row = (size_t)c.width * c.channels, wide = row + 2 * (size_t)c.channels;
+  std::fill_n(padded, (c.height + 2) * wide, 0.f);
+  for (size_t y = 0; y < c.height; y++)
+    std::copy_n(c.images + (image * c.height + y) * row, row, padded + (y + 1) * wide + c.channels);
+}
+
+}  // namespace
+
+void convolve(const Kernels &kernels, const Convolution &c, int threads, float *out) {
+  const size_t wide = ((size_t)c.width + 2) * c.channels, room = ((size_t)c.height + 2) * wide;
+  const size_t pixels = (size_t)c.rows() * c.columns();
+  if (!pixels) return;
+  const DenseProduct product{c.weights, 9 * c.channels, c.outputs, 3, wide, c.bias};
+  const uint64_t at_once = std::max<uint64_t>(1, kDenseBlock / pixels);
+  over_rows(c.count, at_once, threads, [&](int, uint64_t begin, uint64_t end) {
+    std::vector<float> padded((end - begin) * room);
+    std::vector<const float *> windows;
+    for (uint64_t image = begin; image < end; image++) {
+      const float *first = padded.data() + (image - begin) * room;
+      pad(c, image, padded.data() + (image - begin) * room);
+      for (size_t y = 0; y < c.rows(); y++)
+        for (size_t x = 0; x < c.columns(); x++) windows.push_back(first + c.stride * (y * wide + x * c.channels));
+    }
+    for (size_t at = 0; at < windows.size(); at += kDenseBlock) {
+      const auto count = (uint32_t)std::min<size_t>(kDenseBlock, windows.size() - at);
+      kernels.dense_rows(product, windows.data() + at, count, out + (begin * pixels + at) * c.outputs);
+    }
+  });
 }
 
 void pq_encode(const Kernels &kernels, const Quantizer &quantizer, const float *features, uint64_t rows, int threads,

@@ -8,7 +8,21 @@ namespace drsplat {
 bool weighted_rows(const Kernels &, const SparseRows &, const Embeddings &, uint64_t rows, int threads, float *out);
 
 // A @ B; `out` is rows x width.
-void dense_rows(const Kernels &, const DenseProduct &, uint64_t rows, int threads, float *out);
+void dense_rows(const Kernels &, const float *a, const float *b, uint64_t rows, uint32_t depth, uint32_t width,
+                int threads, float *out);
+
+// Images of pixels of channels, and a 3x3 convolution of them with zeros around each. weights: by row, column and
+// channel of the window, `outputs` numbers each, a multiple of 16, as is the bias.
+struct Convolution {
+  const float *images, *weights, *bias;
+  uint64_t count;
+  uint32_t height, width, channels, outputs, stride;
+  uint32_t rows() const { return (height + stride - 1) / stride; }
+  uint32_t columns() const { return (width + stride - 1) / stride; }
+};
+
+// What is below 0 becomes 0; `out` is count x rows x columns x outputs.
+void convolve(const Kernels &, const Convolution &, int threads, float *out);
 
 // Per row and sub-vector the nearest of 256 centroids, ties to the lowest.
 void pq_encode(const Kernels &, const Quantizer &, const float *features, uint64_t rows, int threads, uint8_t *codes);

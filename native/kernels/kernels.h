@@ -70,9 +70,13 @@ struct Embeddings {
   uint32_t count, dim;
 };
 
+// Rows of `depth` numbers times B. A row is `pieces` runs of equal length, `step` floats from one to the next.
 struct DenseProduct {
-  const float *a, *b;     // rows x depth, depth x width
+  const float *b;         // depth x width
   uint32_t depth, width;  // width: a multiple of 16
+  uint32_t pieces;
+  size_t step;
+  const float *bias;  // added to each row, and what is below 0 becomes 0; or null
 };
 
 struct Quantizer {
@@ -148,7 +152,7 @@ struct Kernels {
   void (*sh_colors)(const float *sh, int32_t coefficients, const float *means, const float *center, uint32_t begin,
                     uint32_t end, float *colors);
   bool (*weighted_rows)(const SparseRows &, const Embeddings &, uint64_t begin, uint64_t end, float *out);
-  void (*dense_rows)(const DenseProduct &, uint64_t begin, uint64_t end, float *out);
+  void (*dense_rows)(const DenseProduct &, const float *const *rows, uint32_t count, float *out);
   void (*pq_encode)(const Quantizer &, const float *features, uint64_t begin, uint64_t end, float *scratch,
                     uint8_t *codes);
   void (*keep_best)(const Contest &, uint64_t begin, uint64_t end);

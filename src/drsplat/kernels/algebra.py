@@ -66,6 +66,34 @@ def dense_rows(
     return np.asarray(product)[:, :width]
 
 
+def convolve(
+    images: Float32[np.ndarray, "n h w c"],
+    weight: Float32[np.ndarray, "k o"],
+    bias: Float32[np.ndarray, " o"],
+    stride: int = 1,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> Float32[np.ndarray, "n _ _ o"]:
+    """Return a 3x3 convolution and ReLU, with one pixel of zeros around each image.
+
+    weight: (9 * c, o), rows in the order of row, column, channel.
+
+    Raises: InputError: weights or a bias for other images, or no stride.
+    """
+    outputs = weight.shape[1]
+    beyond = -outputs % LANES
+    columns, added = np.pad(weight, ((0, 0), (0, beyond))), np.pad(bias, (0, beyond))
+    given = np.ascontiguousarray(images), np.ascontiguousarray(columns), added
+    try:
+        out = _native.convolve(*given, stride, threads, _checked_isa(isa))
+    except ValueError as error:
+        raise InputError(
+            f"expected {error}; got images {images.shape}, weights {weight.shape}, a bias {bias.shape}, stride {stride}"
+        ) from None
+    return np.asarray(out)[..., :outputs]
+
+
 def changed_columns(
     weights: Entries, numbers: Int32[np.ndarray, " m"], added: Entries, *, threads: int = 0
 ) -> tuple[Int64[np.ndarray, " n1"], Int32[np.ndarray, " f"], Float32[np.ndarray, " f"]]:

@@ -27,6 +27,16 @@ def dense_rows(a: Float[np.ndarray, "n k"], b: Float[np.ndarray, "k m"]) -> Floa
     return np.asarray(a.astype(np.float64) @ b.astype(np.float64))
 
 
+def convolve(
+    images: Float[np.ndarray, "n h w c"], weight: Float[np.ndarray, "k o"], bias: Float[np.ndarray, " o"], stride: int
+) -> Float64[np.ndarray, "n _ _ o"]:
+    """Return a 3x3 convolution and ReLU, with one pixel of zeros around each image."""
+    padded = np.pad(images.astype(np.float64), ((0, 0), (1, 1), (1, 1), (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::stride, ::stride]
+    rows = np.moveaxis(windows, 3, 5).reshape(*windows.shape[:3], weight.shape[0])
+    return np.asarray(np.maximum(rows @ weight.astype(np.float64) + bias, 0))
+
+
 def pq_distances(
     features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]
 ) -> Float64[np.ndarray, "n L c"]:

@@ -1,12 +1,11 @@
-"""The image tower on NumPy: 3x3 convolutions with ReLU, a mean over what is left, a projection."""
+"""The image tower: 3x3 convolutions with ReLU, a mean over what is left, a projection."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
 from ...arrays import Float32
-from ...kernels.algebra import dense_rows
-from ..convolving import convolve
+from ...kernels.algebra import convolve, dense_rows
 
 SIDE = 64  # pixels of what it looks at
 STRIDES = (2, 2, 1, 2, 1, 2, 1)
