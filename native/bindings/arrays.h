@@ -17,6 +17,7 @@
 
 #include "host/candidates.h"
 #include "host/dispatch.h"
+#include "host/memory.h"
 
 namespace drsplat {
 
@@ -56,13 +57,13 @@ inline int thread_count(int threads) {
 // Memory that the kernels write and that then belongs to NumPy.
 template <class T>
 struct Fresh {
-  std::unique_ptr<T[]> values;
-  explicit Fresh(size_t count) : values(new T[std::max<size_t>(count, 1)]) {}
+  Unset<T> values;
+  explicit Fresh(size_t count) : values(unset<T>(count)) {}
   Fresh(size_t count, T fill) : Fresh(count) { std::fill_n(values.get(), count, fill); }
   T *get() const { return values.get(); }
   nb::object numpy(std::initializer_list<size_t> shape) {
     T *owned = values.release();
-    nb::capsule owner(owned, [](void *p) noexcept { delete[] (T *)p; });
+    nb::capsule owner(owned, [](void *p) noexcept { release(p); });
     return nb::cast(nb::ndarray<nb::numpy, T>(owned, shape, owner));
   }
 };

@@ -1,8 +1,11 @@
-// Arrays that live from view to view, on huge pages where the system has them: rows of a scene are visited
-// in depth or tile order, and then looking up the pages costs more than reading the rows.
+// Large arrays, and those that live from view to view, on huge pages where the system has them: rows of a scene are
+// visited in depth or tile order, and then looking up the pages costs more than reading the rows.
 #pragma once
 #include "kernels/memory.h"
 
+#include <cstdint>
+#include <memory>
+#include <new>
 #include <vector>
 
 namespace drsplat {
@@ -23,6 +26,20 @@ struct HugePages {
 
 template <class T>
 using Kept = std::vector<T, HugePages<T>>;
+
+struct Released {
+  void operator()(void *memory) const { release(memory); }
+};
+
+// Numbers that nobody has set yet.
+template <class T>
+using Unset = std::unique_ptr<T[], Released>;
+
+template <class T>
+Unset<T> unset(size_t count) {
+  if (count > SIZE_MAX / sizeof(T)) throw std::bad_alloc();
+  return Unset<T>((T *)allocate(count * sizeof(T)));
+}
 
 template <class T>
 void grow(Kept<T> &v, size_t n) {

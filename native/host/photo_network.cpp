@@ -1,5 +1,6 @@
 #include "host/photo_network.h"
 
+#include "host/memory.h"
 #include "host/parallel.h"
 #include "host/photo_graph.h"
 #include "kernels/photo_kernels.h"
@@ -18,7 +19,7 @@ size_t up_to(size_t n, size_t whole) { return (n + whole - 1) / whole * whole; }
 // Rows of channels, with zeros before and behind each and a row of zeros at both ends. depth: channels in memory.
 struct Planes {
   size_t height = 0, width = 0, channels = 0, depth = 0, stride = 0;
-  std::vector<float> values;
+  Kept<float> values;
   Planes() = default;
   Planes(size_t h, size_t w, size_t c)
       : height(h),

@@ -1,12 +1,12 @@
 #include "host/photo_regions.h"
 
+#include "host/memory.h"
 #include "host/parallel.h"
 #include "kernels/photo_kernels.h"
 
 #include <array>
 #include <cmath>
 #include <cstring>
-#include <memory>
 #include <utility>
 
 namespace drsplat {
@@ -17,9 +17,10 @@ constexpr double kBlur[3] = {0.7865707258873422, 0.10645077197359151, 0.00026386
 
 struct Planes {
   size_t height, width;
-  std::vector<double> values;  // of three channels
-  double *row(size_t channel, size_t y) { return values.data() + (channel * height + y) * width; }
-  const double *row(size_t channel, size_t y) const { return values.data() + (channel * height + y) * width; }
+  Unset<double> values;  // of three channels
+  Planes(size_t h, size_t w) : height(h), width(w), values(unset<double>(3 * h * w)) {}
+  double *row(size_t channel, size_t y) { return values.get() + (channel * height + y) * width; }
+  const double *row(size_t channel, size_t y) const { return values.get() + (channel * height + y) * width; }
 };
 
 // Beyond an edge, pixels are those on this side of it.
@@ -32,14 +33,14 @@ size_t mirrored(ptrdiff_t i, size_t count) {
 double blurred(double middle, double near, double far) { return middle * kBlur[0] + far * kBlur[2] + near * kBlur[1]; }
 
 Planes colors_of(const int32_t *lab, size_t height, size_t width) {
-  Planes colors{height, width, std::vector<double>(3 * height * width)};
+  Planes colors(height, width);
   for (size_t p = 0; p < height * width; p++)
     for (size_t c = 0; c < 3; c++) colors.values[c * height * width + p] = lab[3 * p + c] / kLabSteps;
   return colors;
 }
 
 Planes blurred_down(const Planes &in) {
-  Planes out{in.height, in.width, std::vector<double>(in.values.size())};
+  Planes out(in.height, in.width);
   for (size_t c = 0; c < 3; c++)
     for (size_t y = 0; y < in.height; y++) {
       const double *rows[5];
@@ -88,11 +89,11 @@ uint64_t key_of(double cost) {
 // Both digits of keys are counted while edges are put in, so that they are only read to be moved.
 struct Edges {
   using Counts = std::array<uint32_t, kDigits>;
-  std::unique_ptr<Edge[]> values, moved;
+  Unset<Edge> values, moved;
   size_t count = 0;
   Counts low{}, high{};
 
-  explicit Edges(size_t most) : values(new Edge[most]), moved(new Edge[most]) {}
+  explicit Edges(size_t most) : values(unset<Edge>(most)), moved(unset<Edge>(most)) {}
   Edge *begin() { return values.get(); }
   Edge *end() { return values.get() + count; }
 
@@ -177,11 +178,13 @@ struct Growing {
     int32_t size;
     double limit;
   };
-  std::vector<Node> nodes;
+  Unset<Node> nodes;
+  size_t pixels;
   uint32_t steps[4];  // to the neighbour in each direction
   double scale;
 
-  Growing(size_t pixels, uint32_t width, double s) : nodes(pixels), steps{1, width, width + 1, width - 1}, scale(s) {
+  Growing(size_t count, uint32_t width, double s)
+      : nodes(unset<Node>(count)), pixels(count), steps{1, width, width + 1, width - 1}, scale(s) {
     for (uint32_t p = 0; p < pixels; p++) nodes[p] = {p, 1, scale};
   }
 
@@ -222,9 +225,9 @@ struct Growing {
   }
 
   std::vector<int32_t> labels() {
-    std::vector<int32_t> numbers(nodes.size(), -1), labels(nodes.size());
+    std::vector<int32_t> numbers(pixels, -1), labels(pixels);
     int32_t count = 0;
-    for (uint32_t p = 0; p < nodes.size(); p++) {
+    for (uint32_t p = 0; p < pixels; p++) {
       int32_t &number = numbers[root(p)];
       if (number < 0) number = count++;
       labels[p] = number;
