@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
-from drsplat.kernels.algebra import changed_columns, convolve, dense_rows
+from drsplat.kernels.algebra import changed_columns, code_sums, convolve, dense_rows
 from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
 from test_views_hostile import unchecked_types
@@ -92,6 +92,24 @@ def test_convolutions_that_do_not_fit_are_refused() -> None:
         convolve(images, np.zeros((17, 16), np.float32), np.zeros(16, np.float32))
     with pytest.raises(InputError, match="stride 0"):
         convolve(images, np.zeros((18, 16), np.float32), np.zeros(16, np.float32), 0)
+
+
+@few
+@given(st.integers(0, 300), st.integers(1, 40), st.integers(1, 9), st.integers(0, 99))
+def test_sums_of_codes_are_those_of_the_twin(rows: int, subvectors: int, dim: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((rows, subvectors * dim)).astype(np.float32)
+    codes = rng.integers(0, 256, (rows, subvectors)).astype(np.uint8)
+    for threads in (1, 3):
+        sums, counts = code_sums(points, codes, threads=threads)
+        wanted = reference_algebra.code_sums(points, codes)
+        assert_array_equal(sums, wanted[0])
+        assert_array_equal(counts, wanted[1])
+
+
+def test_codes_of_other_points_are_refused() -> None:
+    with pytest.raises(InputError, match=r"got \(4, 7\) and \(4, 2\)"):
+        code_sums(np.zeros((4, 7), np.float32), np.zeros((4, 2), np.uint8))
 
 
 def test_matrices_that_do_not_fit_are_refused() -> None:

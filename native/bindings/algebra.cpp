@@ -89,6 +89,21 @@ void keep_best_of(Kept scores, Names names, Rows found, size_t first, int thread
   });
 }
 
+nb::tuple code_sums_of(Rows points, Array<uint8_t, 2> codes, int threads) {
+  const size_t rows = points.shape(0), subvectors = codes.shape(1);
+  require(codes.shape(0) == rows && subvectors > 0 && subvectors < (1u << 24) && points.shape(1) < (1u << 24) &&
+              points.shape(1) % subvectors == 0,
+          "points (n, D) and codes (n, L), L above 0 and D a multiple of it");
+  const size_t dim = points.shape(1) / subvectors;
+  Fresh<double> sums(subvectors * 256 * dim, 0);
+  Fresh<int64_t> counts(subvectors * 256, 0);
+  without_gil([&] {
+    code_sums(points.data(), codes.data(), rows, (uint32_t)subvectors, (uint32_t)dim, thread_count(threads), sums.get(),
+              counts.get());
+  });
+  return nb::make_tuple(sums.numpy({subvectors, 256, dim}), counts.numpy({subvectors, 256}));
+}
+
 nb::tuple changed_columns_of(Array<int64_t, 1> starts, Array<int32_t, 1> columns, Vector weights,
                              Array<int32_t, 1> numbers, Array<int64_t, 1> more_starts, Array<int32_t, 1> more_columns,
                              Vector more_weights, int threads) {
@@ -122,5 +137,6 @@ void bind_algebra(nb::module_ &m) {
   m.def("changed_columns", &changed_columns_of, "starts"_a, "columns"_a, "weights"_a, "numbers"_a, "more_starts"_a,
         "more_columns"_a, "more_weights"_a, "threads"_a);
   m.def("keep_best", &keep_best_of, "scores"_a, "names"_a, "found"_a, "first"_a, "threads"_a, "isa"_a);
+  m.def("code_sums", &code_sums_of, "points"_a, "codes"_a, "threads"_a);
   m.def("pq_encode", &pq_encode_of, "features"_a, "centroids"_a, "threads"_a, "isa"_a);
 }

@@ -76,6 +76,19 @@ void keep_best(const Kernels &kernels, const Contest &contest, int threads) {
             [&](int, uint64_t begin, uint64_t end) { kernels.keep_best(contest, begin, end); });
 }
 
+void code_sums(const float *points, const uint8_t *codes, uint64_t rows, uint32_t subvectors, uint32_t dim, int threads,
+               double *sums, int64_t *counts) {
+  over_rows(subvectors, 16, threads, [&](int, uint64_t begin, uint64_t end) {
+    for (uint64_t row = 0; row < rows; row++)
+      for (uint64_t m = begin; m < end; m++) {
+        const size_t place = m * 256 + codes[row * subvectors + m];
+        const float *point = points + (row * subvectors + m) * dim;
+        for (uint32_t d = 0; d < dim; d++) sums[place * dim + d] += point[d];
+        counts[place]++;
+      }
+  });
+}
+
 bool changed_starts(const ColumnChange &change, int threads, int64_t *starts) {
   std::atomic<bool> ok{true};
   const SparseRows &w = change.weights, &more = change.added;

@@ -30,6 +30,11 @@ void pq_encode(const Kernels &, const Quantizer &, const float *features, uint64
 // Puts more scores among the best that are kept of each row.
 void keep_best(const Kernels &, const Contest &, int threads);
 
+// Of the points of each code in each sub-vector, their sum in the order of rows, and how many. points: rows x
+// subvectors x dim; sums, which are zero, subvectors x 256 x dim.
+void code_sums(const float *points, const uint8_t *codes, uint64_t rows, uint32_t subvectors, uint32_t dim, int threads,
+               double *sums, int64_t *counts);
+
 // W with its columns numbered anew (below 0: left out) and the entries of `added` put in, row by row; columns ascend in
 // both, and so do numbers.
 struct ColumnChange {

@@ -8,9 +8,9 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from ..arrays import Float32, Int, UInt8, UInt64
+from ..arrays import Float32, Float64, Int, Int64, UInt8, UInt64
 from ..kernels import pq_encode
-from ..kernels.algebra import CENTROIDS
+from ..kernels.algebra import CENTROIDS, code_sums
 
 ITERATIONS = 12
 T = TypeVar("T")
@@ -41,14 +41,12 @@ def train_centroids(
     rng = np.random.default_rng(seed)
     starts = [_starts(keys, rng) for keys in _keys(parts).T]
     centroids = np.stack([parts[index, m] for m, index in enumerate(starts)])
-    columns = np.ascontiguousarray(parts.transpose(1, 2, 0), np.float64)
     previous = None
     for _ in track(range(ITERATIONS), "training the codebook"):
         codes = pq_encode(points, centroids, threads=threads)
         if previous is not None and np.array_equal(codes, previous):
             break
-        for m in range(num_subvectors):
-            _update(centroids[m], columns[m], codes[:, m])
+        _update(centroids, parts, codes, threads)
         previous = codes
     return centroids
 
@@ -71,16 +69,29 @@ def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[n
     return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
 
 
-def _update(centroids: Float32[np.ndarray, "c d"], columns: np.ndarray, codes: UInt8[np.ndarray, " n"]) -> None:
+def _update(
+    centroids: Float32[np.ndarray, "L c d"],
+    parts: Float32[np.ndarray, "n L d"],
+    codes: UInt8[np.ndarray, "n L"],
+    threads: int,
+) -> None:
     """Move each centroid to the mean of its points, in place."""
-    counts = np.bincount(codes, minlength=CENTROIDS)
+    sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
     served = counts > 0
-    for d, column in enumerate(columns):
-        sums = np.bincount(codes, column, CENTROIDS)
-        centroids[served, d] = sums[served] / counts[served]
-    idle = np.flatnonzero(~served)
-    if len(idle):
-        distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)
-        worst = np.argsort(-distances, kind="stable")[: len(idle)]
-        worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
-        centroids[idle[: len(worst)]] = columns[:, worst].T
+    centroids[served] = sums[served] / counts[served][:, None]
+    for m in np.flatnonzero(~served.all(axis=1)):
+        columns = np.ascontiguousarray(parts[:, m].T, np.float64)
+        _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
+
+
+def _move_idle(
+    centroids: Float32[np.ndarray, "c d"],
+    idle: Int64[np.ndarray, " i"],
+    columns: Float64[np.ndarray, "d n"],
+    codes: UInt8[np.ndarray, " n"],
+) -> None:
+    """Put centroids that serve no point on those that are served worst."""
+    distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)
+    worst = np.argsort(-distances, kind="stable")[: len(idle)]
+    worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
+    centroids[idle[: len(worst)]] = columns[:, worst].T

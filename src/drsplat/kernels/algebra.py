@@ -7,7 +7,7 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32, Int32, Int64, Integer, UInt8
+from ..arrays import Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
 from .splatting import _checked_isa
 
@@ -115,6 +115,21 @@ def changed_columns(
 def _csr(entries: Entries) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     starts, columns, values = entries
     return np.ascontiguousarray(starts, np.int64), np.ascontiguousarray(columns, np.int32), np.ascontiguousarray(values)
+
+
+def code_sums(
+    points: Float32[np.ndarray, "n D"], codes: UInt8[np.ndarray, "n L"], *, threads: int = 0
+) -> tuple[Float64[np.ndarray, "L c d"], Int64[np.ndarray, "L c"]]:
+    """Return the sum of the sub-vectors of each code, in the order of points, and how many they are.
+
+    Raises: InputError: not one code per sub-vector.
+    """
+    try:
+        found = _native.code_sums(np.ascontiguousarray(points), np.ascontiguousarray(codes), threads)
+    except ValueError as error:
+        raise InputError(f"expected {error}; got {points.shape} and {codes.shape}") from None
+    sums, counts = map(np.asarray, found)
+    return sums, counts.view(np.int64)  # it may come as "long long"
 
 
 def pq_encode(

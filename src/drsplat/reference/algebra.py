@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from ..arrays import Float, Float64, Integer, UInt8
+from ..arrays import Float, Float64, Int64, Integer, UInt8
 
 
 def weighted_rows(
@@ -49,6 +49,18 @@ def pq_distances(
 def pq_encode(features: Float[np.ndarray, "n D"], centroids: Float[np.ndarray, "L c d"]) -> UInt8[np.ndarray, "n L"]:
     """The nearest centroid of each sub-vector, ties to the lowest index."""
     return np.asarray(pq_distances(features, centroids).argmin(axis=2), np.uint8)
+
+
+def code_sums(
+    points: Float[np.ndarray, "n D"], codes: UInt8[np.ndarray, "n L"]
+) -> tuple[Float64[np.ndarray, "L 256 d"], Int64[np.ndarray, "L 256"]]:
+    """Return the sum of the sub-vectors of each code, in the order of points, and how many they are."""
+    parts = points.astype(np.float64).reshape(*codes.shape, points.shape[1] // codes.shape[1])
+    sums, counts = np.zeros((codes.shape[1], 256, parts.shape[2])), np.zeros((codes.shape[1], 256), np.int64)
+    for m, column in enumerate(codes.T):
+        np.add.at(sums[m], column, parts[:, m])
+        np.add.at(counts[m], column, 1)
+    return sums, counts
 
 
 def pq_decode(codes: UInt8[np.ndarray, "n L"], centroids: Float[np.ndarray, "L c d"]) -> Float64[np.ndarray, "n D"]:
