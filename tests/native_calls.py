@@ -223,6 +223,18 @@ def convolution(rogue: Rogue) -> Call:
     return partial(_native.convolve, images, rogue.floats(9 * c, o), rogue.floats(o), stride, *rogue.how())
 
 
+def sums_of_codes(rogue: Rogue) -> Call:
+    n, parts, dim = int(rogue.one((0, 1, 17, 300))), int(rogue.one((0, 1, 17))), int(rogue.one((0, 1, 4)))
+    codes = rogue.whole(0, 256, (n, parts), "u1")
+    return partial(_native.code_sums, rogue.floats(n, parts * dim), codes, rogue.how()[0])
+
+
+def labels(rogue: Rogue) -> Call:
+    h, w, n = (int(rogue.one((0, 1, 17, 70))) for _ in range(3))
+    ids = rogue.whole(-1, n, (h, w, 8), "i4")
+    return partial(_native.heaviest_labels, ids, rogue.floats(h, w, 8), rogue.whole(-1, 9, (n,), "i4"), rogue.how()[0])
+
+
 def columns(rogue: Rogue) -> Call:
     n, m = (int(rogue.one((0, 1, 17, 300))) for _ in range(2))
     matrices = []
@@ -360,6 +372,8 @@ FAMILIES = (
     dense,
     keeping,
     convolution,
+    sums_of_codes,
+    labels,
     boxes,
     columns,
     merges,

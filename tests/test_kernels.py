@@ -13,16 +13,19 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import InputError
 from drsplat.kernels import (
+    Contributions,
     SplatArrays,
     Triples,
     available_isas,
     default_isa,
+    heaviest_labels,
     render_channels,
     sh_colors,
     splat_arrays,
     topk_contributions,
     view_weights,
 )
+from drsplat.reference import compositing
 from drsplat.reference import registering as reference
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
@@ -392,3 +395,19 @@ def test_the_environment_may_name_the_instruction_set(monkeypatch: pytest.Monkey
         sh_colors(np.zeros((1, 1, 3), np.float32), np.ones((1, 3), np.float32), np.zeros(3))
     monkeypatch.delenv("DRSPLAT_ISA")
     assert default_isa() == available_isas()[0]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_label_of_a_pixel_is_that_of_the_twin(threads: int) -> None:
+    rng = np.random.default_rng(0)
+    ids = rng.integers(-1, 50, (90, 70, 8)).astype(np.int32)
+    weights = (rng.integers(0, 9, ids.shape) / 16).astype(np.float32)  # whose sums are exact, and often equal
+    labels = rng.integers(-1, 6, 50).astype(np.int32)
+    found = heaviest_labels(Contributions(ids, weights), labels, threads=threads)
+    assert_array_equal(found, compositing.heaviest_labels(ids, weights, labels))
+
+
+def test_pixels_of_other_gaussians_have_no_label() -> None:
+    seen = Contributions(np.full((2, 3, 8), 5, np.int32), np.ones((2, 3, 8), np.float32))
+    with pytest.raises(InputError, match=r"ids of Gaussians with a label; got \(2, 3, 8\) of 5"):
+        heaviest_labels(seen, np.zeros(5, np.int32))

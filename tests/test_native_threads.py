@@ -98,6 +98,8 @@ def calls() -> list[Callable[[], object]]:
         lambda: [_native.dense_rows(floats(800, 33), floats(33, 48), *how)],
         lambda: kept(found, *how),
         lambda: [_native.convolve(floats(9, 8, 8, 3), floats(27, 16), floats(16), 1, *how)],
+        lambda: _native.code_sums(floats(800, 64), rows[0].reshape(-1)[:12800].reshape(800, 16), INSIDE),
+        lambda: [_native.heaviest_labels(further.reshape(40, 10, 8), floats(40, 10, 8), columns[:300], INSIDE)],
         lambda: [_native.pq_encode(floats(800, 32), floats(8, 256, 4), *how)],
         photographed,
         trained,

@@ -1,6 +1,7 @@
 #include "host/splatting.h"
 #include "bindings/arrays.h"
 #include "bindings/module.h"
+#include "host/labels.h"
 
 using namespace drsplat;
 
@@ -45,6 +46,19 @@ nb::tuple contributions_of_view(Rows means, Rows covariances, Vector opacities, 
   return nb::make_tuple(ids.numpy({h, w, k}), weights.numpy({h, w, k}));
 }
 
+nb::object labels_of_pixels(Array<int32_t, 3> ids, Array<float, 3> weights, Array<int32_t, 1> labels, int threads) {
+  const size_t h = ids.shape(0), w = ids.shape(1);
+  require(ids.shape(2) == kHeaviest && weights.shape(0) == h && weights.shape(1) == w && weights.shape(2) == kHeaviest,
+          "ids and weights (h, w, 8)");
+  Fresh<int32_t> found(h * w);
+  const bool ok = without_gil([&] {
+    return heaviest_labels(ids.data(), weights.data(), h * w, labels.data(), labels.shape(0), thread_count(threads),
+                           found.get());
+  });
+  require(ok, "ids of Gaussians with a label");
+  return found.numpy({h, w});
+}
+
 nb::tuple render_view(Rows means, Rows covariances, Vector opacities, bool antialiased, Vector camera, int width,
                       int height, Rows values, Vector background, int threads, const std::string &isa) {
   const Scene scene = scene_of(means, covariances, opacities, antialiased);
@@ -80,6 +94,7 @@ void bind_splatting(nb::module_ &m) {
         "segment_ids"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
   m.def("topk_contributions", &contributions_of_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a,
         "camera"_a, "width"_a, "height"_a, "topk"_a, "first_hits"_a, "threads"_a, "isa"_a);
+  m.def("heaviest_labels", &labels_of_pixels, "ids"_a, "weights"_a, "labels"_a, "threads"_a);
   m.def("render", &render_view, "means"_a, "covariances"_a, "opacities"_a, "antialiased"_a, "camera"_a, "width"_a,
         "height"_a, "values"_a, "background"_a, "threads"_a, "isa"_a);
   m.def("sh_colors", &colors_of, "sh"_a, "means"_a, "center"_a, "threads"_a, "isa"_a);

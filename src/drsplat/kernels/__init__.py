@@ -25,6 +25,7 @@ from .splatting import (
     available_isas,
     compiler,
     default_isa,
+    heaviest_labels,
     laid_out,
     render_channels,
     sh_colors,
@@ -35,7 +36,7 @@ from .splatting import (
 
 __all__ = [
     "Contributions", "Forest", "GroupedRows", "MergeRule", "QueryTables", "Rendering", "Scanning", "SplatArrays",
-    "Triples", "agglomerate", "available_isas", "compiler", "default_isa", "group_codes", "laid_out", "lookup_tables",
-    "pq_encode", "render_channels", "rows_of_groups", "scan_above", "scan_best", "scan_scores", "scan_top", "sh_colors",
-    "splat_arrays", "topk_contributions", "view_weights", "weighted_rows",
+    "Triples", "agglomerate", "available_isas", "compiler", "default_isa", "group_codes", "heaviest_labels", "laid_out",
+    "lookup_tables", "pq_encode", "render_channels", "rows_of_groups", "scan_above", "scan_best", "scan_scores",
+    "scan_top", "sh_colors", "splat_arrays", "topk_contributions", "view_weights", "weighted_rows",
 ]  # fmt: skip

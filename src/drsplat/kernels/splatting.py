@@ -198,6 +198,21 @@ def topk_contributions(
     return Contributions(*found)
 
 
+def heaviest_labels(
+    seen: Contributions, labels: Int32[np.ndarray, " n"], *, threads: int = 0
+) -> Int32[np.ndarray, "h w"]:
+    """Return the label that most of each pixel shows, of equal ones that of the heaviest Gaussian; -1 for none.
+
+    seen: the eight largest weights of each pixel. labels: of each Gaussian.
+
+    Raises: InputError: another number of weights, or Gaussians without a label.
+    """
+    try:
+        return np.asarray(_native.heaviest_labels(*map(np.ascontiguousarray, (*seen, labels)), threads))
+    except ValueError as error:
+        raise InputError(f"expected {error}; got {seen.ids.shape} of {len(labels)} Gaussians") from None
+
+
 def render_channels(
     splats: SplatArrays,
     view: View,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import Bool, Float32, Int32, Int64
 from ..field.learning import drawn
-from ..kernels import SplatArrays, render_channels, splat_arrays, topk_contributions
+from ..kernels import SplatArrays, heaviest_labels, render_channels, splat_arrays, topk_contributions
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
@@ -78,20 +78,9 @@ def _seen(
     splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], threads: int
 ) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
     """The piece that most of each pixel shows, -1 for none, and how far away it is."""
-    drawing = render_channels(splats, view, np.zeros((len(pieces), 1), np.float32), threads=threads)
-    ids, weights = topk_contributions(splats, view, HEAVIEST, threads=threads)
-    labels, weights = (np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in (pieces[ids], weights))
-    labels[np.moveaxis(ids, -1, 0) < 0] = NONE
-    shares = np.stack([_total(np.where(labels == one, weights, 0)) for one in labels])
-    most = np.take_along_axis(labels, shares.argmax(0)[None], axis=0)[0]
+    drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)
+    most = heaviest_labels(topk_contributions(splats, view, HEAVIEST, threads=threads), pieces, threads=threads)
     return view, np.where(drawing.alpha < SEEN, NONE, most).astype(np.int32), drawing.depth
-
-
-def _total(shares: Float32[np.ndarray, "k h w"]) -> Float32[np.ndarray, "h w"]:
-    """The sum of HEAVIEST shares, pair by pair: whole planes at once, and not eight numbers at a time."""
-    while len(shares) > 1:
-        shares = shares[::2] + shares[1::2]
-    return np.asarray(shares[0])
 
 
 def _crossings(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float64, Int
+from ..arrays import Bool, Float, Float64, Int, Int64
 from ..scene.views import View
 from .projection import MIN_ALPHA, ROUNDING, TILE, Projection, Splats, project
 
@@ -133,3 +133,12 @@ def select(seen: Contributors, index: Bool[np.ndarray, " e"]) -> Contributors:
 def rank_in_pixel(pixels: Int[np.ndarray, " e"]) -> Int[np.ndarray, " e"]:
     """Position of each entry within its run of equal pixels."""
     return np.arange(len(pixels)) - np.searchsorted(pixels, pixels)
+
+
+def heaviest_labels(
+    ids: Int[np.ndarray, "h w k"], weights: Float[np.ndarray, "h w k"], labels: Int[np.ndarray, " n"]
+) -> Int64[np.ndarray, "h w"]:
+    """Return the label with the largest sum of weights in each pixel, of equal ones the first; an id of -1 has -1."""
+    of = np.where(ids < 0, -1, np.append(labels, -1)[ids])
+    shares = np.stack([np.where(of == of[..., [k]], weights, 0).sum(2) for k in range(ids.shape[2])], axis=2)
+    return np.take_along_axis(of, shares.argmax(2)[..., None], axis=2)[..., 0].astype(np.int64)
