@@ -26,7 +26,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from drawn_embeddings import CLIP, Drawn, unit
 from machine import describe
 
-from benchmarks.suite.masks import features_of
 from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat import EncoderIdentity, MiniEncoder, ViewFeatures, load_field, register, train_codebook
 from drsplat.codes.mixture import encode_mixture, train_scene_atoms
@@ -71,6 +70,8 @@ def sample(evidence: Evidence, rows: int) -> tuple[Evidence, int]:
 
 
 def scene_case(folder: Path, masks: str, rows: int, threads: int) -> Case:
+    from benchmarks.suite.masks import features_of  # bench_register runs without it with older versions
+
     scene = read_scene(folder)
     features = features_of(scene, masks, MiniEncoder())
     found = register(scene.gaussians, scene.views, features, threads=threads)

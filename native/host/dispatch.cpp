@@ -19,14 +19,17 @@ namespace v3 { extern const Kernels table; }
 namespace v4 { extern const Kernels table; }
 #endif
 #if DRSPLAT_HAS_v4_vbmi
-namespace v4_vbmi { extern const ScanKernels scan_table; }
+namespace v4_vbmi {
+extern const ScanKernels scan_table;
+extern const MixtureKernels mixture_table;
+}  // namespace v4_vbmi
 #endif
 
 namespace {
 
 struct Available {
   const Kernels *list[6] = {};  // null at the end
-  Kernels with_bytes;           // v4, but for the scans
+  Kernels with_bytes;           // v4, but for scans and mixtures
   Available() {
     int n = 0;
 #if defined(__x86_64__)
@@ -35,7 +38,8 @@ struct Available {
 #if DRSPLAT_HAS_v4_vbmi
     if (processor.vbmi) {
       with_bytes = v4::table;
-      with_bytes.name = "v4_vbmi", with_bytes.scan = &v4_vbmi::scan_table;
+      with_bytes.name = "v4_vbmi";
+      with_bytes.scan = &v4_vbmi::scan_table, with_bytes.mixture = &v4_vbmi::mixture_table;
       list[n++] = &with_bytes;
     }
 #endif

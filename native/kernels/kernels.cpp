@@ -9,10 +9,6 @@
 #include "kernels/dense_rows.h"
 #include "kernels/gradients.h"
 #include "kernels/loss.h"
-#include "kernels/mixture_best.h"
-#include "kernels/mixture_encoding.h"
-#include "kernels/mixture_scan.h"
-#include "kernels/mixture_search.h"
 #include "kernels/photo_colors.h"
 #include "kernels/photo_network.h"
 #include "kernels/photo_rule.h"
@@ -26,12 +22,10 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-static const MixtureKernels mixture_kernels = {mixture_encode, nearest_centres, nearest_members, score_table,
-                                               table_place,    mixture_scores,  mixture_best,    kTileQueries};
-
 static const PhotoKernels photo_kernels = {lab_colors, convolve_row, pair_likelihoods};
 
 extern const ScanKernels scan_table;  // scan_kernels.cpp
+extern const MixtureKernels mixture_table;
 extern const Kernels table;
 const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
                        project,
@@ -54,7 +48,7 @@ const Kernels table = {DRSPLAT_STRING(DRSPLAT_ISA),
                        loss_gradient,
                        adam,
                        &scan_table,
-                       &mixture_kernels,
+                       &mixture_table,
                        &photo_kernels};
 
 }  // namespace drsplat::DRSPLAT_ISA

@@ -11,7 +11,11 @@ INLINE WholeSums no_sums() { return _mm512_setzero_si512(); }
 INLINE WholeSums loaded(const int16_t *p) { return _mm512_loadu_si512(p); }
 INLINE WholeSums widened(const int8_t *p) { return _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)p)); }
 INLINE WholeSums with_products(WholeSums total, WholeSums a, WholeSums b) {
+#if defined(__AVX512VNNI__)
+  return _mm512_dpwssd_epi32(total, a, b);
+#else
   return _mm512_add_epi32(total, _mm512_madd_epi16(a, b));
+#endif
 }
 INLINE __m256i half_sums(WholeSums a) {
   return _mm256_add_epi32(_mm512_castsi512_si256(a), _mm512_extracti64x4_epi64(a, 1));
@@ -40,9 +44,11 @@ INLINE __m128i four_sums(const WholeSums *totals) {
 }
 #endif
 
+typedef int32_t FourWhole __attribute__((vector_size(16)));
+
 // products[v][r] = <atom r, v-th of the vectors at x>, of whole numbers: exact, whatever the order of additions.
 template <int Vectors>
-static inline void whole_products(const int8_t *const *rows, const int16_t *x, uint32_t dim, int32_t (*products)[4]) {
+static inline void whole_products(const int8_t *const *rows, const int16_t *x, uint32_t dim, FourWhole *products) {
   uint32_t d = 0;
 #if defined(__AVX2__)
   WholeSums totals[Vectors][4];
@@ -56,12 +62,11 @@ static inline void whole_products(const int8_t *const *rows, const int16_t *x, u
       for (int v = 0; v < Vectors; v++) totals[v][r] = with_products(totals[v][r], values, numbers[v]);
     }
   }
-  for (int v = 0; v < Vectors; v++) _mm_storeu_si128((__m128i *)products[v], four_sums(totals[v]));
+  for (int v = 0; v < Vectors; v++) products[v] = (FourWhole)four_sums(totals[v]);
 #else
-  for (int v = 0; v < Vectors; v++)
-    for (int r = 0; r < 4; r++) products[v][r] = 0;
+  for (int v = 0; v < Vectors; v++) products[v] = FourWhole{};
 #endif
-  for (int v = 0; v < Vectors; v++)
+  for (int v = 0; v < Vectors && d < dim; v++)
     for (int r = 0; r < 4; r++) {
       int32_t rest = 0;
       for (uint32_t i = d; i < dim; i++) rest += (int32_t)rows[r][i] * x[(size_t)v * dim + i];
@@ -69,15 +74,30 @@ static inline void whole_products(const int8_t *const *rows, const int16_t *x, u
     }
 }
 
+static float largest_size(const float *x, uint32_t dim) {
+  float sizes[16];
+  Floats most = splat(0.f);
+  uint32_t d = 0;
+  for (; d + 16 <= dim; d += 16) {
+    const Floats numbers = load(x + d);
+    most = maximum(maximum(numbers, -numbers), most);
+  }
+  store(sizes, most);
+  for (uint32_t i = 0; d < dim; i++, d++) {
+    const float size = __builtin_fabsf(x[d]);
+    sizes[i] = size > sizes[i] ? size : sizes[i];
+  }
+  float largest = 0;
+  for (int i = 0; i < 16; i++) largest = sizes[i] > largest ? sizes[i] : largest;
+  return largest;
+}
+
 // Whole numbers for a vector, and what they are to be multiplied by: as many digits as sums of products with an
 // atom can hold, by Cauchy-Schwarz for any part of such a sum too.
 static float whole_vector(const float *x, uint32_t dim, int16_t *whole) {
-  float largest = 0, squared = 0;
-  for (uint32_t d = 0; d < dim; d++) {
-    const float size = __builtin_fabsf(x[d]);
-    largest = size > largest ? size : largest;
-    squared += x[d] * x[d];
-  }
+  const float largest = largest_size(x, dim);
+  float squared = 0;
+  for (uint32_t d = 0; d < dim; d++) squared += x[d] * x[d];
   // Beyond these the square, or what is divided by it, leaves float32; nothing that long or short has a direction here.
   const bool known = squared > 1e-24f && squared < 1e24f;
   const float room = (0.98f * 2147483648.f / (127 * __builtin_sqrtf((float)dim)) - 1) / __builtin_sqrtf(squared);
@@ -94,18 +114,17 @@ static void atom_products(const Atoms &atoms, const int32_t *ids, size_t count, 
   for (size_t i = 0; i < count; i += 4) {
     const size_t known = count - i < 4 ? count - i : 4;  // the first stands for those beyond the last
     const int8_t *rows[4];
-    float scales[4];
+    Four scales;
     for (size_t r = 0; r < 4; r++) {
       const size_t id = (size_t)ids[r < known ? i + r : i];
       rows[r] = atoms.values + id * atoms.dim, scales[r] = atoms.scales[id];
     }
-    int32_t whole[Vectors][4];
+    FourWhole whole[Vectors];
     whole_products<Vectors>(rows, x, atoms.dim, whole);
     for (int v = 0; v < Vectors; v++) {
-      float four[4];
-      for (int r = 0; r < 4; r++) four[r] = (float)whole[v][r] * (scales[r] * steps[v]);
+      const Four four = __builtin_convertvector(whole[v], Four) * (scales * steps[v]);
       float *out = products + v * count + i;
-      if (known == 4) memcpy(out, four, sizeof four);
+      if (known == 4) *(Four *)out = four;
       else
         for (size_t r = 0; r < known; r++) out[r] = four[r];
     }

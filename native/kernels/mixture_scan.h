@@ -23,7 +23,7 @@ static void score_table(const Atoms &atoms, const WholeQueries &queries, uint64_
       for (uint32_t d = 0; d < 4 * atoms.dim; d += 64)
         __builtin_prefetch(atoms.values + (first + kAtomsAhead) * atoms.dim + d);
     for (uint32_t q = 0; q < queries.count; q++) {
-      int32_t products[1][4];
+      FourWhole products[1];
       whole_products<1>(rows, queries.values + (size_t)q * atoms.dim, atoms.dim, products);
       for (int r = 0; r < count; r++)
         table[(first + r) * queries.stride + queries.places[q]] =

@@ -207,8 +207,9 @@ def heaviest_labels(
 
     Raises: InputError: another number of weights, or Gaussians without a label.
     """
+    ids, weights = map(np.ascontiguousarray, seen)
     try:
-        return np.asarray(_native.heaviest_labels(*map(np.ascontiguousarray, (*seen, labels)), threads))
+        return np.asarray(_native.heaviest_labels(ids, weights, np.ascontiguousarray(labels), threads))
     except ValueError as error:
         raise InputError(f"expected {error}; got {seen.ids.shape} of {len(labels)} Gaussians") from None
 
