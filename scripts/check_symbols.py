@@ -14,7 +14,7 @@ from pathlib import Path
 
 NATIVE = Path(__file__).resolve().parent.parent / "native"
 LEVELS = {"portable": [], **{level: [f"-march=x86-64-{level}"] for level in ("v2", "v3", "v4")}}
-BYTES = {"v4_vbmi": ["-march=x86-64-v4", "-mavx512vbmi"]}
+BYTES = {"v4_vbmi": ["-march=x86-64-v4", "-mavx512vbmi", "-mavx512vnni"]}
 UNITS = {"kernels/kernels.cpp": LEVELS, "kernels/scan_kernels.cpp": LEVELS | BYTES}
 
 

@@ -63,6 +63,8 @@ def visible_share(
     threads: int = 0,
 ) -> Float32[np.ndarray, "h w"]:
     """Per pixel the summed blending weight of the Gaussians at `ids`, behind what hides them."""
+    if not len(ids):
+        return np.zeros((view.height, view.width), np.float32)
     chosen = np.zeros((len(gaussians), 1), np.float32)
     chosen[ids] = 1
     drawn = render_channels(splats or splat_arrays(gaussians), view, chosen, threads=threads)
