@@ -217,9 +217,9 @@ def keeping(rogue: Rogue) -> Call:
 
 
 def convolution(rogue: Rogue) -> Call:
-    n, side, c, o = (int(rogue.one(sizes)) for sizes in ((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 33)))
+    n, side, c, o = (int(rogue.one(sizes)) for sizes in ((0, 1, 5), (0, 1, 9), (0, 1, 3), (0, 16, 32, 48, 33)))
     images = rogue.floats(n, side, int(rogue.one((0, 1, 9))), c)
-    stride = int(rogue.one((-1, 0, 1, 2, 2**31 - 1)))
+    stride = int(rogue.one((1, 1, 2, 3, 2**31 - 1, 0, -1)))
     return partial(_native.convolve, images, rogue.floats(9 * c, o), rogue.floats(o), stride, *rogue.how())
 
 
@@ -230,7 +230,7 @@ def sums_of_codes(rogue: Rogue) -> Call:
 
 
 def labels(rogue: Rogue) -> Call:
-    h, w, n = (int(rogue.one((0, 1, 17, 70))) for _ in range(3))
+    h, w, n = (int(rogue.one(sizes)) for sizes in ((0, 1, 17, 70), (0, 1, 17, 70), (1, 17, 70)))
     ids = rogue.whole(-1, n, (h, w, 8), "i4")
     return partial(_native.heaviest_labels, ids, rogue.floats(h, w, 8), rogue.whole(-1, 9, (n,), "i4"), rogue.how()[0])
 
@@ -357,6 +357,7 @@ def optimizer(rogue: Rogue) -> Call:
 FAMILIES = (
     weights,
     weights,
+    contributions,
     contributions,
     rendering,
     colors,
