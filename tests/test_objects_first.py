@@ -161,6 +161,15 @@ def test_a_second_run_asks_nothing_and_a_new_photo_asks_for_little(scene, photos
         np.testing.assert_array_equal(again.embeddings, anew.embeddings)
 
 
+def test_overwriting_asks_both_models_anew(scene, photos, tmp_path):
+    paths = {"output_dir": tmp_path / "out", "parts": tmp_path / "parts"}
+    segmenter, encoder = LargeSegmenter(), ThumbnailEncoder()
+    embed_objects(photos, segmenter=segmenter, encoder=encoder, gaussians=scene, **paths)
+    once = segmenter.asked, encoder.asked
+    embed_objects(photos, segmenter=segmenter, encoder=encoder, gaussians=scene, overwrite=True, **paths)
+    assert (segmenter.asked, encoder.asked) == (2 * once[0], 2 * once[1])
+
+
 def test_a_run_that_is_stopped_while_crops_are_embedded_goes_on(scene, photos, tmp_path):
     class Stopped(ThumbnailEncoder):
         def encode_images(self, images):

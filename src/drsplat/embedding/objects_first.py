@@ -85,7 +85,7 @@ def embed_objects(
         pending = [stem for stem in by_stem if not record.is_finished(stem, digest)]
         redone = sum(record.has_files(stem) for stem in pending)
         if pending:
-            rows = _vectors(by_stem, masks, encoder, gaussians, parts, threads, track)
+            rows = _vectors(by_stem, masks, encoder, gaussians, parts, overwrite, threads, track)
             for stem in pending:
                 finish_photo(record, stem, digest, masks.stored(stem)[0], rows[stem], form)
         finish_folder(record, encoder)
@@ -119,6 +119,7 @@ def _vectors(
     encoder: ImageEncoder,
     gaussians: Gaussians,
     parts: Path,
+    overwrite: bool,
     threads: int,
     track: Track,
 ) -> dict[str, Float32[np.ndarray, "n d"]]:
@@ -130,7 +131,11 @@ def _vectors(
     is_chosen = np.zeros(len(evidence.masks), np.bool_)
     is_chosen[shared.chosen] = True
     chosen = {stem: evidence.masks.ids[some[is_chosen[some]]] for stem, some in columns.items()}
-    crops = _embedded_crops(by_stem, ChosenMasks(masks.directory, chosen), parts / CROPS, encoder, track)
+    embed(
+        views, parts / CROPS, ChosenMasks(masks.directory, chosen), encoder, max_height=None, overwrite=overwrite,
+        track=track,
+    )  # fmt: skip
+    crops = read_features(parts / CROPS)
     known = np.zeros((len(is_chosen), encoder.identity.dim), np.float32)
     for stem, some in columns.items():
         own = some[is_chosen[some]]
@@ -143,10 +148,3 @@ def _columns_by_stem(evidence: Evidence, masks: FeatureFolder) -> dict[str, np.n
     """Return the columns of each photo, in the order of its mask ids."""
     keys = [str(masks.key(name)) for name in evidence.masks.view_names]
     return {key: np.flatnonzero(evidence.masks.views == number) for number, key in enumerate(keys)}
-
-
-def _embedded_crops(
-    by_stem: Mapping[str, View], chosen: ChosenMasks, folder: Path, encoder: ImageEncoder, track: Track
-) -> FeatureFolder:
-    embed(list(by_stem.values()), folder, chosen, encoder, max_height=None, track=track)
-    return read_features(folder)
