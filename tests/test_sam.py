@@ -139,7 +139,7 @@ class Drawn:
         self.asked.append((crop.shape[:2], len(points)))
         y, x = np.mgrid[: crop.shape[0], : crop.shape[1]]
         origin = crop[0, 0, :2].astype(int)  # images of these tests say where each pixel is
-        for px, py in points + origin:
+        for number, (px, py) in enumerate(points + origin):
             inside = [s for s in self.shapes if s[0] <= px < s[2] and s[1] <= py < s[3]]
             inside = (inside + [inside[-1]] * 3)[:3] if inside else []
             masks = np.array(
@@ -149,7 +149,8 @@ class Drawn:
                 ], bool,
             ).reshape(-1, *crop.shape[:2])  # fmt: skip
             scores = np.array(self.scores[: len(inside)], np.float32)
-            yield Found(masks, scores, np.full(len(inside), 0.95, np.float32), np.arange(len(inside)))
+            outputs, number_of = np.arange(len(inside)), np.full(len(inside), number)
+            yield Found(masks, scores, np.full(len(inside), 0.95, np.float32), outputs, number_of)
 
 
 def placed(height: int, width: int) -> np.ndarray:
@@ -242,6 +243,30 @@ def test_what_a_part_explains_is_not_asked_again_and_what_only_a_group_does_is()
     assert groups.asked == [((120, 200), 4), ((120, 200), 16)]
 
 
+def test_what_stands_on_a_thing_is_asked_for_and_painted_over_the_mask_of_both():
+    """Of a table the large mask has a cup on it, too; at the cup all three are the cup alone."""
+    cup, table = (120, 20, 150, 50), (0, 0, 200, 120)
+    on_table = np.zeros((120, 200), bool)
+    on_table[20:50, 120:150] = True
+
+    class Table(Drawn):
+        def find(self, crop, points, settings):
+            for found in super().find(crop, points, settings):
+                if found.masks[0].all():
+                    found.masks[:2] &= ~on_table
+                else:
+                    found.masks[:] = on_table
+                yield found
+
+    settings = replace(NO_CROPS, points_per_side=16, first_points_per_side=2, levels=("large",), min_region=0)
+    for inner, expected in ((0.5, [table]), (0.0, [table, cup])):
+        predictor = Table(cup, table)
+        large = PointSegmenter(predictor, replace(settings, mask_inner=inner)).segment(placed(120, 200))["large"]
+        assert [count for _, count in predictor.asked] == [4, 2]  # first the table, then in the cup alone
+        assert [tuple(box) for box in large.boxes.tolist()] == expected
+    np.testing.assert_array_equal(mask_maps({"large": large}).mask_ids[LEVELS.index("large")], on_table)
+
+
 def test_no_more_points_are_asked_than_allowed_and_they_are_spread():
     nothing = Drawn()
     settings = replace(NO_CROPS, points_per_side=16, first_points_per_side=4, most_points=50)
@@ -273,7 +298,7 @@ def test_masks_are_painted_from_sure_to_unsure():
         def find(self, crop, points, settings):
             masks = np.zeros((2, 120, 200), bool)
             masks[0, 20:80, 20:80], masks[1, 20:80, 60:120] = True, True
-            yield Found(masks, np.float32([0.8, 0.95]), np.float32([1, 1]), np.array([2, 2]))
+            yield Found(masks, np.float32([0.8, 0.95]), np.float32([1, 1]), np.array([2, 2]), np.array([0, 1]))
 
     levels = PointSegmenter(Two(), NO_CROPS).segment(placed(120, 200))
     np.testing.assert_allclose(levels["large"].scores, [0.95, 0.8])

@@ -1,6 +1,7 @@
 """Masks of the photos, true or found, and their embeddings by the built-in encoder."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from drsplat import MiniEncoder, View, ViewFeatures, load_image
+from drsplat.commands.embed import COARSE_TO_FINE, NESTED
 from drsplat.masks.crops import crops
 from drsplat.masks.masks import LEVELS, Masks, cut_masks
 from drsplat.masks.selection import mask_maps
@@ -15,7 +17,7 @@ from drsplat.models.graph import GraphSegmenter
 from drsplat.models.point_masks import PointMaskSettings, PointSegmenter
 
 from .scenes import BenchScene, read_scene
-from .simulated_sam import SimulatedSam
+from .simulated_sam import room_sam
 
 Cut = Callable[[BenchScene, View, UInt8[np.ndarray, "h w 3"]], Mapping[str, Masks]]
 
@@ -32,29 +34,28 @@ def graph_masks(scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]
     return GraphSegmenter().segment(image)
 
 
-GRID = PointMaskSettings(points_per_side=32, crop_layers=0, levels=("large",))
-ROUNDS = PointMaskSettings(
-    points_per_side=64, first_points_per_side=4, most_points=128, crop_layers=0, levels=("large",)
-)
+_PHOTO = PointMaskSettings(crop_layers=0, levels=("large",))
+ASKING = {
+    "grid16": replace(_PHOTO, points_per_side=16),
+    "grid32": _PHOTO,
+    "nested32": replace(_PHOTO, **NESTED),
+    "rounds": replace(_PHOTO, **COARSE_TO_FINE, **NESTED),
+}
+"""How a simulated SAM is asked: by a grid of 256 or of 1,024 points; by the latter, but masks within others stay, as in
+rounds; or coarse to fine, where no mask explains the photo."""
 
 
 @lru_cache(maxsize=4)
-def simulated_sam(folder: Path, settings: PointMaskSettings) -> PointSegmenter:
-    """Return a simulated SAM of a made room, with its points."""
-    return PointSegmenter(SimulatedSam(read_scene(folder)), settings)
+def simulated_sam(folder: Path, kind: str) -> PointSegmenter:
+    """Return a simulated SAM of a made room. kind: of ASKING."""
+    return PointSegmenter(room_sam(read_scene(folder)), ASKING[kind])
 
 
-def grid_masks(scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]) -> Mapping[str, Masks]:
-    """Return the masks of a simulated SAM that is asked 1,024 points."""
-    return simulated_sam(scene.folder, GRID).segment(image)
+def _asking(kind: str) -> Cut:
+    return lambda scene, view, image: simulated_sam(scene.folder, kind).segment(image)
 
 
-def round_masks(scene: BenchScene, view: View, image: UInt8[np.ndarray, "h w 3"]) -> Mapping[str, Masks]:
-    """Return the masks of a simulated SAM that is asked coarse to fine, where no mask explains the photo yet."""
-    return simulated_sam(scene.folder, ROUNDS).segment(image)
-
-
-MASKS: dict[str, Cut] = {"true": true_masks, "graph": graph_masks, "grid": grid_masks, "rounds": round_masks}
+MASKS: dict[str, Cut] = {"true": true_masks, "graph": graph_masks, **{kind: _asking(kind) for kind in ASKING}}
 
 
 def features_of(scene: BenchScene, kind: str, encoder: MiniEncoder) -> dict[str, ViewFeatures]:

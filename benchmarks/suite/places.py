@@ -28,10 +28,12 @@ from drsplat.kernels import render_channels, splat_arrays
 from drsplat.masks.masks import LEVELS
 from drsplat.masks.selection import mask_maps
 from drsplat.models.graph import GraphSegmenter
+from drsplat.models.point_masks import PointSegmenter
 
-from .masks import MASKS
+from .masks import ASKING, MASKS
 from .outlines import inside, outlined_in_part, read_outlines
 from .scenes import BenchScene, read_scene
+from .simulated_sam import SimulatedSam
 
 SIDE = 504  # pixels of the longer side of a capture's photos
 CELLS = 12  # in which what nobody outlined is masked, for want of its true things
@@ -101,7 +103,8 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
 def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: Path) -> Place:
     """A real capture with its trained scene. outlines: drawn by hand; None: the capture has labels of its own.
 
-    kind: "graph", or "sam" for masks of whole things as a good segmenter makes them, their borders off by some pixels.
+    kind: "graph"; "sam" for masks of whole things as a good segmenter makes them, their borders off by some pixels; or
+    of ASKING, for those of a simulated SAM.
     """
     gaussians = read_gaussians(scene)
     photos = read_views(folder)
@@ -110,9 +113,10 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
     path = _kept(kept, folder, kind, gaussians, outlines)
     if not path.is_file():
         labels, mass = _lifted(gaussians, [view for view in views if view.name in known], known, len(names))
-        everywhere = _with_cells(gaussians, labels, len(names))
-        ids = _drawn(gaussians, everywhere)
-        maps = _simulated(ids) if kind == "sam" else _found(folder)
+        ids = drawn_ids(gaussians, _with_cells(gaussians, labels, len(names)))
+        maps = _found(folder) if kind == "graph" else _simulated(ids)
+        if kind in ASKING:
+            maps = _asked(PointSegmenter(SimulatedSam(folder.name, views, ids, {}), ASKING[kind]))
         _write(path, *_registered(gaussians, views, maps, ids), labels, mass)
     evidence, owners, labels, mass = _read(path)
     things = {name: [number] for number, name in enumerate(names)}
@@ -122,6 +126,12 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
         f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells, views, stored,
         lambda view: known[view.name], path.name,
     )  # fmt: skip
+
+
+def capture_sam(place: Place) -> SimulatedSam:
+    """Return a simulated SAM of the photos of a capture, which knows its things and cells."""
+    ids = drawn_ids(place.gaussians, _with_cells(place.gaussians, place.labels, len(place.things)))
+    return SimulatedSam(place.name, place.cameras, ids, {})
 
 
 def _kept(kept: Path, folder: Path, kind: str, gaussians: Gaussians, outlines: Path | None = None) -> Path:
@@ -253,7 +263,7 @@ def _with_cells(gaussians: Gaussians, labels: np.ndarray, count: int) -> Int32[n
     return everywhere
 
 
-def _drawn(gaussians: Gaussians, labels: Int32[np.ndarray, " n"]) -> Ids:
+def drawn_ids(gaussians: Gaussians, labels: Int32[np.ndarray, " n"]) -> Ids:
     """What each pixel shows most of."""
     splats, one_hot = splat_arrays(gaussians), np.eye(int(labels.max()) + 1, dtype=np.float32)[labels]
 
@@ -277,6 +287,11 @@ def _simulated(ids: Ids) -> Ids:
         return _compact(result)[0]
 
     return maps
+
+
+def _asked(sam: PointSegmenter) -> Ids:
+    """The masks that a simulated SAM has of a photo."""
+    return lambda view: mask_maps(sam.segment(load_image(view))).mask_ids[LEVELS.index("large")]
 
 
 def _moved(mask: Bool[np.ndarray, "h w"], pixels: int) -> Bool[np.ndarray, "h w"]:

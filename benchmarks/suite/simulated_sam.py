@@ -1,4 +1,4 @@
-"""A SAM that knows the truth of a made room: at a point it gives the part, the thing and the group that are there.
+"""A SAM that knows what photos show: at a point it gives the part, the thing and the group that are there.
 
 What published models get wrong is drawn: borders off by some pixels, answers that miss, small things more often than
 large ones, and scores that only roughly say how good a mask is. Parts are halves of things in space, a group is a thing
@@ -7,9 +7,9 @@ with what stands on it. Nothing is drawn anew when a point is asked again.
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, UInt8
@@ -27,45 +27,101 @@ GROUPED = 0.25  # of the photos in which a thing's largest answer takes in what 
 PARTED = 24  # pixels: a thing of fewer in width and height has no parts
 
 
+class Answer(NamedTuple):
+    """A mask, its IoU with what it should be, and whether that is small."""
+
+    mask: Bool[np.ndarray, "h w"]
+    iou: float
+    is_small: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Answers:
     """The masks that a photo has: numbers of the part and the thing of each pixel, -1 for none, and of each thing's
-    group the things in it."""
+    group the things in it. given: answers by output, number and pixels that borders are off."""
 
+    name: str
     parts: Int32[np.ndarray, "h w"]
     things: Int32[np.ndarray, "h w"]
     groups: Mapping[int, frozenset[int]]
+    given: dict[tuple[int, int, int], Answer] = field(default_factory=dict)
+
+    def at(self, x: int, y: int, point: int) -> Found:
+        """Return the three answers at a point that shows a thing, with its number."""
+        rng = np.random.default_rng([*self.name.encode(), x, y])
+        numbers = int(self.parts[y, x]), *[int(self.things[y, x])] * 2
+        answers = [
+            self._answer(output, number, int(rng.integers(-OFF, OFF + 1))) for output, number in enumerate(numbers)
+        ]
+        missed = np.array([rng.random() < (MISSED_SMALL if answer.is_small else MISSED) for answer in answers])
+        scores = np.where(missed, 0.4, [answer.iou for answer in answers]) + rng.normal(0, SCORE_NOISE, 3)
+        return Found(
+            np.stack([answer.mask for answer in answers]),
+            scores.clip(0, 1).astype(np.float32),
+            np.where(missed, 0.6, 0.95).astype(np.float32),
+            np.arange(3, dtype=np.int64),
+            np.full(3, point, np.int64),
+        )
+
+    def _answer(self, output: int, number: int, pixels: int) -> Answer:
+        key = output, number, pixels
+        if key not in self.given:
+            exact = self._exact(output, number)
+            mask = _moved(exact, pixels)
+            iou = float((mask & exact).sum() / max((mask | exact).sum(), 1))
+            self.given[key] = Answer(mask, iou, bool(exact.sum() < SMALL))
+        return self.given[key]
+
+    def _exact(self, output: int, number: int) -> Bool[np.ndarray, "h w"]:
+        if output == 2:
+            return np.isin(self.things, list(self.groups[number]))
+        return np.asarray((self.parts, self.things)[output] == number)
 
 
 class SimulatedSam:
-    """A `PointPredictor` of the photos of one room. asked: how many points so far. views: the photos."""
+    """A `PointPredictor` of some photos. asked: how many points so far.
 
-    def __init__(self, scene: BenchScene) -> None:
-        self.identity: Mapping[str, object] = {"name": "simulated SAM", "scene": scene.name}
+    name: what the photos are of. ids: what each pixel of one shows, -1 for nothing. on: what stands on each thing.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        views: Sequence[View],
+        ids: Callable[[View], Int32[np.ndarray, "h w"]],
+        on: Mapping[int, Sequence[int]],
+    ) -> None:
+        self.identity: Mapping[str, object] = {"name": "simulated SAM", "of": name}
         self.asked = 0
-        self._scene, self._on = scene, stands_on(scene)
-        self.views = scene.views
-        self._by_photo = {_hash(load_image(view)): view for view in scene.views}
+        self._ids, self._on = ids, on
+        self._by_photo = {_hash(load_image(view)): view for view in views}
+        self._last: Answers | None = None
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
-        """Yield the three answers of each point. The crop has to be a whole photo of the room."""
+        """Yield the three answers of each point. The crop has to be a whole photo."""
         view = self._by_photo[_hash(crop)]
-        answers = self._answers(view)
-        for x, y in points.astype(np.int64):
-            self.asked += 1
-            if answers.things[y, x] >= 0:
-                yield _answered(answers, int(x), int(y), view.name)
+        if self._last is None or self._last.name != view.name:
+            self._last = self._answers(view)
+        self.asked += len(points)
+        for number, (x, y) in enumerate(points.astype(np.int64).tolist()):
+            if self._last.things[y, x] >= 0:
+                yield self._last.at(x, y, number)
 
     def _answers(self, view: View) -> Answers:
-        things = self._scene.ids(view)
+        things = self._ids(view)
         rng = np.random.default_rng([*view.name.encode(), 1])
         groups = {
             thing: frozenset({thing, *self._on.get(thing, ())}) if rng.random() < GROUPED else frozenset({thing})
             for thing in np.unique(things[things >= 0]).tolist()
         }
-        return Answers(_halves(things), things, groups)
+        return Answers(view.name, _halves(things), things, groups)
+
+
+def room_sam(scene: BenchScene) -> SimulatedSam:
+    """Return a simulated SAM of the photos of a made room."""
+    return SimulatedSam(scene.name, scene.views, scene.ids, stands_on(scene))
 
 
 def stands_on(scene: BenchScene) -> dict[int, list[int]]:
@@ -97,32 +153,8 @@ def _halves(things: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
     return halves
 
 
-def _answered(answers: Answers, x: int, y: int, name: str) -> Found:
-    thing = int(answers.things[y, x])
-    exact = [
-        answers.parts == answers.parts[y, x],
-        answers.things == thing,
-        np.isin(answers.things, list(answers.groups[thing])),
-    ]
-    rng = np.random.default_rng([*name.encode(), x, y])
-    masks = [_moved(mask, rng) for mask in exact]
-    ious = np.array(
-        [(mask & true).sum() / max((mask | true).sum(), 1) for mask, true in zip(masks, exact, strict=True)]
-    )
-    missed = np.array([rng.random() < (MISSED_SMALL if mask.sum() < SMALL else MISSED) for mask in exact])
-    scores = np.where(missed, 0.4, ious) + rng.normal(0, SCORE_NOISE, 3)
-    stability = np.where(missed, 0.6, 0.95)
-    return Found(
-        np.stack(masks),
-        scores.clip(0, 1).astype(np.float32),
-        stability.astype(np.float32),
-        np.arange(3, dtype=np.int64),
-    )
-
-
-def _moved(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
-    """Return the mask grown or shrunk by some pixels, never to nothing."""
-    pixels = int(rng.integers(-OFF, OFF + 1))
+def _moved(mask: Bool[np.ndarray, "h w"], pixels: int) -> Bool[np.ndarray, "h w"]:
+    """Return the mask grown or, below 0, shrunk by some pixels, never to nothing."""
     if not pixels:
         return mask
     change = ndimage.binary_dilation if pixels > 0 else ndimage.binary_erosion

@@ -43,6 +43,8 @@ MOST_POINTS = 1024  # on a side
 AUTO, ALL = "auto", "all"
 COARSE_TO_FINE = {"first_points_per_side": 4, "points_per_side": 64, "most_points": 128}
 """Rounds of 4, 8, 16, 32 and 64 points a side, where no mask explains the photo yet."""
+NESTED = {"mask_inner": 0.0}
+"""Of large masks in rounds: what stands on a thing stays beside the mask of both."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -311,11 +313,12 @@ def point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
 
     asked = {"points_per_side": arguments.points, "crop_layers": arguments.crop_layers}
     given = {name: value for name, value in asked.items() if value is not None}
+    default = "large" if arguments.crops == "objects" else "four"
+    levels = arguments.levels or default
     if given.get("points_per_side") == AUTO:
-        given |= COARSE_TO_FINE
+        given |= COARSE_TO_FINE | (NESTED if levels == "large" else {})
     if arguments.segmenter != GraphSegmenter.name:
-        default = "large" if arguments.crops == "objects" else "four"
-        return PointMaskSettings(**given, levels=_LEVELS[arguments.levels or default])
+        return PointMaskSettings(**given, levels=_LEVELS[levels])
     if given or arguments.levels == "four":
         raise InputError(
             "--segmenter graph has masks of one level and no point grid: leave out --points, "

@@ -16,6 +16,7 @@ from ..masks.masks import LEVELS, Masks, tight_box
 from ..masks.selection import mask_nms
 from .mask_geometry import Box, box_nms, crop_boxes, cut_by_crop, open_points, spread, without_small_regions
 
+_MIDDLE, _LARGE = 1, 2
 _OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
 
 
@@ -40,7 +41,7 @@ class PointMaskSettings:
     min_region: int = 100  # LangSplat; pixels, see without_small_regions
     mask_iou: float = 0.8  # LangSplat; mask NMS
     mask_score: float = 0.7  # LangSplat; mask NMS
-    mask_inner: float = 0.5  # LangSplat; mask NMS
+    mask_inner: float = 0.5  # LangSplat; mask NMS; 0 keeps what lies in a larger mask, and paints larger ones first
     levels: tuple[str, ...] = LEVELS  # LangSplat; Dr. Splat and OpenGaussian use large alone
     points_per_batch: int = 64  # segment-anything; of memory only
 
@@ -67,6 +68,12 @@ class PointMaskSettings:
         """Which of the three masks of a point the levels need."""
         return tuple(sorted({output for level in self.levels for output in _OUTPUTS[level]}))
 
+    @property
+    def looked_at(self) -> tuple[int, ...]:
+        """Which of the three masks are looked at: in rounds also the middle one, which tells a thing from its group."""
+        in_rounds = self.first_points_per_side is not None
+        return (_MIDDLE, _LARGE) if in_rounds and self.outputs == (_LARGE,) else self.outputs
+
     def sides(self, layer: int) -> Iterator[int]:
         """Yield the points per side of each round on a crop of this layer, each round's twice those of the last."""
         last = max(1, self.points_per_side // self.crop_points_divisor**layer)
@@ -81,13 +88,14 @@ class Found(NamedTuple):
     """Masks of a batch of points, at the size of the crop they were found in.
 
     output: which of the three masks of its point each is. stability: area at a stricter threshold
-    by area at a laxer one.
+    by area at a laxer one. point: number of its point among those that were asked.
     """
 
     masks: Bool[np.ndarray, "n h w"]
     predicted_iou: Float32[np.ndarray, " n"]
     stability: Float32[np.ndarray, " n"]
     output: Int64[np.ndarray, " n"]
+    point: Int64[np.ndarray, " n"]
 
 
 @runtime_checkable
@@ -101,7 +109,7 @@ class PointPredictor(Protocol):
     ) -> Iterator[Found]:
         """Masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
-        Those of other outputs than settings.outputs, of a predicted IoU that is not above min_predicted_iou or of a
+        Those of other outputs than settings.looked_at, of a predicted IoU that is not above min_predicted_iou or of a
         stability below min_stability may be left out: they are dropped anyway.
         """
         ...
@@ -151,23 +159,40 @@ class PointSegmenter:
     def _in_crop(self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int) -> list[_Candidate]:
         """Return what passes of a crop, asked in rounds of finer and finer grids where nothing explains it yet.
 
-        A pixel is explained by a mask of the finest answer that is wanted: by its part, where parts are.
+        A pixel is explained by a mask of the finest answer that is wanted: by its part, where parts are. Of a large
+        mask only what the middle one of its point has too, if that is good: the rest of a group is asked for.
         """
         x0, y0, x1, y1 = crop
         pixels = np.ascontiguousarray(image[y0:y1, x0:x1])
         explained = np.zeros(pixels.shape[:2], np.bool_)
         passing: list[_Candidate] = []
+        for points in self._rounds(layer, explained):
+            middle: dict[int, Bool[np.ndarray, "h w"]] = {}
+            for found in self.predictor.find(pixels, points, self.settings):
+                passing += self._passing(found, crop, image.shape[:2])
+                self._explain(explained, found, middle)
+        return passing
+
+    def _explain(
+        self, explained: Bool[np.ndarray, "h w"], found: Found, middle: dict[int, Bool[np.ndarray, "h w"]]
+    ) -> None:
+        """Mark what masks explain. middle: the last good middle one by its point, which may be of the batch before."""
+        finest = self.settings.outputs[0]
+        for i in np.flatnonzero(self._good(found)):
+            if found.output[i] == finest:
+                explained |= found.masks[i] & middle.pop(int(found.point[i]), True)
+            elif found.output[i] == _MIDDLE and finest == _LARGE:
+                middle.clear()
+                middle[int(found.point[i])] = found.masks[i]
+
+    def _rounds(self, layer: int, explained: Bool[np.ndarray, "h w"]) -> Iterator[Float64[np.ndarray, "p 2"]]:
+        """Yield the points of each round, by what is explained when it begins."""
         left = self.settings.most_points
         for side in self.settings.sides(layer):
             points = spread(open_points(side, explained), left)
             left = None if left is None else left - len(points)
-            if not len(points):
-                continue
-            for found in self.predictor.find(pixels, points, self.settings):
-                passing += self._passing(found, crop, image.shape[:2])
-                finest = found.output == self.settings.outputs[0]
-                explained |= found.masks[self._good(found) & finest].any(0)
-        return passing
+            if len(points):
+                yield points
 
     def _good(self, found: Found) -> Bool[np.ndarray, " n"]:
         s = self.settings
@@ -219,7 +244,10 @@ class PointSegmenter:
             tuple(part for _, part, _ in pieces),
             np.array([c.predicted_iou * c.stability for c in candidates], np.float32),
         )
-        return masks.subset(mask_nms(masks, s.mask_iou, s.mask_score, s.mask_inner))
+        stay = mask_nms(masks, s.mask_iou, s.mask_score, s.mask_inner)
+        if not s.mask_inner:
+            stay = stay[np.argsort([-masks.parts[i].sum() for i in stay], kind="stable")]
+        return masks.subset(stay)
 
 
 def _distinct_in_crop(found: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:

@@ -128,11 +128,13 @@ class SamPredictor:
         features = self._last[1]
         asked = self.frame.scaled_points(points, *size)
         for start in range(0, len(asked), settings.points_per_batch):
-            batch = asked[start : start + settings.points_per_batch]
+            batch, first = asked[start : start + settings.points_per_batch], start
             for logits, iou in fitting(partial(self._answers, features), batch, "points"):
                 # before masks are enlarged, which costs time and memory
-                wanted = np.isin(np.arange(3), settings.outputs) & (iou > settings.min_predicted_iou)
-                yield from self._enlarged(logits, iou, np.argwhere(wanted), size, settings)
+                wanted = np.isin(np.arange(3), settings.looked_at) & (iou > settings.min_predicted_iou)
+                for found in self._enlarged(logits, iou, np.argwhere(wanted), size, settings):
+                    yield found._replace(point=first + found.point)
+                first += len(iou)
 
     def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> SharedImage:
         """Run the image encoder on the single crop of this batch."""
@@ -165,7 +167,7 @@ class SamPredictor:
         for start in range(0, len(wanted), chunk):
             points, outputs = wanted[start : start + chunk].T
             good, masks, stability = self._stable(logits[points, outputs], size, settings)
-            yield Found(masks, iou[points, outputs][good], stability, outputs[good])
+            yield Found(masks, iou[points, outputs][good], stability, outputs[good], points[good])
 
     def _stable(
         self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
