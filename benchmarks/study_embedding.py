@@ -1,71 +1,87 @@
-"""How many photos, points and crops answers need: each saving alone, and all of them, beside none.
+"""How many photos, points and crops answers need: each saving beside all photos, 1,024 points and all crops.
 
-    python benchmarks/study_embedding.py PLACE... --clip FOLDER --kept FOLDER [--seeds 4] [--shares 0.35 0.5]
+    python benchmarks/study_embedding.py PLACE... --clip FOLDER --kept FOLDER [--seeds 30] [--photos]
 
-PLACE: a packed room of world/scenes, of which a simulated SAM (`suite/simulated_sam.py`) makes the masks; or
-CAPTURE=SCENE, a capture with the scene that was trained on it, with masks of whole things and those of `graph`. Words
-and embeddings are drawn as in `suite/trials.py`, a fifth of them wrong. "grid": 1,024 points a photo; "rounds": coarse
-to fine. "evenly": photos evenly spaced by name. Columns: photos, points a photo, embedded crops; without any word, by
-weight in photos whose truth is known, the mean IoU over true things of the best part, thing or group with each, and of
-the Gaussians whose masks show most of it; with words (not where --seeds is 0) the IoU of the plain field and with
-objects, present words that find nothing and absent ones that find something. After IoUs of words, half of a 95 %
-interval over words.
+PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it. Masks are of a
+simulated SAM (`suite/simulated_sam.py`): "nested32" and "grid32" are asked 1,024 points a photo, of which the second
+drops masks that lie in others, as LangSplat does; "rounds" are asked coarse to fine. Words and embeddings are drawn as
+in `suite/trials.py`, a fifth of them wrong; objects are found once for a way (`suite/paired.py`). --photos: ways to
+choose photos alone, half and three quarters of them: "evenly" by name, "chosen" as `embed --views N` does.
+
+Columns: photos, points a photo, embedded crops; without any word, the mean IoU over true things of the best part, thing
+or group with each; the IoU of words, its mean difference over the same words of the same draws to the first way, with
+half of a 95 % interval over words; present words that find nothing and absent ones that find something. Rows of "all"
+pool the places.
 """
 
 import argparse
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.suite.answers import CAPTURE, Draws, kind_of, place_of, record_of
-from benchmarks.suite.masks import GRID, ROUNDS, simulated_sam
-from benchmarks.suite.places import Place
+from benchmarks.suite.answers import CAPTURE, kind_of, place_of
+from benchmarks.suite.masks import ASKING, simulated_sam
+from benchmarks.suite.paired import Answers, Way, differences, interval, way_of
+from benchmarks.suite.places import Place, capture_sam
 from benchmarks.suite.simulated_sam import SimulatedSam
-from benchmarks.suite.trials import LEAST, trial
+from benchmarks.suite.trials import LEAST
 from benchmarks.suite.vocabularies import Clip
 from drsplat import View, load_image
 from drsplat.embedding.shared_crops import share_crops
 from drsplat.embedding.view_choice import choose_views
-from drsplat.evidence.evidence import Evidence
+from drsplat.models.point_masks import PointSegmenter
 from drsplat.objects.choosing import Tree
-from drsplat.objects.finding import find_tree
 
-WRONG = 20  # percent
-SETTINGS = {"grid": GRID, "rounds": ROUNDS}
+WRONG = 0.2
+SHARES = 0.5, 0.75
 
 
-def ways(given: str, kept: Path, shares: list[float]) -> Iterator[tuple[str, Place]]:
-    """Yield the place with all photos and crops, then with each saving, and with all."""
-    kinds = ("sam", "graph") if kind_of(given) == CAPTURE else ("grid", "rounds")
-    for kind in kinds:
+class Row(NamedTuple):
+    """A way's numbers. differences: of the IoU of words to the first way's."""
+
+    photos: int
+    crops: int
+    fit: float
+    answers: Answers
+    differences: np.ndarray
+
+
+def savings(given: str, kept: Path) -> Iterator[tuple[str, Place]]:
+    """Yield the place with all photos, points and crops, then with savings."""
+    for kind in ("nested32", "grid32", "rounds"):
         place = place_of(given, kind, kept)
         yield f"{kind}, all photos, all crops", place
-        yield f"{kind}, crops of objects", _sharing(place)
-        chosen = [view.name for view in choose_views(place.gaussians, _cameras(place)).views]
-        few = replace(place, photos=set(chosen))
-        yield f"{kind}, photos that show enough", few
-        yield f"{kind}, as many evenly", replace(place, photos=_evenly(place, len(chosen)))
-        yield f"{kind}, photos that show enough, crops of objects", _sharing(few)
-        for share in shares:
-            most = round(share * len(place.evidence.masks.view_names))
-            best = choose_views(place.gaussians, _cameras(place), enough=1.0, most=most)
-            yield f"{kind}, {share:.0%} of the photos", replace(place, photos={view.name for view in best.views})
-            yield f"{kind}, {share:.0%} evenly", replace(place, photos=_evenly(place, most))
+    yield "rounds, all photos, crops of objects", _sharing(place)
+    chosen = [view.name for view in choose_views(place.gaussians, cameras(place)).views]
+    yield "rounds, photos that show enough, crops of objects", _sharing(replace(place, photos=set(chosen)))
+    yield "rounds, as many evenly, crops of objects", _sharing(replace(place, photos=evenly(place, len(chosen))))
 
 
-def _cameras(place: Place) -> list[View]:
+def choices(given: str, kept: Path) -> Iterator[tuple[str, Place]]:
+    """Yield the place with all photos, then with some of them."""
+    place = place_of(given, "rounds", kept)
+    yield "rounds, all photos, all crops", place
+    for share in SHARES:
+        most = round(share * len(place.evidence.masks.view_names))
+        best = choose_views(place.gaussians, cameras(place), enough=1.0, most=most)
+        yield f"rounds, {share:.0%} evenly", replace(place, photos=evenly(place, most))
+        yield f"rounds, {share:.0%} chosen", replace(place, photos={view.name for view in best.views})
+
+
+def cameras(place: Place) -> list[View]:
     """Return the cameras of the photos with masks, by name."""
     by_name = {view.name: view for view in place.cameras}
     return [by_name[name] for name in place.evidence.masks.view_names]
 
 
-def _evenly(place: Place, count: int) -> set[str]:
+def evenly(place: Place, count: int) -> set[str]:
     names = sorted(place.evidence.masks.view_names)
     return {names[number] for number in np.linspace(0, len(names) - 1, count).round().astype(int)}
 
@@ -76,86 +92,65 @@ def _sharing(place: Place) -> Place:
     return replace(place, crops=share_crops(evidence, place.gaussians, place.cameras))
 
 
-def points_of(given: str, kind: str) -> str:
-    """Return how many points a photo is asked, of every fourth photo."""
-    if kind not in SETTINGS:
-        return "-"
-    sam = simulated_sam(Path(given).resolve(), SETTINGS[kind])
+def points_of(given: str, place: Place, kind: str) -> float:
+    """Return how many points a photo is asked, in rounds of every fourth photo."""
+    if ASKING[kind].first_points_per_side is None:
+        return ASKING[kind].points_per_side ** 2
+    if kind_of(given) == CAPTURE:
+        sam = PointSegmenter(capture_sam(place), ASKING[kind])
+    else:
+        sam = simulated_sam(Path(given).resolve(), kind)
     predictor = sam.predictor
     assert isinstance(predictor, SimulatedSam)
-    if SETTINGS[kind].first_points_per_side is None:
-        return str(SETTINGS[kind].points_per_side ** 2)
-    before, some = predictor.asked, predictor.views[::4]
+    before, some = predictor.asked, cameras(place)[::4]
     for view in some:
         sam.segment(load_image(view))
-    return f"{(predictor.asked - before) / len(some):.0f}"
+    return (predictor.asked - before) / len(some)
 
 
-def fits(place: Place, evidence: Evidence) -> tuple[float, float]:
-    """Return the mean IoU of true things with the best node of the objects, and with what masks say of Gaussians."""
-    ids = np.flatnonzero(np.diff(evidence.weights.indptr))
-    seen = evidence.rows(ids)
-    tree = find_tree(seen, place.gaussians, ids.astype(np.uint32), place.cameras)
-    mass, labels, said = place.mass[ids], place.labels[ids], _said(place, seen)
-    of_nodes, by_masks = [], []
+def fit(way: Way) -> float:
+    """Return the mean IoU of true things with the best node of the objects."""
+    place, tree = way.place, way.tree
+    mass, labels, best = place.mass[way.ids], place.labels[way.ids], []
     for numbers in place.things.values():
         whole = np.isin(place.labels, numbers)
         total = place.mass[whole].sum()
-        if whole.sum() < LEAST or not total:
-            continue
-        inside = mass * np.isin(labels, numbers)
-        of_nodes.append(_ious(_sums(tree, inside), _sums(tree, mass), total).max())
-        chosen = np.isin(said, numbers)
-        by_masks.append(float(_ious(inside[chosen].sum(), mass[chosen].sum(), total)))
-    return float(np.mean(of_nodes)), float(np.mean(by_masks))
+        if whole.sum() >= LEAST and total:
+            inside, chosen = sums(tree, mass * np.isin(labels, numbers)), sums(tree, mass)
+            best.append((inside / (chosen + total - inside)).max())
+    return float(np.mean(best))
 
 
-def _sums(tree: Tree, values: np.ndarray) -> np.ndarray:
+def sums(tree: Tree, values: np.ndarray) -> np.ndarray:
     """Return the sum over the rows of each node, those of the nodes below it included."""
     placed = tree.node_of >= 0
-    sums = np.bincount(tree.node_of[placed], values[placed], len(tree.parents))
+    totals = np.bincount(tree.node_of[placed], values[placed], len(tree.parents))
     for node, parent in enumerate(tree.parents):  # a parent comes after its children
         if parent >= 0:
-            sums[parent] += sums[node]
-    return sums
+            totals[parent] += totals[node]
+    return totals
 
 
-def _ious(shared: np.ndarray, chosen: np.ndarray, whole: float) -> np.ndarray:
-    return np.asarray(shared / (chosen + whole - shared))
+def measured(place: Place, clip: Clip, seeds: int, first: Answers | None) -> Row:
+    way = way_of(place)
+    answers = way.answers(clip, WRONG, range(seeds))
+    crops = len(way.seen.masks) if place.crops is None else len(place.crops.chosen)
+    differing = differences(answers, answers if first is None else first)
+    return Row(len(way.seen.masks.view_names), crops, fit(way), answers, differing)
 
 
-def _said(place: Place, seen: Evidence) -> np.ndarray:
-    """Return the thing that has most of the weight of each row in masks that show mostly it."""
-    number = {name: i for i, name in enumerate(place.evidence.masks.view_names)}
-    views = [number[name] for name in seen.masks.view_names]
-    owners = np.concatenate([place.owners[place.evidence.masks.views == view] for view in views])
-    (known,) = np.nonzero(owners >= 0)
-    of_thing = csr_array((np.ones(len(known)), (known, owners[known])), shape=(len(owners), int(owners.max()) + 1))
-    votes = (seen.weights @ of_thing).toarray()
-    return np.where(votes.any(1), votes.argmax(1), -1)
-
-
-def row(given: str, way: str, place: Place, points: str, clip: Clip, draws: Draws) -> str:
-    evidence = place.evidence_of(np.ones((len(place.owners), 1), np.float32))
-    crops = len(evidence.masks) if place.crops is None else len(place.crops.chosen)
-    name = Path(given.partition("=")[0]).resolve().name
-    of_nodes, by_masks = fits(place, evidence)
-    counts = f"{len(evidence.masks.view_names)} | {points} | {crops} | {of_nodes:.3f} | {by_masks:.3f}"
-    return f"| {name}: {way} | {counts} | {_of_words(place, clip, draws)} |"
-
-
-def _of_words(place: Place, clip: Clip, draws: Draws) -> str:
-    """Return the columns of words."""
-    if not draws.seeds:
-        return "- | - | - | -"
-    seeds = [(share / 100, seed) for share in draws.wrong for seed in range(draws.seeds)]
-    record = record_of(trial(place, clip, "rough", share, seed) for share, seed in seeds)
-    means = " | ".join(_interval(record[name]) for name in ("plain", "objects"))
-    return f"{means} | {record['missed']['objects']:.0%} | {record['found']['objects']:.0%}"
-
-
-def _interval(values: list[float]) -> str:
-    return f"{np.mean(values):.3f} ± {1.96 * np.std(values) / np.sqrt(len(values)):.3f}"
+def line(name: str, points: float, rows: list[Row]) -> str:
+    """Return a line of the table: means of places, and of the words of all of them."""
+    differing = np.concatenate([row.differences for row in rows])
+    asked = [one for row in rows for one in row.answers.present.values()]
+    counts = " | ".join(f"{np.mean(numbers):.0f}" for numbers in ([row.photos for row in rows], points))
+    crops, fits = np.mean([row.crops for row in rows]), np.mean([row.fit for row in rows])
+    iou, missed = (np.mean(numbers) for numbers in zip(*asked, strict=True))
+    found = np.mean([found for row in rows for found in row.answers.absent.values()])
+    return (
+        f"| {name} | {counts} | {crops:.0f} | {fits:.3f} | {iou:.3f} | {differing.mean():+.3f} ± "
+        f"{interval(differing):.3f} | {missed:.0%} | {found:.0%} |"
+    )
 
 
 def main() -> None:
@@ -163,17 +158,23 @@ def main() -> None:
     parser.add_argument("places", nargs="+")
     parser.add_argument("--clip", type=Path, required=True)
     parser.add_argument("--kept", type=Path, required=True, help="folder of places that are registered already")
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--shares", type=float, nargs="*", default=[])
+    parser.add_argument("--seeds", type=int, default=30)
+    parser.add_argument("--photos", action="store_true")
     arguments = parser.parse_args()
-    clip, draws = Clip(arguments.clip), Draws((WRONG,), arguments.seeds)
-    columns = "photos | points | crops | objects fit | masks fit | plain | objects | missed | absent found"
-    print(f"| place: masks, way | {columns} |\n" + "|---" * 10 + "|")
+    clip = Clip(arguments.clip)
+    columns = "photos | points | crops | objects fit | words | difference | missed | absent found"
+    print(f"| place: way | {columns} |\n" + "|---" * 9 + "|")
+    pooled, points = defaultdict(list), defaultdict(list)
     for given in arguments.places:
-        kinds = ("sam", "graph") if kind_of(given) == CAPTURE else tuple(SETTINGS)
-        points = {kind: points_of(given, kind) for kind in kinds}
-        for way, place in ways(given, arguments.kept, arguments.shares):
-            print(row(given, way, place, points[way.partition(",")[0]], clip, draws), flush=True)
+        first = None
+        for name, place in (choices if arguments.photos else savings)(given, arguments.kept):
+            row = measured(place, clip, arguments.seeds, first)
+            first = first or row.answers
+            pooled[name].append(row)
+            points[name].append(points_of(given, place, name.partition(",")[0]))
+            print(line(f"{place.name.partition(',')[0]}: {name}", points[name][-1], [row]), flush=True)
+    for name, rows in pooled.items():
+        print(line(f"all: {name}", np.mean(points[name]), rows))
 
 
 if __name__ == "__main__":

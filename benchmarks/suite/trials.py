@@ -7,7 +7,7 @@ nothing to do with any. A word is absent if it was given to nothing, and no pict
 like a desk to the encoder is rightly found as a desk, whatever the trial calls it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,8 +68,30 @@ class Trial:
         return float(self.mass[selected & meant].sum() / either) if either else 0.0
 
 
-def trial(place: Place, words: Vocabulary, kind: str, wrong: float, seed: int) -> Trial:
-    """Return a trial of half of the words: the first, third ... with an even seed, else the others."""
+def field_of(place: Place, encoder: EncoderIdentity) -> LanguageField:
+    """With objects, its features as they are."""
+    evidence, gaussians = place.evidence, place.gaussians
+    ids = np.flatnonzero(np.diff(evidence.weights.indptr))
+    seen = evidence.rows(ids)
+    rows = np.concatenate([unit(seen.weights[at : at + 8192] @ seen.embeddings) for at in range(0, len(ids), 8192)])
+    scene = gaussians.fingerprint
+    field = LanguageField(ids.astype(np.uint32), Means(rows), encoder, scene, len(gaussians), seen)  # type: ignore[abstract]
+    return replace(field, objects=find_objects(field, gaussians, views=place.cameras))
+
+
+def trial(
+    place: Place,
+    words: Vocabulary,
+    kind: str,
+    wrong: float,
+    seed: int,
+    field_of: Callable[[Place, EncoderIdentity], LanguageField] = field_of,
+    least: int = LEAST,
+) -> Trial:
+    """Return a trial of half of the words: the first, third ... with an even seed, else the others.
+
+    field_of: makes the field of a place with the drawn embeddings. least: rows of what is asked for.
+    """
     rng = np.random.default_rng(seed)
     callable_words = range(seed % 2, len(words.words), 2)
     pictures = words.pictures(kind, callable_words, rng)
@@ -94,7 +116,7 @@ def trial(place: Place, words: Vocabulary, kind: str, wrong: float, seed: int) -
     truth = np.array([meaning.get(label, -1) for label in labels.tolist()])
     mass = place.mass[field.gaussian_ids]
     given = sorted(set(meaning.values()) - {-1})
-    present = {words.words[word]: truth == word for word in given if ((truth == word) & (mass > 0)).sum() >= LEAST}
+    present = {words.words[word]: truth == word for word in given if ((truth == word) & (mass > 0)).sum() >= least}
     named_pictures = np.unique(np.concatenate([shown[thing] for thing, word in meaning.items() if word >= 0]))
     rivals = words.shown_by(named_pictures, pictures) | words.like(given)
     absent = [words.words[word] for word in callable_words if word not in given and word not in rivals]
@@ -111,14 +133,3 @@ def _pictures_of_masks(
     right = np.array([rng.choice(shown[o]) if o in shown else anything[k] for k, o in enumerate(place.owners)])
     swapped = np.where(rng.random(len(right)) < 0.5, others, anything)
     return np.where(rng.random(len(right)) < wrong, swapped, right)
-
-
-def field_of(place: Place, encoder: EncoderIdentity) -> LanguageField:
-    """With objects, its features as they are."""
-    evidence, gaussians = place.evidence, place.gaussians
-    ids = np.flatnonzero(np.diff(evidence.weights.indptr))
-    seen = evidence.rows(ids)
-    rows = np.concatenate([unit(seen.weights[at : at + 8192] @ seen.embeddings) for at in range(0, len(ids), 8192)])
-    scene = gaussians.fingerprint
-    field = LanguageField(ids.astype(np.uint32), Means(rows), encoder, scene, len(gaussians), seen)  # type: ignore[abstract]
-    return replace(field, objects=find_objects(field, gaussians, views=place.cameras))
