@@ -27,7 +27,7 @@ from fake_models import ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from scenes import look_at_view
 from toy_capture import HEIGHT, WIDTH, balls
 
-COUNT = 12
+COUNT = 16
 
 
 @pytest.fixture(scope="module")
@@ -220,6 +220,12 @@ def test_what_has_been_seen_often_enough_is_not_looked_at_again(scene, photos):
     assert photos[-1] in another.views
 
 
+def test_a_near_photo_is_worth_more_than_one_that_shows_the_same_from_afar(scene):
+    places = [(0, -8, 0.5), (0, -4, 0.5), (0, -8, 0.6)]
+    far, near, another = (look_at_view(place, width=WIDTH, height=HEIGHT) for place in places)
+    assert choose_views(scene, [far, near, another], most=1).views == [near]
+
+
 def test_as_many_photos_as_are_asked_for_and_the_same_at_any_threads(scene, photos):
     one, two = (choose_views(scene, photos, enough=1.0, most=5, threads=threads) for threads in (1, 2))
     assert len(one.views) == 5
@@ -244,7 +250,7 @@ def test_the_command_embeds_a_few_crops_of_a_few_photos(scene, photos, tmp_path,
     with_scene = [*line, "--scene", str(tmp_path / "scene.ply"), "--views", "6", "--crops", "objects"]
     assert cli.main(with_scene) == 0
     said = capsys.readouterr().out
-    assert "6 photos; the chosen ones show" in said
+    assert f"{COUNT - 6} photos; the chosen ones show" in said
     assert (capture / "language_features.parts" / MASKS).is_dir()
     assert (capture / "language_features.parts" / CROPS).is_dir()
     assert len(read_features(capture / "language_features")) == 6

@@ -17,7 +17,7 @@ from ..objects.finding import find_tree
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
-CROPS_PER_OBJECT = 5
+CROPS_PER_OBJECT = 12
 MIN_FIT = 0.5
 """IoU, by weight, above which a mask shows a node; of disjoint nodes at most one has more."""
 NEAREST_SHARE = 0.5

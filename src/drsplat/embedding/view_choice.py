@@ -18,9 +18,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
 SIGHTS = 3.0
-"""Photos in which a Gaussian is seen often enough; one that shows little of it counts for less."""
-FULL_SIGHT = 0.25
-"""Share of a Gaussian's weight in its best photo from which on a photo counts in full."""
+"""Photos in which a Gaussian is seen often enough, each as much of one as it shows of what its best photo does."""
 ENOUGH = 0.98
 """Share of what all photos give together."""
 LONGER_SIDE = 252
@@ -51,8 +49,8 @@ def choose_views(
 ) -> ViewChoice:
     """Choose views greedily until Gaussians have been seen often enough.
 
-    Every Gaussian needs SIGHTS sights. A photo with FULL_SIGHT of its weight in its best photo is one, a photo with
-    less a part of one. All count the same, since Gaussians are dense where detail is. What photos show together has
+    Every Gaussian needs SIGHTS sights. The photo in which it has most weight is one, another as much of one as its
+    weight there is of that: what is large in a photo gets better masks than what is far. All count the same, since Gaussians are dense where detail is. What photos show together has
     diminishing returns (submodular), so the greedy choice is within 1 - 1/e of the best one of its length.
 
     Args:
@@ -84,8 +82,7 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
     data, rows = np.concatenate(weights), np.concatenate(ids)
     best = np.zeros(len(gaussians))
     np.maximum.at(best, rows, data)
-    shares = np.minimum(data / (FULL_SIGHT * best[rows]), 1)
-    return csc_array((shares, rows, starts), shape=(len(gaussians), len(views)))
+    return csc_array((data / best[rows], rows, starts), shape=(len(gaussians), len(views)))
 
 
 def _greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list[float]]:
