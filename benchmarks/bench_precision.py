@@ -1,10 +1,11 @@
 """Ways to compute SAM 2.1 tiny and CLIP ViT-B/16 on a CPU: CPU seconds, and whether the answers stay the same.
 
-    python benchmarks/bench_precision.py [--ways own float32 bfloat16 compiled openvino openvino-bf16] [--threads 1]
-                                         [--points 64] [--batches 16 32 64 128] [--crops 8] [--rounds 2]
+    python benchmarks/bench_precision.py [--ways own float32 bfloat16 products compiled openvino openvino-bf16]
+                                         [--threads 1] [--points 64] [--batches 16 32 64 128] [--crops 8] [--rounds 2]
 
-Real sizes, random weights. own: the mask decoder of transformers, float32; all others: drsplat's. compiled: by
-torch.compile, of SAM the decoder alone; it needs a C++ compiler. openvino: its own package, which drsplat does not use.
+Real sizes, random weights. own: the mask decoder of transformers, float32; all others: drsplat's. products: only the
+factors of products are rounded to bfloat16. compiled: by torch.compile, of SAM the decoder alone; it needs a C++
+compiler. openvino: its own package, which drsplat does not use.
 Of masks the IoU with those of "own" after the threshold, the least and the median; of crops the least cosine with
 float32. Masks of random weights are noise, which has edges everywhere: equal here is equal anywhere, but what differs
 here may differ less on a photo. CPU seconds are of all threads, the least of all rounds after a warm-up.
@@ -42,6 +43,17 @@ def in_bfloat16(run: Run) -> Run:
     return cast
 
 
+def with_rounded_factors(run: Run) -> Run:
+    def rounded(value: Any) -> Any:
+        torch.set_float32_matmul_precision("medium")
+        try:
+            return run(value)
+        finally:
+            torch.set_float32_matmul_precision("highest")
+
+    return rounded
+
+
 def by_openvino(module: torch.nn.Module, example: Any, precision: str) -> Run:
     import openvino as ov
 
@@ -56,7 +68,8 @@ def way_of(way: str, module: torch.nn.Module, example: Any) -> Run:
         return by_openvino(module, example, "bf16" if way.endswith("bf16") else "f32")
     if way == "compiled":
         return torch.compile(module)  # type: ignore[no-any-return]
-    return in_bfloat16(module) if way == "bfloat16" else module
+    casts = {"bfloat16": in_bfloat16, "products": with_rounded_factors}
+    return casts[way](module) if way in casts else module
 
 
 class ImageEncoder(torch.nn.Module):
@@ -164,8 +177,8 @@ def bench_clip(ways: list[str], crops: int, rounds: int) -> None:
 
 def main() -> None:
     args = arguments(
-        __doc__, ways=["own", "float32", "bfloat16", "compiled", "openvino", "openvino-bf16"], threads=1, points=64,
-        batches=[16, 32, 64, 128], crops=8, rounds=2,
+        __doc__, ways=["own", "float32", "bfloat16", "products", "compiled", "openvino", "openvino-bf16"], threads=1,
+        points=64, batches=[16, 32, 64, 128], crops=8, rounds=2,
     )  # fmt: skip
     torch.set_num_threads(args.threads)
     print(f"torch {torch.__version__}, {args.threads} threads")
