@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
+from drsplat.commands.stages import check_tables
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.models.loading import DEFAULT_ENCODER
 from drsplat.models.sam import CPU_SEGMENTER
@@ -175,6 +176,7 @@ def test_a_file_of_options_has_a_table_for_each_verb(
         ("[train]\nresolutoin = 3", "train has no option 'resolutoin'; did you mean resolution?"),
         ("[trian]\nresolution = 3", "there is no verb trian; did you mean train?"),
         ("[register]\noutput = 'x.field'", "[register] output is settled by drsplat scan"),
+        ("[view]\nviews = 'capture'", "[view] views is settled by drsplat scan"),
         ("[train]\niterations = 'many'", "expected a whole number"),
         ("[embed]\npoints = 16", "leave out --points"),
     ],
@@ -186,6 +188,11 @@ def test_a_file_of_options_with_a_slip_is_refused_before_any_work(
     line = ["scan", capture_folder, "-o", tmp_path / "room", *MODELS, "--config", tmp_path / "scan.toml"]
     assert said in error_of(capsys, *line)
     assert not (tmp_path / "room/model").exists()
+
+
+def test_a_file_of_options_may_say_how_many_photos_are_embedded(tmp_path: Path) -> None:
+    (tmp_path / "scan.toml").write_text("[embed]\nviews = 'all'")
+    check_tables(str(tmp_path / "scan.toml"), ["embed", "view"])
 
 
 def started(line: list[str]) -> "subprocess.Popen[str]":
