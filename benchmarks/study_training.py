@@ -23,7 +23,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import drsplat as ds
 from benchmarks.machine import describe
 from drsplat.training import TrainingSettings, everyday, train
+from drsplat.training.everyday import RATES
 
+ORIGINAL_RATES = {name: getattr(TrainingSettings, name) for name in RATES}
 EVERYDAY: dict[str, dict[str, Any]] = {
     "everyday": {},
     "photos at full size from the beginning": {"full_size_from": 0},
@@ -32,7 +34,12 @@ EVERYDAY: dict[str, dict[str, Any]] = {
     "resets of opacity in place of the penalty": {
         "opacity_penalty": 0.0, "reset_every": 1200, "reset_recovery": 500,
     },
-    "rates and degrees of 30,000 iterations": {"means_rate_steps": 30_000, "sh_degree_every": 1000},
+    "the original's rates": ORIGINAL_RATES,
+    "the original's rate of scales": {"scales_rate": TrainingSettings.scales_rate},
+    "the original's rate of rotations": {"quats_rate": TrainingSettings.quats_rate},
+    "the original's rate of harmonics": {"sh_rest_rate": TrainingSettings.sh_rest_rate},
+    "the original's last rate of positions": {"means_rate_end": TrainingSettings.means_rate_end},
+    "degrees of 30,000 iterations": {"sh_degree_every": 1000},
     "no budget": {"max_gaussians": 10**8},
     "mcmc": {"strategy": "mcmc"},
     "harmonics of degree 2": {"sh_degree": 2},

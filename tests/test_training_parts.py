@@ -133,6 +133,17 @@ def test_an_everyday_schedule_comes_to_its_end_with_its_iterations(iterations, s
     assert not any(resets_opacity(s, i) for i in range(1, iterations + 1))
 
 
+def test_everyday_steps_are_longer():
+    s = everyday([])
+    longer = {
+        name
+        for name, value in vars(s).items()
+        if name.endswith(("_rate", "_rate_end")) and value > getattr(DEFAULT, name)
+    }
+    assert longer == {"means_rate_end", "scales_rate", "quats_rate", "sh_rest_rate"}
+    assert everyday([], scales_rate=0.5).scales_rate == 0.5
+
+
 def test_the_everyday_budget_follows_the_pixels():
     view = look_at_view((1, 0, 0), width=190, height=100)
     assert budget_of([view]) == budget_of([view] * 100) == 10_000

@@ -16,6 +16,7 @@ REFINED_BY_CHANCE = 25 / 30
 FULL_SIZE = 1 / 4  # of the iterations, from when on photos are as they are
 DEGREES = 7  # of harmonics that would come in all the iterations
 OPACITY_PENALTY = 0.01
+RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
 PIXELS_EACH = 1.9  # of a photo, for each Gaussian
 PHOTOS = 100  # that a budget of one photo's pixels serves; more photos show more
 
@@ -23,14 +24,15 @@ PHOTOS = 100  # that a budget of one photo's pixels serves; more photos show mor
 def everyday(views: Sequence[View], iterations: int = ITERATIONS, **chosen: Any) -> TrainingSettings:
     """Return settings for so many iterations: rates, degrees and refinement have come to their end at the last one.
 
-    No opacity is reset. A penalty on opacities removes what no photo needs instead; photos are small at first; and
-    the number of Gaussians follows the pixels of the photos (`budget_of`).
+    Steps are fewer than originally, and longer (`RATES`). No opacity is reset. A penalty on opacities removes what no
+    photo needs instead; photos are small at first; and the number of Gaussians follows the pixels of the photos
+    (`budget_of`).
     views: to train on, at the size to train at. chosen: any other field of TrainingSettings, which counts.
 
     Raises: InputError: as TrainingSettings.
     """
     refined = REFINED_BY_CHANCE if chosen.get("strategy") == "mcmc" else REFINED
-    numbers = {
+    numbers = RATES | {
         "iterations": iterations,
         "means_rate_steps": iterations,
         "sh_degree_every": max(iterations // DEGREES, 1),
