@@ -1,12 +1,13 @@
 """How many photos, points and crops answers need: each saving beside all photos, 1,024 points and all crops.
 
-    python benchmarks/study_embedding.py PLACE... --clip FOLDER --kept FOLDER [--seeds 30] [--photos]
+    python benchmarks/study_embedding.py PLACE... --clip FOLDER --kept FOLDER [--seeds 30] [--photos | --draws 5]
 
 PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it. Masks are of a
 simulated SAM (`suite/simulated_sam.py`): "nested32" and "grid32" are asked 1,024 points a photo, of which the second
 drops masks that lie in others, as LangSplat does; "rounds" are asked coarse to fine. Words and embeddings are drawn as
 in `suite/trials.py`, a fifth of them wrong; objects are found once for a way (`suite/paired.py`). --photos: ways to
-choose photos alone, half and three quarters of them: "evenly" by name, "chosen" as `embed --views N` does.
+choose photos alone, half and three quarters of them: "evenly" by name, "chosen" as `embed --views N` does. --draws: so
+many draws of all that the simulated SAM gets wrong, each way beside all points of its own draw.
 
 Columns: photos, points a photo, embedded crops; without any word, the mean IoU over true things of the best part, thing
 or group with each; the IoU of words, its mean difference over the same words of the same draws to the first way, with
@@ -19,6 +20,8 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,6 +76,17 @@ def choices(given: str, kept: Path) -> Iterator[tuple[str, Place]]:
         best = choose_views(place.gaussians, cameras(place), enough=1.0, most=most)
         yield f"rounds, {share:.0%} evenly", replace(place, photos=evenly(place, most))
         yield f"rounds, {share:.0%} chosen", replace(place, photos={view.name for view in best.views})
+
+
+def drawn(given: str, kept: Path, draw: int) -> Iterator[tuple[str, Place]]:
+    """Yield the place with masks of a draw of the simulated SAM: of all points, in rounds, and with all savings."""
+    for way in ("nested32", "rounds"):
+        place = place_of(given, f"{way}.{draw}" if draw else way, kept)
+        yield f"{way}, all photos, all crops", place
+    yield "rounds, all photos, crops of objects", _sharing(place)
+    chosen = {view.name for view in choose_views(place.gaussians, cameras(place)).views}
+    yield "rounds, photos that show enough, all crops", replace(place, photos=chosen)
+    yield "rounds, photos that show enough, crops of objects", _sharing(replace(place, photos=chosen))
 
 
 def cameras(place: Place) -> list[View]:
@@ -160,14 +174,16 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, required=True, help="folder of places that are registered already")
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--photos", action="store_true")
+    parser.add_argument("--draws", type=int, default=0)
     arguments = parser.parse_args()
     clip = Clip(arguments.clip)
     columns = "photos | points | crops | objects fit | words | difference | missed | absent found"
     print(f"| place: way | {columns} |\n" + "|---" * 9 + "|")
     pooled, points = defaultdict(list), defaultdict(list)
-    for given in arguments.places:
+    compared = [partial(drawn, draw=draw) for draw in range(arguments.draws)]
+    for given, ways in product(arguments.places, compared or [choices if arguments.photos else savings]):
         first = None
-        for name, place in (choices if arguments.photos else savings)(given, arguments.kept):
+        for name, place in ways(given, arguments.kept):
             row = measured(place, clip, arguments.seeds, first)
             first = first or row.answers
             pooled[name].append(row)

@@ -45,10 +45,17 @@ ASKING = {
 rounds; or coarse to fine, where no mask explains the photo."""
 
 
+def asking(kind: str) -> tuple[PointMaskSettings, int]:
+    """Return how a simulated SAM is asked and the number of its draw, as in "rounds" and "rounds.2"."""
+    way, _, draw = kind.partition(".")
+    return ASKING[way], int(draw or 0)
+
+
 @lru_cache(maxsize=4)
 def simulated_sam(folder: Path, kind: str) -> PointSegmenter:
-    """Return a simulated SAM of a made room. kind: of ASKING."""
-    return PointSegmenter(room_sam(read_scene(folder)), ASKING[kind])
+    """Return a simulated SAM of a made room. kind: as in `asking`."""
+    settings, draw = asking(kind)
+    return PointSegmenter(room_sam(read_scene(folder), draw), settings)
 
 
 def _asking(kind: str) -> Cut:
@@ -56,6 +63,11 @@ def _asking(kind: str) -> Cut:
 
 
 MASKS: dict[str, Cut] = {"true": true_masks, "graph": graph_masks, **{kind: _asking(kind) for kind in ASKING}}
+
+
+def cut_of(kind: str) -> Cut:
+    """Return what makes the masks of a kind of MASKS, or of another draw of a simulated SAM."""
+    return MASKS[kind] if kind in MASKS else _asking(kind)
 
 
 def features_of(scene: BenchScene, kind: str, encoder: MiniEncoder) -> dict[str, ViewFeatures]:

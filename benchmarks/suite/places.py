@@ -30,7 +30,7 @@ from drsplat.masks.selection import mask_maps
 from drsplat.models.graph import GraphSegmenter
 from drsplat.models.point_masks import PointSegmenter
 
-from .masks import ASKING, MASKS
+from .masks import ASKING, asking, cut_of
 from .outlines import inside, outlined_in_part, read_outlines
 from .scenes import BenchScene, read_scene
 from .simulated_sam import SimulatedSam
@@ -84,7 +84,7 @@ class Place:
 
 
 def room(folder: Path, kind: str, kept: Path) -> Place:
-    """One of world/scenes. kind: of MASKS."""
+    """One of world/scenes. kind: as in `cut_of`."""
     scene = read_scene(folder)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     things: dict[str, list[int]] = defaultdict(list)
@@ -104,7 +104,7 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
     """A real capture with its trained scene. outlines: drawn by hand; None: the capture has labels of its own.
 
     kind: "graph"; "sam" for masks of whole things as a good segmenter makes them, their borders off by some pixels; or
-    of ASKING, for those of a simulated SAM.
+    as in `asking`, for those of a simulated SAM.
     """
     gaussians = read_gaussians(scene)
     photos = read_views(folder)
@@ -115,8 +115,9 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
         labels, mass = _lifted(gaussians, [view for view in views if view.name in known], known, len(names))
         ids = drawn_ids(gaussians, _with_cells(gaussians, labels, len(names)))
         maps = _found(folder) if kind == "graph" else _simulated(ids)
-        if kind in ASKING:
-            maps = _asked(PointSegmenter(SimulatedSam(folder.name, views, ids, {}), ASKING[kind]))
+        if kind.partition(".")[0] in ASKING:
+            settings, draw = asking(kind)
+            maps = _asked(PointSegmenter(SimulatedSam(folder.name, views, ids, {}, draw), settings))
         _write(path, *_registered(gaussians, views, maps, ids), labels, mass)
     evidence, owners, labels, mass = _read(path)
     things = {name: [number] for number, name in enumerate(names)}
@@ -163,7 +164,7 @@ def with_wrong_masks(evidence: Evidence, percent: int) -> Evidence:
 
 def _masks_of(scene: BenchScene, kind: str) -> Ids:
     def maps(view: View) -> np.ndarray:
-        return mask_maps(MASKS[kind](scene, view, load_image(view))).mask_ids[LEVELS.index("large")]
+        return mask_maps(cut_of(kind)(scene, view, load_image(view))).mask_ids[LEVELS.index("large")]
 
     return maps
 

@@ -38,9 +38,11 @@ class Answer(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Answers:
     """The masks that a photo has: numbers of the part and the thing of each pixel, -1 for none, and of each thing's
-    group the things in it. given: answers by output, number and pixels that borders are off."""
+    group the things in it. draw: its number, none for the first. given: answers by output, number and pixels that
+    borders are off."""
 
     name: str
+    draw: Sequence[int]
     parts: Int32[np.ndarray, "h w"]
     things: Int32[np.ndarray, "h w"]
     groups: Mapping[int, frozenset[int]]
@@ -48,7 +50,7 @@ class Answers:
 
     def at(self, x: int, y: int, point: int) -> Found:
         """Return the three answers at a point that shows a thing, with its number."""
-        rng = np.random.default_rng([*self.name.encode(), x, y])
+        rng = np.random.default_rng([*self.name.encode(), x, y, *self.draw])
         numbers = int(self.parts[y, x]), *[int(self.things[y, x])] * 2
         answers = [
             self._answer(output, number, int(rng.integers(-OFF, OFF + 1))) for output, number in enumerate(numbers)
@@ -82,6 +84,7 @@ class SimulatedSam:
     """A `PointPredictor` of some photos. asked: how many points so far.
 
     name: what the photos are of. ids: what each pixel of one shows, -1 for nothing. on: what stands on each thing.
+    draw: number of the draw of all that it gets wrong.
     """
 
     def __init__(
@@ -90,10 +93,11 @@ class SimulatedSam:
         views: Sequence[View],
         ids: Callable[[View], Int32[np.ndarray, "h w"]],
         on: Mapping[int, Sequence[int]],
+        draw: int = 0,
     ) -> None:
-        self.identity: Mapping[str, object] = {"name": "simulated SAM", "of": name}
+        self.identity: Mapping[str, object] = {"name": "simulated SAM", "of": name, "draw": draw}
         self.asked = 0
-        self._ids, self._on = ids, on
+        self._ids, self._on, self._draw = ids, on, [draw] if draw else []
         self._by_photo = {_hash(load_image(view)): view for view in views}
         self._last: Answers | None = None
 
@@ -111,17 +115,17 @@ class SimulatedSam:
 
     def _answers(self, view: View) -> Answers:
         things = self._ids(view)
-        rng = np.random.default_rng([*view.name.encode(), 1])
+        rng = np.random.default_rng([*view.name.encode(), 1, *self._draw])
         groups = {
             thing: frozenset({thing, *self._on.get(thing, ())}) if rng.random() < GROUPED else frozenset({thing})
             for thing in np.unique(things[things >= 0]).tolist()
         }
-        return Answers(view.name, _halves(things), things, groups)
+        return Answers(view.name, self._draw, _halves(things), things, groups)
 
 
-def room_sam(scene: BenchScene) -> SimulatedSam:
+def room_sam(scene: BenchScene, draw: int = 0) -> SimulatedSam:
     """Return a simulated SAM of the photos of a made room."""
-    return SimulatedSam(scene.name, scene.views, scene.ids, stands_on(scene))
+    return SimulatedSam(scene.name, scene.views, scene.ids, stands_on(scene), draw)
 
 
 def stands_on(scene: BenchScene) -> dict[int, list[int]]:
