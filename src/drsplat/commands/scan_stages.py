@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
 CPU_SIDE = 800  # pixels of the longer side of photos that a CPU trains on
-SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "crops": "objects", "views": "auto"}
-"""Options of embed: few points and crops, and the photos that show enough."""
+SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "levels": "large"}
+"""Options of embed: few points. Fewer photos and crops may cost answers on real photos (docs/embedding.md)."""
 UNKNOWN_PHOTOS = 100  # of a video whose frames are not chosen yet
 SECONDS = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Of a photo, in training of an iteration, on two cores: what the time that is left is guessed by at first."""
-SAM_SECONDS = {"cpu": 30.0, "cuda": 1.5, "mps": 5.0}
+SAM_SECONDS = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
 
 
 @dataclass(frozen=True, eq=False)
