@@ -12,7 +12,7 @@ BUILDING = {
     "drsplat.evidence.aggregation.aggregators", "torch", "scipy.ndimage",
 }  # fmt: skip
 TREES = {"scipy.spatial", "scipy.sparse.csgraph"}
-SLOW = {"jaxtyping", "asyncio", "scipy", "PIL", "rich", "safetensors", "importlib.metadata", "importlib.resources"}
+SLOW = {"jaxtyping", "asyncio", "scipy", "PIL", "safetensors", "importlib.metadata", "importlib.resources"}
 
 
 def loaded_by(*line: object) -> set[str]:
@@ -40,7 +40,7 @@ def test_a_question_loads_nothing_that_builds(story: Story, demo_folder: Path) -
     assert not selected & (BUILDING | TREES | SLOW | {"drsplat.formats.captures", "zstandard"})
     located = loaded_by("locate", field, "blue cup", "--scene", demo_folder / "scene.ply")
     assert located >= TREES  # which link what is selected, where the field has no objects
-    assert not located & (BUILDING | {"jaxtyping", "PIL", "rich"})
+    assert not located & (BUILDING | {"jaxtyping", "PIL"})
 
 
 def test_facts_of_a_field_need_no_matrix(story: Story, demo_folder: Path) -> None:

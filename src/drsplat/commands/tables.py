@@ -1,77 +1,44 @@
-"""Tables on the terminal: a library for them takes longer to load than most questions take."""
+"""Tables on the terminal."""
 
-import os
-import sys
-import unicodedata
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import zip_longest
-from shutil import get_terminal_size
-from textwrap import wrap
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-LEAST_ROOM = 10  # columns for a value, on however narrow a terminal
+if TYPE_CHECKING:
+    from rich.console import Console
+
+BOUNDLESS = 100_000  # columns
 
 
 def show_facts(title: str, facts: Mapping[str, object]) -> None:
-    """Names and values, one to a line; values are folded where a terminal ends."""
-    names, values = [name.replace("_", " ") for name in facts], list(map(said, facts.values()))
-    if sys.stdout.isatty():
-        room = get_terminal_size().columns - max(map(_width, names), default=0) - 2
-        values = [_folded(value, max(room, LEAST_ROOM)) for value in values]
+    """Names and values, one to a line."""
+    show_table(title, ("", ""), [(name.replace("_", " "), said(value)) for name, value in facts.items()], headed=False)
+
+
+def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True) -> None:
+    """The first column to the left, in headed tables the others to the right.
+
+    Nothing is cut: a headed table is as wide as it needs to be, facts are folded where a terminal ends.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD if headed else None, show_header=headed, pad_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="right" if headed and index else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     print(title)
-    for line in _lines(zip(names, values, strict=True), "  ", to_right=False):
-        print(line)
+    console, boundless = _console(None), _console(BOUNDLESS)
+    folded = console.is_terminal and not headed
+    _console(console.width if folded else boundless.measure(table).maximum).print(table)
 
 
-def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """The first column to the left, the others to the right; as wide as it needs to be, nothing is cut."""
-    head, *body = _lines([columns, *rows], "   ", to_right=True)
-    width = _width(head)
-    blank, rule = " " * width, ("─" if _can_show("─") else "-") * width
-    shown = f"\x1b[1m{head}\x1b[0m" if _is_bold_known() else head
-    print(title)
-    for line in (blank, shown, rule, *body, blank):
-        print(f" {line} ")
+def _console(width: int | None) -> "Console":
+    """Shows texts as they are: [red] and :warning: are no commands. width: None for the terminal's."""
+    from rich.console import Console
 
-
-def _lines(rows: Iterable[Sequence[str]], between: str, *, to_right: bool) -> Iterator[str]:
-    """Return lines with cells as wide as their column; to_right: all but those of the first are moved there."""
-    cells = [line for row in rows for line in zip_longest(*(cell.split("\n") for cell in row), fillvalue="")]
-    widths = [max(map(_width, column)) for column in zip(*cells, strict=True)]
-    for line in cells:
-        yield between.join(_padded(cell, widths[at], to_right and at > 0) for at, cell in enumerate(line))
-
-
-def _padded(cell: str, width: int, to_right: bool) -> str:
-    gap = " " * (width - _width(cell))
-    return gap + cell if to_right else cell + gap
-
-
-def _width(text: str) -> int:
-    """Return the columns that a text takes: two for a letter of Chinese, none for an accent."""
-    return len(text) if text.isascii() else sum(map(_width_of, text))
-
-
-def _width_of(letter: str) -> int:
-    if unicodedata.category(letter) in ("Mn", "Me", "Cf"):
-        return 0
-    return 2 if unicodedata.east_asian_width(letter) in "WF" else 1
-
-
-def _folded(text: str, room: int) -> str:
-    lines = (wrap(line, room, break_on_hyphens=False, replace_whitespace=False) or [""] for line in text.split("\n"))
-    return "\n".join(part for parts in lines for part in parts)
-
-
-def _can_show(text: str) -> bool:
-    try:
-        text.encode(sys.stdout.encoding or "ascii")
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _is_bold_known() -> bool:
-    return sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+    height = None if width is None else 1
+    return Console(width=width, height=height, highlight=False, markup=False, emoji=False)
 
 
 def said(value: object) -> str:
