@@ -17,7 +17,9 @@ from scipy.spatial.transform import Rotation
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
-from drsplat.commands.stages import check_tables
+from drsplat.commands.embed import point_settings
+from drsplat.commands.scan_stages import _embedding
+from drsplat.commands.stages import check_tables, verb_line
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.models.loading import DEFAULT_ENCODER
 from drsplat.models.sam import CPU_SEGMENTER
@@ -317,6 +319,14 @@ def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: py
     assert (choice.segmenter, choice.encoder) == (CPU_SEGMENTER, DEFAULT_ENCODER)
     assert "any words can be asked" in choice.sentence
     assert choosing.choose_models("graph", "auto").segmenter == "graph"
+
+
+def test_on_a_cpu_sam_is_asked_few_points_of_all_photos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(choosing, "choose_models", lambda *_: choosing.ModelChoice(CPU_SEGMENTER, DEFAULT_ENCODER))
+    scan = verb_line("scan", ["photos", "--output", str(tmp_path)], []).arguments
+    embed = _embedding(scan, "capture", tmp_path, [], None)[0].arguments
+    assert (embed.points, embed.views, embed.crops) == ("auto", "all", "masks")
+    assert point_settings(embed).levels == ("large",)  # the one that register uses
 
 
 def test_a_hub_that_cannot_be_reached_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:

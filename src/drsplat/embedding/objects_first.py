@@ -85,7 +85,9 @@ def embed_objects(
         pending = [stem for stem in by_stem if not record.is_finished(stem, digest)]
         redone = sum(record.has_files(stem) for stem in pending)
         if pending:
-            rows = _vectors(by_stem, masks, encoder, gaussians, parts, overwrite, threads, track)
+            rows = _vectors(
+                by_stem, masks, encoder, gaussians, parts, overwrite=overwrite, threads=threads, track=track
+            )
             for stem in pending:
                 finish_photo(record, stem, digest, masks.stored(stem)[0], rows[stem], form)
         finish_folder(record, encoder)
@@ -119,6 +121,7 @@ def _vectors(
     encoder: ImageEncoder,
     gaussians: Gaussians,
     parts: Path,
+    *,
     overwrite: bool,
     threads: int,
     track: Track,
