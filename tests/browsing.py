@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+PANEL = 372  # columns of the controls, on a desk
 SLOW = 90_000  # milliseconds: WebGL on a busy processor
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")
 
@@ -36,6 +37,22 @@ def a_page(browser: Any, width: int = 1000, height: int = 700) -> Iterator[Any]:
     yield page
     page.close()
     assert errors == []
+
+
+def opened(page: Any, address: str) -> None:
+    """Open the client, in a page's file or before a running viewer, and wait for its first picture."""
+    page.goto(address)
+    page.wait_for_function("() => window.drsplat && drsplat.stage.frames > 0")
+    settled(page)
+
+
+def settled(page: Any) -> None:
+    """Wait until what is drawn is what should be shown, all of it."""
+    page.evaluate("() => drsplat.acting")
+    page.wait_for_function(
+        "() => !drsplat.camera.isFlying && !drsplat.stage.moving && drsplat.stage.busy === 'no' && !drsplat.stage.stale"
+    )
+    page.wait_for_timeout(100)
 
 
 def eventually(holds: Callable[[], bool], seconds: float = 90) -> None:

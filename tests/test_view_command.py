@@ -16,7 +16,11 @@ import pytest
 from drsplat import write_gaussians
 from drsplat.cli import main
 from drsplat.errors import InputError
-from drsplat.viewing.page import filled, packed
+from drsplat.formats.spz import parse_spz
+from drsplat.viewing.client import PAGE_POLICY, filled
+from drsplat.viewing.page import packed
+from drsplat.viewing.session import Session
+from drsplat.viewing.shown import significance
 from viewing_scenes import EACH, THINGS, boxes_scene
 
 
@@ -51,7 +55,7 @@ def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:
     assert [len(answer["matches"]) for answer in header["answers"]] == [1, 0]
     _, offset, size = arrays["words"]
     words = np.frombuffer(blob, np.uint16, size, offset)
-    assert header["words"][words[0] - 1] == "red mug"
+    assert header["vocabulary"][words[0] - 1] == "red mug"
     assert set(words[3 * EACH :]) == {0}  # without a feature
 
 
@@ -65,7 +69,32 @@ def test_a_query_cannot_end_the_script_that_it_is_in(folder: Path) -> None:
 def test_a_page_needs_no_network(folder: Path) -> None:
     export(folder, "--ask", "mug")
     text = (folder / "page.html").read_text(encoding="utf-8")
-    assert not re.search(r"(src|href)\s*=|https?://|@import|fetch\(", text)
+    assert f'content="{PAGE_POLICY}"' in text  # a browser then asks no host, whatever a script tries
+    assert PAGE_POLICY.startswith("default-src 'none'")
+    assert "http" not in PAGE_POLICY
+    assert "connect-src" not in PAGE_POLICY
+    assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)\s*=|https?://|@import", text)
+
+
+def test_the_scene_in_a_page_is_a_file_that_others_read(folder: Path) -> None:
+    export(folder, "--ask", "mug")
+    header, _ = header_and_blob(folder / "page.html")
+    found = re.search(r'id="scene" data-name="scene.spz">(.*?)</script>', (folder / "page.html").read_text("utf-8"))
+    assert found is not None
+    inside, scene = parse_spz(memoryview(base64.b64decode(found[1]))), boxes_scene()
+    weight = significance(scene.gaussians)
+    order = np.argsort(-weight, kind="stable")
+    np.testing.assert_allclose(inside.means, scene.gaussians.means[order], atol=1e-5)
+    assert len(inside) == len(scene.gaussians)
+    assert header["frame"]["scale"] == Session(scene).shown.frame.scale
+
+
+def test_a_page_opens_before_its_first_match(folder: Path) -> None:
+    export(folder, "--ask", "elephant; tall lamp")
+    header, _ = header_and_blob(folder / "page.html")
+    (match,) = header["answers"][1]["matches"]
+    assert header["target"] == match["center"]
+    assert header["eye"] == match["eye"]
 
 
 @pytest.mark.parametrize(
@@ -191,7 +220,6 @@ def test_what_is_filled_in_is_not_filled_again() -> None:
 def test_too_many_gaussians_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from drsplat.viewing import page
     from drsplat.viewing.exporting import page_of
-    from drsplat.viewing.session import Session
 
     monkeypatch.setattr(page, "MOST", 10)
     up = np.array([0.0, 0.0, 1.0])

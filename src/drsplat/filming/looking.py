@@ -12,6 +12,7 @@ from ..scene.views import View
 
 Vector = Float64[np.ndarray, " 3"]
 ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
+MARGIN = 0.15  # share of a photo's sides where a thing is cut off
 LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
 FOV_DEGREES = 55.0
 UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
@@ -58,19 +59,31 @@ def looking_at(
 
 
 def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:
-    """A place to see a match from: the side that most photos see it from, a little above."""
-    size = size_of(match, gaussians)
-    if views:
-        eyes = np.stack([view.center for view in views])
-        nearest = eyes[np.argsort(np.linalg.norm(eyes - match.center, axis=1))[: len(eyes) // 3 + 1]]
-        side = (nearest - match.center).mean(0)
-    else:
+    """Return a place to see a match from: on the way to a photo that shows it, so that nothing stands between.
+
+    Of the photos that have its middle in the picture, the one taken from about the best distance; without any, a place
+    a little above it.
+    """
+    distance = ASIDE * size_of(match, gaussians) * float(np.hypot(1, ABOVE))
+    showing = [view for view in views if _shows(view, match.center)] or views
+    if not showing:
         side = np.array([0.8, 0.5, 0.3])
-    side = side - (side @ up) * up
-    if np.linalg.norm(side) < 1e-9:
-        side = np.cross(up, np.roll(up, 1))
-    side = side / np.linalg.norm(side)
-    return np.asarray(match.center + ASIDE * size * (side + ABOVE * up))
+        side = side - (side @ up) * up
+        side = side / np.linalg.norm(side) + ABOVE * up
+        return np.asarray(match.center + distance * side / np.linalg.norm(side))
+    ways = np.stack([view.center for view in showing]) - match.center
+    lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
+    best = int(np.abs(np.log(lengths / distance)).argmin())
+    return np.asarray(match.center + ways[best] * min(1.0, distance / lengths[best]))
+
+
+def _shows(view: View, point: Vector) -> bool:
+    """Return whether a point is in the inner part of a view's picture."""
+    x, y, z = view.cam_from_world[:3, :3] @ point + view.cam_from_world[:3, 3]
+    if z <= 0:
+        return False
+    u, v = view.K[0, 0] * x / z + view.K[0, 2], view.K[1, 1] * y / z + view.K[1, 2]
+    return bool(MARGIN <= u / view.width <= 1 - MARGIN and MARGIN <= v / view.height <= 1 - MARGIN)
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:

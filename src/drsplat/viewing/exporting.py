@@ -61,7 +61,7 @@ def export_page(
         )
     up = up_direction(scene) if up is None else up
     film = path_named(path_name, scene.gaussians, scene.views, up=up)
-    page = page_of(session, queries, first_look(scene.views, session.shown.frame, up), up, title, film)
+    page = page_of(session, queries, None, up, title, film)
     page = replace(page, plays=plays)
     write_page(path, page, overwrite=overwrite)
     return page
@@ -70,12 +70,15 @@ def export_page(
 def page_of(
     session: Session,
     texts: Sequence[str],
-    look: tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]],
+    look: tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]] | None,
     up: Float64[np.ndarray, " 3"],
     title: str = "",
     path: CameraPath | None = None,
 ) -> Page:
-    """The scene with the answers to some texts. look: eye and target of the first look, in the world.
+    """Make a page of the scene with the answers to some texts.
+
+    look: eye and target of the first look, in the world; None: before the best match of the first text that has one,
+    else as the viewer begins.
 
     Raises: InputError: words that the encoder does not know; too much that moves. MismatchError: another encoder.
     """
@@ -86,13 +89,19 @@ def page_of(
     features = session.drawn_colors[shown.ids]
     words, best = _words(scene, session.words)
     numbers = object_numbers(session)
+    look = look or _best_look(answers) or first_look(scene.views, session.shown.frame, up)
     return Page(
-        title or scene.name, shown, answers, *look, up, features, words,
+        title or scene.name, shown, session.edits.part(shown.ids)[0], answers, *look, up, features, words,
         None if best is None else _shown(session, best),
         objects=objects_of_page(session, up, times), annotations=annotations_of_page(session, up),
         object_numbers=None if numbers is None else _shown(session, numbers), path=path, times=times,
         num_edits=session.edits.listed.done,
     )  # fmt: skip
+
+
+def _best_look(answers: Sequence[PageAnswer]) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]] | None:
+    """Return eye and target before the first match of the first answer that has one."""
+    return next(((answer.eyes[0], answer.matches[0].center) for answer in answers if answer.matches), None)
 
 
 def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
@@ -113,6 +122,7 @@ def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"], times: P
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
         boxes_of(session, times, matches),
+        result.answer.doubt,
     )
 
 

@@ -1,42 +1,48 @@
-"""One file with a scene and its answers, for someone who has only a browser."""
+"""One file with a scene and its answers, for someone who has only a browser.
+
+The file holds the client of the viewer (built from web/), the scene as SPZ, which others can take out of it, and the
+answers to some queries, as the documents that a running viewer would send (web/src/protocol.ts).
+"""
 
 import base64
 import json
-import re
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from ..arrays import Float32, Float64, UInt8, UInt16
+from ..arrays import Float32, Float64, Int64, UInt8, UInt16
 from ..drawing.heat import HEAT
 from ..errors import InputError
 from ..filming.looking import FOV_DEGREES
 from ..filming.paths import CameraPath
 from ..formats.replacing import replacing
+from ..formats.spz_writing import spz_bytes
 from ..query import Match
+from ..scene.gaussians import Gaussians
 from . import painting
+from .client import page_html
 from .page_times import PageTimes, arrays_of, header_of
-from .shown import Frame, Shown
-from .texts import escaped, printable
+from .places import match_document
+from .shown import Frame, Shown, significance
+from .texts import printable
 
 MOST = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
 MOST_WORDS = 65_535
-FILM_STEPS, FILM_SECONDS, MOST_FILM_SECONDS = 12, 8.0, 60.0  # places a second
-BACKGROUND = (0.078, 0.086, 0.106)
-KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2"}
+FILM_STEPS_PER_SECOND, FILM_SECONDS, MOST_FILM_SECONDS = 12, 8.0, 60.0
+KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 
 
 @dataclass(frozen=True, eq=False)
 class PageAnswer:
-    """One query with its answer. heat: per shown Gaussian in [0, 1]; owners: 0, or 1 for the first match.
+    """One query with its answer.
 
-    eyes: places in the world to see each match from. boxes: of each over time, as `page_times.boxes_of` has them.
+    heat: per shown Gaussian in [0, 1]. owners: 0, or 1 for the first match. eyes: places in the world to see each match
+    from. boxes: of each match over time, as `page_times.boxes_of` has them. doubt: why not to rely on it, "" for none.
     """
 
     text: str
@@ -45,11 +51,15 @@ class PageAnswer:
     matches: Sequence[Match]
     eyes: Sequence[Float64[np.ndarray, " 3"]]
     boxes: Sequence[Sequence[Sequence[float] | None]] = ()
+    doubt: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """eye, target, up: of the first look, in the world. features: their colours, in [0, 1].
+    """What a page shows.
+
+    gaussians: the shown rows, as the scene's own file would have them. eye, target, up: of the first look, in the
+    world. features: their colours, in [0, 1].
 
     best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
     object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
@@ -58,6 +68,7 @@ class Page:
 
     title: str
     shown: Shown
+    gaussians: Gaussians
     answers: Sequence[PageAnswer]
     eye: Float64[np.ndarray, " 3"]
     target: Float64[np.ndarray, " 3"]
@@ -78,25 +89,13 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
     """Write the page. Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`."""
     if len(page.shown) > MOST:
         raise InputError(f"a page holds up to {MOST:,} Gaussians, got {len(page.shown):,}: show fewer of them")
-    arrays = _arrays(page)
-    layout, blob = packed(arrays)
-    parts = {
-        "TITLE": escaped(page.title),
-        "HEADER": _in_script(json.dumps(_header(page) | {"arrays": layout})),
-        "BLOB": base64.b64encode(zlib.compress(blob, 6)).decode(),
-        "SCRIPT": _own("page.js"),
-        "FILM": _own("page_film.js"),
-        "PARTS": _own("page_parts.js"),
-        "TIMES": _own("page_times.js"),
-    }
-    text = filled(_own("page.html"), parts).encode()
+    order = _order(page)
+    layout, blob = packed(_arrays(page, order))
+    header = json.dumps(_header(page) | {"arrays": layout})
+    scene = base64.b64encode(spz_bytes(page.gaussians.subset(order), degree=0)).decode()
+    text = page_html(page.title, header, scene, base64.b64encode(zlib.compress(blob, 6)).decode())
     with replacing(path, overwrite) as file:
-        file.write(text)
-
-
-def filled(template: str, parts: Mapping[str, str]) -> str:
-    """The template with each @NAME@ replaced; what is put in is not looked through again."""
-    return re.sub(r"@([A-Z]+)@", lambda match: parts[match[1]], template)
+        file.write(text.encode())
 
 
 def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, int]], bytes]:
@@ -110,14 +109,21 @@ def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, 
     return layout, b"".join(parts)
 
 
-def _arrays(page: Page) -> dict[str, np.ndarray]:
-    shown = page.shown
-    arrays: dict[str, np.ndarray] = {
-        "centers": shown.centers,
-        "covariances": shown.covariances.astype(np.float16),
-        "rgb": _bytes(shown.rgb),
-        "opacity": _bytes(shown.opacities),
-    }
+def _order(page: Page) -> Int64[np.ndarray, " m"]:
+    """Return the order of rows in the file: those that move, then by falling significance.
+
+    A browser that is slow draws the first rows only while the camera moves.
+    """
+    weight = significance(page.gaussians)
+    if page.times is None:
+        return np.argsort(-weight, kind="stable")
+    count = page.times.places.shape[1]
+    still = page.times.order[count:]
+    return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
+
+
+def _arrays(page: Page, order: Int64[np.ndarray, " m"]) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
     if page.features is not None:
         arrays["features"] = _bytes(page.features)
     if page.best_words is not None:
@@ -126,32 +132,48 @@ def _arrays(page: Page) -> dict[str, np.ndarray]:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
         arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
-    if page.times is None:
-        return arrays
-    return {name: array[page.times.order] for name, array in arrays.items()} | arrays_of(page.times)
+    moves = {} if page.times is None else arrays_of(page.times)
+    return {name: array[order] for name, array in arrays.items()} | moves
 
 
 def _header(page: Page) -> dict[str, Any]:
     frame = page.shown.frame
     return {
+        "title": printable(page.title),
         "about": _about(page),
         "eye": frame.shown(page.eye).tolist(),
         "target": frame.shown(page.target).tolist(),
         "up": page.up.tolist(),
         "fov": FOV_DEGREES,
-        "background": BACKGROUND,
+        "frame": {"center": (frame.center - page.gaussians.origin).tolist(), "scale": frame.scale},
         "heat": HEAT.tolist(),
-        "look": {"dim": painting.DIM, "floor": painting.DIM_FLOOR, "glow": painting.GLOW, "warmth": painting.WARMTH},
-        "times": None if page.times is None else header_of(page.times),
+        "antialiased": page.shown.antialiased,
+        "words": [printable(answer.text) for answer in page.answers],
+        "modes": _modes(page),
+        "can": _can(page),
+        "objects": list(page.objects),
+        "photos": [],
+        "times": None,
+        "clock": None if page.times is None else header_of(page.times),
         "film": None if page.path is None else _film(frame, page.path, page.target),
         "plays": page.plays,
-        "antialiased": page.shown.antialiased,
-        "words": list(page.words)[:MOST_WORDS],
-        "objects": list(page.objects),
+        "vocabulary": list(page.words)[:MOST_WORDS],
         "annotations": list(page.annotations),
-        "accent": painting.accent(0),
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
     }
+
+
+def _modes(page: Page) -> list[str]:
+    answers = ["answer", "heat map"] if page.answers else []
+    features = [] if page.features is None or not page.answers else ["features"]
+    return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
+
+
+def _can(page: Page) -> dict[str, Any]:
+    """Return what the client offers: a page only answers what it was made with."""
+    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
+    offered = {"ask": bool(page.answers), "objects": bool(page.objects), "film_formats": []}
+    return dict.fromkeys(never, False) | offered
 
 
 def _about(page: Page) -> str:
@@ -162,7 +184,7 @@ def _about(page: Page) -> str:
 def _film(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
     """Places along it, near enough to each other for straight lines; each looks at something as far as `target`."""
     seconds = min(path.seconds or FILM_SECONDS, MOST_FILM_SECONDS)
-    shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS)))
+    shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS_PER_SECOND)))
     keys = path.at(shares)
     ahead = [max(float(key.rotation[2] @ (target - key.eye)), 1 / frame.scale) for key in keys]
     targets = [key.eye + far * key.rotation[2] for key, far in zip(keys, ahead, strict=True)]
@@ -177,34 +199,16 @@ def _film(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> 
 def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
     boxes = answer.boxes or [[] for _ in answer.matches]
     matches = [
-        {
-            "center": frame.shown(match.center).tolist(),
-            "axes": match.axes.tolist(),
-            "extent": (match.extent * frame.scale).tolist(),
-            "eye": frame.shown(eye).tolist(),
-            "said": said_of(match),
-            "boxes": box,
-        }
+        match_document(frame, match, eye) | {"boxes": box}
         for match, eye, box in zip(answer.matches, answer.eyes, boxes, strict=True)
     ]
-    return {"text": printable(answer.text), "accent": painting.accent(number), "matches": matches}
-
-
-def said_of(match: Match) -> str:
-    """Score, size and place of a match, in scene units."""
-    place = ", ".join(f"{x:.2f}" for x in match.center)
-    size = " x ".join(f"{x:.2f}" for x in match.extent)
-    return f"{match.score:.2f} · size {size} · at {place}"
+    text = printable(answer.text)
+    return {
+        "text": text, "said": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
+        "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "", "rule": "",
+        "exact": True,
+    }  # fmt: skip
 
 
 def _bytes(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
     return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
-
-
-def _in_script(text: str) -> str:
-    """JSON that cannot end the script element that it is in."""
-    return text.replace("<", "\\u003c")
-
-
-def _own(name: str) -> str:
-    return (files(__package__) / name).read_text(encoding="utf-8")

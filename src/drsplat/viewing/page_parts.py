@@ -13,9 +13,9 @@ from ..query import Match
 from ..scene.annotations import Annotation
 from .object_list import in_order, names_of, pictures_of
 from .page_times import PageTimes, boxes_of
+from .places import box_document, size_text
 from .playing import placed_now
 from .session import Session
-from .shown import Frame
 from .texts import printable
 
 POINT = 1.0  # of the browser's units: how large a point is taken to be
@@ -37,8 +37,11 @@ def objects_of_page(
     pictures = [_data_url(picture) for picture in pictures_of(session, matches[:PICTURES])]
     pictures += [""] * (len(matches) - len(pictures))
     return [
-        _box(frame, match.center, match.axes, match.extent)
+        box_document(frame, match.center, match.axes, match.extent)
         | {
+            "number": number,
+            "size": size_text(match.extent),
+            "gaussians": len(match.gaussian_ids),
             "name": printable(names[number], 60),
             "unsure": not agreed[number],
             "picture": picture,
@@ -72,7 +75,7 @@ def annotations_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list
     frame = session.shown.frame
     return [
         {"text": printable(one.text, 200), "center": frame.shown(one.center).tolist(), "eye": _eye(session, one, up)}
-        | ({} if one.outline is None else _box(frame, one.center, one.outline.axes, one.outline.extent))
+        | ({} if one.outline is None else box_document(frame, one.center, one.outline.axes, one.outline.extent))
         for one in session.edits.annotations
     ]
 
@@ -84,14 +87,6 @@ def _eye(session: Session, one: Annotation, up: Float64[np.ndarray, " 3"]) -> li
     place = Match(one.center, axes, extent, 1.0, np.empty(0, np.int64))
     eye: list[float] = frame.shown(before(place, scene.gaussians, scene.views, up)).tolist()
     return eye
-
-
-def _box(
-    frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
-    extent: Float64[np.ndarray, " 3"],
-) -> dict[str, Any]:  # fmt: skip
-    shown = frame.shown(center).tolist()
-    return {"center": shown, "axes": axes.tolist(), "extent": (extent * frame.scale).tolist()}
 
 
 def _data_url(pixels: np.ndarray | None) -> str:

@@ -107,15 +107,18 @@ def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
 
 
 def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m"]:
-    """Ascending ids of the `budget` Gaussians of the largest opacity times volume to the power 0.1.
+    """Return the ascending ids of the `budget` Gaussians of the largest `significance`."""
+    if len(gaussians) <= budget:
+        return np.arange(len(gaussians))
+    return np.sort(np.argpartition(-significance(gaussians), budget - 1)[:budget])
+
+
+def significance(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+    """Return the opacity of each Gaussian times its volume to the power 0.1: how much a picture lacks without it.
 
     Source: Fan et al. 2023 (LightGaussian) Eq. 2, without its count of rays: it needs no photos.
     """
-    if len(gaussians) <= budget:
-        return np.arange(len(gaussians))
-    volume = gaussians.scales.astype(np.float64).prod(1)
-    weight = gaussians.opacities * volume**VOLUME_POWER
-    return np.sort(np.argpartition(-weight, budget - 1)[:budget])
+    return np.asarray(gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER)
 
 
 def frame_of(gaussians: Gaussians) -> Frame:

@@ -1,0 +1,93 @@
+"""Writing SPZ, version 3: one gzip stream of quantised planes, which browsers, phones and other viewers read.
+
+Values keep the format's own precision: opacities and colours 8 bits, scales 1/16 of a natural logarithm, rotations
+9 bits a component, positions 24 bits over the extent of the scene.
+
+Source: github.com/nianticlabs/spz, README "File Format".
+"""
+
+import gzip
+import io
+
+import numpy as np
+
+from ..arrays import Float32, UInt8
+from ..errors import InputError
+from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
+from .spz import ANTIALIASED, COLOUR_SCALE, MAGIC, PARITIES, PREFIX
+
+VERSION = 3
+LARGEST_FIXED = (1 << 23) - 1  # of a position, in units of 2**-fractional_bits
+MAX_FRACTIONAL_BITS = 24
+TO_RUB = np.array([1, -1, -1], np.float32)  # a PLY's axes are right, down, front; SPZ has right, up, back
+
+
+def spz_bytes(gaussians: Gaussians, degree: int | None = None) -> bytes:
+    """Encode a scene as SPZ, rows in their order.
+
+    Args:
+        gaussians: the scene; positions are written relative to its `origin`.
+        degree: of the harmonics that are written, None for all that the scene has.
+
+    Raises: InputError: a scene without Gaussians or too wide for the format, a degree that the scene has not.
+    """
+    degree = gaussians.sh_degree if degree is None else degree
+    if not 0 <= degree <= gaussians.sh_degree:
+        raise InputError(f"degree: expected 0 to {gaussians.sh_degree}, which the scene has, got {degree}")
+    bits = _fractional_bits(gaussians.means)
+    flags = ANTIALIASED if gaussians.antialiased else 0
+    planes = (
+        PREFIX.pack(MAGIC, VERSION, len(gaussians), degree, bits, flags, 0),
+        _fixed(gaussians.means * TO_RUB, bits).tobytes(),
+        _byte(gaussians.opacities * 255).tobytes(),
+        _byte((gaussians.sh[:, 0] * COLOUR_SCALE + 0.5) * 255).tobytes(),
+        _byte((np.log(gaussians.scales) + 10) * 16).tobytes(),
+        _smallest_three(gaussians.quats * np.array([1, *TO_RUB], np.float32)).tobytes(),
+        _harmonics(gaussians.sh[:, 1 : SH_COEFFICIENTS[degree]]).tobytes(),
+    )
+    out = io.BytesIO()
+    with gzip.GzipFile(fileobj=out, mode="wb", compresslevel=6, mtime=0) as stream:  # the same bytes at any time
+        for plane in planes:
+            stream.write(plane)
+    return out.getvalue()
+
+
+def _fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
+    """Return the number of fractional bits with which the farthest position still fits into 24."""
+    farthest = float(np.abs(means).max(initial=0))
+    if not len(means) or farthest > LARGEST_FIXED:
+        raise InputError(
+            f"SPZ holds positions within {LARGEST_FIXED:,} units of the scene's origin, got {len(means):,} Gaussians "
+            f"up to {farthest:,.0f} away: leave out what lies far off"
+        )
+    spare = np.log2(LARGEST_FIXED / farthest) if farthest > 0 else MAX_FRACTIONAL_BITS
+    return int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
+
+
+def _fixed(values: Float32[np.ndarray, "n 3"], bits: int) -> UInt8[np.ndarray, "n 9"]:
+    whole = np.rint(values.astype(np.float64) * 2.0**bits).astype("<i4")
+    return np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9)
+
+
+def _smallest_three(quats: Float32[np.ndarray, "n 4"]) -> np.ndarray:
+    """Pack (w, x, y, z): sign and 9 bits of each but the largest, whose index among (x, y, z, w) is on top."""
+    xyzw = quats[:, [1, 2, 3, 0]]
+    largest = np.abs(xyzw).argmax(1)
+    rows = np.arange(len(xyzw))
+    negative = (xyzw < 0) != (xyzw[rows, largest] < 0)[:, None]  # the largest is taken as positive
+    sizes = np.minimum(np.rint(np.abs(xyzw) * (511 * np.sqrt(2))), 511).astype(np.uint32)
+    packed = largest.astype(np.uint32)
+    for component in range(4):
+        written = (packed << 10) | (negative[:, component].astype(np.uint32) << 9) | sizes[:, component]
+        packed = np.where(largest == component, packed, written)
+    return packed.astype("<u4")
+
+
+def _harmonics(rest: Float32[np.ndarray, "n k 3"]) -> UInt8[np.ndarray, "n k 3"]:
+    """Quantise coefficients, with those negated that are odd in the axes which SPZ turns."""
+    signs = np.array([(-1) ** (name.count("y") + name.count("z")) for name in PARITIES[: rest.shape[1]]], np.float32)
+    return _byte(rest * signs[None, :, None] * 128 + 128)
+
+
+def _byte(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    return np.asarray(np.clip(np.rint(values), 0, 255)).astype(np.uint8)

@@ -1,0 +1,38 @@
+"""Boxes and matches as documents in the browser's frame, for a page and for a running viewer."""
+
+from typing import Any
+
+import numpy as np
+
+from ..arrays import Float64
+from ..query import Match
+from .shown import Frame
+from .texts import printable
+
+MAX_NAME_LENGTH = 60
+
+
+def box_document(
+    frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
+    extent: Float64[np.ndarray, " 3"],
+) -> dict[str, Any]:  # fmt: skip
+    """Return an oriented box: centre, axes as rows, lengths along them."""
+    shown = frame.shown(center).tolist()
+    return {"center": shown, "axes": axes.tolist(), "extent": (extent * frame.scale).tolist()}
+
+
+def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], name: str = "") -> dict[str, Any]:
+    """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
+    return box_document(frame, match.center, match.axes, match.extent) | {
+        "eye": frame.shown(eye).tolist(),
+        "score": round(float(match.score), 4),
+        "size": size_text(match.extent),
+        "place": ", ".join(f"{x:.2f}" for x in match.center),
+        "gaussians": len(match.gaussian_ids),
+        "name": printable(name, MAX_NAME_LENGTH),
+    }
+
+
+def size_text(extent: Float64[np.ndarray, " 3"]) -> str:
+    """Return the lengths of a box in scene units, such as "0.12 x 0.08 x 0.09"."""
+    return " x ".join(f"{x:.2f}" for x in extent)

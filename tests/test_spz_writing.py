@@ -1,0 +1,59 @@
+"""SPZ that we write: read back within the format's own steps, the same bytes each time, refused where it cannot be."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drsplat.errors import InputError
+from drsplat.formats.spz import parse_spz
+from drsplat.formats.spz_writing import spz_bytes
+from drsplat.scene.gaussians import SH_COEFFICIENTS, Gaussians
+
+
+def scene(count: int, degree: int, seed: int, size: float = 3.0, antialiased: bool = False) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(count, 4)).astype(np.float32)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return Gaussians(
+        (size * rng.normal(size=(count, 3))).astype(np.float32),
+        quats,
+        np.exp(rng.uniform(-9, 2, (count, 3))).astype(np.float32),
+        rng.uniform(0, 1, count).astype(np.float32),
+        rng.uniform(-0.95, 0.95, (count, SH_COEFFICIENTS[degree], 3)).astype(np.float32),
+        antialiased=antialiased,
+    )
+
+
+@given(st.integers(1, 40), st.integers(0, 3), st.integers(0, 999), st.sampled_from([1e-3, 1.0, 5e5]), st.booleans())
+def test_what_is_written_is_read_within_the_formats_steps(
+    count: int, degree: int, seed: int, size: float, antialiased: bool
+) -> None:
+    own = scene(count, degree, seed, size, antialiased)
+    read = parse_spz(memoryview(spz_bytes(own)))
+    assert read.antialiased == antialiased
+    assert read.sh_degree == degree
+    farthest = float(np.abs(own.means).max())
+    assert np.abs(read.means - own.means).max() <= max(farthest * 2.0**-22, 2.0**-24)  # half a step of 23 bits
+    assert np.abs(read.opacities - own.opacities).max() <= 0.5 / 255 + 1e-6
+    assert np.abs(np.log(read.scales) - np.log(own.scales)).max() <= 0.5 / 16 + 1e-4
+    assert np.abs(read.sh[:, 0] - own.sh[:, 0]).max() <= 0.5 / 255 / 0.15 + 1e-5
+    assert np.abs(read.sh[:, 1:] - own.sh[:, 1:]).max(initial=0) <= 0.5 / 128 + 1e-5
+    cosines = np.abs(np.einsum("ij,ij->i", read.quats, own.quats))
+    assert cosines.min() > 1 - 3e-6  # 9 bits a component
+
+
+def test_a_lower_degree_leaves_the_rest_out_and_bytes_are_the_same() -> None:
+    own = scene(9, 3, 0)
+    assert parse_spz(memoryview(spz_bytes(own, 1))).sh_degree == 1
+    assert spz_bytes(own) == spz_bytes(own)
+
+
+def test_what_spz_cannot_hold_is_refused() -> None:
+    own = scene(5, 1, 0)
+    with pytest.raises(InputError, match="degree: expected 0 to 1"):
+        spz_bytes(own, 2)
+    with pytest.raises(InputError, match="positions within 8,388,607 units"):
+        spz_bytes(scene(5, 0, 0, size=1e8))
+    with pytest.raises(InputError, match="got 0 Gaussians"):
+        spz_bytes(own.subset(np.empty(0, np.int64)))

@@ -1,0 +1,91 @@
+// The projection of Gaussians into a picture, as both painters have it (paper supplement: EWA splatting).
+
+import type { Pose } from "../camera";
+
+export const NEAR = 0.05;
+const BLUR = 0.3; // square pixels added to each footprint, as in 3D Gaussian Splatting
+
+/** What a painter needs of a pose, as plain numbers that can be sent to a worker. */
+export interface Lens { eye: number[]; rows: number[]; focal: number; width: number; height: number }
+
+/** Return the lens of a pose for pictures with `ratio` pixels to a CSS pixel. */
+export function lensOf(pose: Pose, ratio: number): Lens {
+  const rows = [...pose.right, ...pose.down, ...pose.ahead];
+  const width = Math.max(1, Math.round(pose.width * ratio)), height = Math.max(1, Math.round(pose.height * ratio));
+  return { eye: [...pose.eye], rows, focal: pose.focal * ratio, width, height };
+}
+
+/** A scene as painters hold it: float32 places, float32 covariances (xx xy xz yy yz zz). */
+export interface Held { count: number; centers: Float32Array; covariances: Float32Array; rgba: Uint8Array; antialiased: boolean }
+
+/**
+ * Rows of Gaussians that a lens sees, nearest first, of the first `limit` rows.
+ *
+ * A counting sort of 65,536 depths: linear in the number of Gaussians.
+ */
+export class Sorter {
+  private depth = new Float32Array(0);
+  private seen = new Uint32Array(0);
+  private order = new Uint32Array(0);
+  private readonly starts = new Uint32Array(65537);
+
+  sorted(held: Held, lens: Lens, limit: number): Uint32Array {
+    const { centers, rgba } = held, count = Math.min(limit, held.count);
+    if (this.depth.length < count) {
+      this.depth = new Float32Array(count);
+      this.seen = new Uint32Array(count);
+      this.order = new Uint32Array(count);
+    }
+    const { depth, seen, order, starts } = this, [ex, ey, ez] = lens.eye, [rx, ry, rz, dx, dy, dz, ax, ay, az] = lens.rows;
+    const wide = (0.75 * lens.width) / lens.focal, tall = (0.75 * lens.height) / lens.focal; // half as much again
+    let number = 0, low = Infinity, high = -Infinity;
+    for (let i = 0, at = 0; i < count; i++, at += 3) {
+      const x = centers[at] - ex, y = centers[at + 1] - ey, z = centers[at + 2] - ez, d = x * ax + y * ay + z * az;
+      if (d < NEAR || rgba[4 * i + 3] === 0) continue;
+      const room = 0.5 + d; // large Gaussians reach in from outside
+      if (Math.abs(x * rx + y * ry + z * rz) > wide * d + 0.2 * room || Math.abs(x * dx + y * dy + z * dz) > tall * d + 0.2 * room) continue;
+      if (d < low) low = d;
+      if (d > high) high = d;
+      depth[number] = d;
+      seen[number++] = i;
+    }
+    const scale = 65535 / Math.max(high - low, 1e-9);
+    starts.fill(0);
+    for (let k = 0; k < number; k++) starts[((depth[k] - low) * scale + 1) | 0]++;
+    for (let k = 0; k < 65536; k++) starts[k + 1] += starts[k];
+    for (let k = 0; k < number; k++) order[starts[((depth[k] - low) * scale) | 0]++] = seen[k];
+    return order.subarray(0, number);
+  }
+}
+
+/** A Gaussian's footprint in a picture: its middle, covariance with blur, and opacity. */
+export interface Footprint { x: number; y: number; xx: number; xy: number; yy: number; alpha: number }
+
+/** Compute the footprint of row `i` in pixels; false where it is behind the camera. */
+export function project(held: Held, i: number, lens: Lens, into: Footprint): boolean {
+  const { centers, covariances } = held, [ex, ey, ez] = lens.eye, r = lens.rows, f = lens.focal;
+  const X = centers[3 * i] - ex, Y = centers[3 * i + 1] - ey, Z = centers[3 * i + 2] - ez;
+  const z = X * r[6] + Y * r[7] + Z * r[8];
+  if (z < NEAR) return false;
+  const px = (X * r[0] + Y * r[1] + Z * r[2]) / z, py = (X * r[3] + Y * r[4] + Z * r[5]) / z;
+  const wide = (0.65 * lens.width) / f, tall = (0.65 * lens.height) / f, k = f / z;
+  const cx = Math.min(wide, Math.max(-wide, px)), cy = Math.min(tall, Math.max(-tall, py));
+  // rows of the Jacobian, in the scene's axes
+  const ux = k * (r[0] - cx * r[6]), uy = k * (r[1] - cx * r[7]), uz = k * (r[2] - cx * r[8]);
+  const vx = k * (r[3] - cy * r[6]), vy = k * (r[4] - cy * r[7]), vz = k * (r[5] - cy * r[8]);
+  const c = 6 * i, a = covariances[c], b = covariances[c + 1], d = covariances[c + 2], e = covariances[c + 3], g = covariances[c + 4], h = covariances[c + 5];
+  const sx = a * ux + b * uy + d * uz, sy = b * ux + e * uy + g * uz, sz = d * ux + g * uy + h * uz;
+  const xx = ux * sx + uy * sy + uz * sz, xy = vx * sx + vy * sy + vz * sz;
+  const yy = vx * (a * vx + b * vy + d * vz) + vy * (b * vx + e * vy + g * vz) + vz * (d * vx + g * vy + h * vz);
+  into.x = lens.width / 2 + f * px;
+  into.y = lens.height / 2 + f * py;
+  into.xx = xx + BLUR;
+  into.xy = xy;
+  into.yy = yy + BLUR;
+  into.alpha = held.rgba[4 * i + 3] / 255;
+  if (held.antialiased) {
+    const sharp = Math.max(0, (xx * yy - xy * xy) / (into.xx * into.yy - xy * xy));
+    into.alpha *= Math.sqrt(Math.min(1, sharp));
+  }
+  return true;
+}

@@ -1,0 +1,85 @@
+// A running viewer: the service that this page came from.
+
+import type { Act, Backend, Header, KeyFrame, Live, Mode, Paint, Photo, SceneObject, Splats, State } from "./protocol";
+
+const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
+type Arrays = Record<string, Float32Array | Uint16Array | Uint8Array | Uint32Array | undefined>;
+
+export class LiveBackend implements Backend, Live {
+  readonly live: Live = this;
+
+  header(): Promise<Header> { return this.json("/view/header"); }
+  state(): Promise<State> { return this.json("/view/state"); }
+
+  async splats(): Promise<Splats> {
+    const { centers, covariances, rgb, opacity } = await this.arrays("/view/splats");
+    return { count: opacity?.length ?? 0, centers: centers as Float32Array, covariances: covariances as Uint16Array, rgb: rgb as Uint8Array, opacity: opacity as Uint8Array };
+  }
+
+  async paint(): Promise<Paint> {
+    const { heat, owner, match, object } = await this.arrays("/view/paint");
+    return { heat: heat as Uint8Array, owner: owner as Uint8Array, match: (match as Uint16Array) ?? null, object: (object as Uint16Array) ?? null };
+  }
+
+  async colors(mode: Mode): Promise<Uint8Array> { return (await this.arrays(`/view/colors?mode=${mode}`)).rgb as Uint8Array; }
+
+  act(act: Act): Promise<State> { return this.json("/view/do", act); }
+
+  listen(changed: (state: State) => void): void {
+    const events = new EventSource("/view/events");
+    let asked = false;
+    events.onmessage = () => {
+      if (asked) return;
+      asked = true;
+      setTimeout(() => { asked = false; void this.state().then(changed); }, 30);
+    };
+  }
+
+  objectPicture(object: SceneObject): string { return `/view/object-picture?number=${object.number}`; }
+  photo(photo: Photo, side: number): string { return `/view/photo?name=${encodeURIComponent(photo.name)}&side=${side}`; }
+  clickedPhoto(): string { return `/view/clicked-photo?${Date.now()}`; }
+  cataloguePicture(number: number): string { return `/view/catalogue-picture?number=${number}&${Date.now()}`; }
+
+  async askPicture(file: File): Promise<State> { return (await this.sent(`/view/ask-picture?name=${encodeURIComponent(file.name)}`, file)).json() as Promise<State>; }
+
+  async open(files: { name: string; file: File }[]): Promise<State> {
+    let reply: Response | null = null;
+    for (const [part, { name, file }] of files.entries()) reply = await this.sent(`/view/open?name=${encodeURIComponent(name)}&part=${part + 1}&parts=${files.length}`, file);
+    if (!reply) throw new Error("there is no file to open");
+    return this.state();
+  }
+
+  async file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string }> {
+    const reply = await this.sent(path, JSON.stringify(body), "application/json");
+    const name = /filename="?([^";]+)"?/.exec(reply.headers.get("content-disposition") ?? "")?.[1] ?? "drsplat";
+    return { blob: await reply.blob(), name, saved: reply.headers.get("x-drsplat-saved") ?? "" };
+  }
+
+  async loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }> {
+    return (await this.sent("/view/load-path", await file.text(), "application/json")).json() as Promise<{ keys: KeyFrame[]; seconds: number | null }>;
+  }
+
+  catalogue(text: string): Promise<{ said: string; entries: { number: number; title: string; scene: string; score: number }[] }> { return this.json("/view/catalogue", { text }); }
+
+  private async json<T>(path: string, body?: unknown): Promise<T> {
+    const reply = body === undefined ? await checked(await fetch(path)) : await this.sent(path, JSON.stringify(body), "application/json");
+    return reply.json() as Promise<T>;
+  }
+
+  private async sent(path: string, body: BodyInit, type = "application/octet-stream"): Promise<Response> {
+    return checked(await fetch(path, { method: "POST", body, headers: { "content-type": type } }));
+  }
+
+  private async arrays(path: string): Promise<Arrays> {
+    const reply = await checked(await fetch(path)), layout = JSON.parse(reply.headers.get("x-drsplat-arrays") ?? "[]") as [string, keyof typeof KINDS, number, number][];
+    const buffer = await reply.arrayBuffer();
+    return Object.fromEntries(layout.map(([name, kind, offset, count]) => [name, new KINDS[kind](buffer, offset, count)]));
+  }
+}
+
+/** Return the reply. Throws an Error with the service's own sentence where it refuses. */
+async function checked(reply: Response): Promise<Response> {
+  if (reply.ok) return reply;
+  const said = await reply.json().then((body: { error?: string }) => body.error, () => undefined);
+  throw new Error(said ?? `the viewer answered with ${reply.status}`);
+}

@@ -1,0 +1,134 @@
+// Answers that are in the page's own file: nothing is fetched, nobody is asked.
+
+import { pick } from "./picking";
+import type { Act, Backend, Header, Mode, Paint, Result, SceneObject, Splats, State } from "./protocol";
+import { splatsOf } from "./spz";
+import type { Vec } from "./vectors";
+
+type Layout = [string, "f4" | "f2" | "u1" | "u2", number, number][];
+const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array };
+
+/** What a page's file says beside a header: its answers, in the order of its arrays heat0, owner0, heat1, ... */
+export interface PageFile extends Header {
+  answers: Result[]; vocabulary: string[]; arrays: Layout; frame: { center: Vec; scale: number };
+  annotations: State["annotations"]; clock: Clock | null;
+}
+
+/** Times of a scene that moves; see `Moves`. */
+export interface Clock { at: number[]; count: number; low: Vec; step: Vec; seconds: number }
+
+export class PageBackend implements Backend {
+  readonly live = null;
+  private readonly results: Result[];
+  private object = -1; // index of the object that was chosen
+  private now: State;
+  private readonly scene: Promise<Splats>;
+
+  private constructor(readonly file: PageFile, readonly arrays: Record<string, Uint8Array | Uint16Array | Float32Array>, scene: Promise<Splats>) {
+    this.scene = scene;
+    this.results = file.answers;
+    const mode: Mode = file.answers.length && !file.plays ? "answer" : "as it is";
+    this.now = {
+      revision: 0, scene: 0, geometry: 0, paint: 0, mode, said: "", selection: 0, results: file.answers.slice(0, 1), clicked: null, chosen: null,
+      classes: null, edits: [], can_undo: false, can_redo: false, annotations: file.annotations, time: null, kept: false,
+    };
+  }
+
+  /** Read what is in the document. */
+  static async read(): Promise<PageBackend> {
+    const text = (id: string) => document.getElementById(id)?.textContent ?? "";
+    const file = JSON.parse(text("header")) as PageFile;
+    const buffer = await inflated(text("blob"), "deflate");
+    const arrays = Object.fromEntries(file.arrays.map(([name, kind, offset, length]) => [name, new KINDS[kind](buffer, offset, length)]));
+    const scene = inflated(text("scene"), "gzip").then((bytes) => splatsOf(bytes, file.frame));
+    return new PageBackend(file, arrays, scene);
+  }
+
+  header(): Promise<Header> { return Promise.resolve(this.file); }
+  state(): Promise<State> { return Promise.resolve(this.now); }
+  splats(): Promise<Splats> { return this.scene; }
+  listen(): void {}
+  objectPicture(object: SceneObject): string { return object.picture ?? ""; }
+  colors(): Promise<Uint8Array> { return Promise.resolve(this.arrays.features as Uint8Array); }
+
+  async paint(): Promise<Paint> {
+    const { count } = await this.scene, object = (this.arrays.objects as Uint16Array | undefined) ?? null;
+    const heat = new Uint8Array(count), owner = new Uint8Array(count);
+    if (this.object >= 0 && object) for (let i = 0; i < count; i++) { if (object[i] === this.object + 1) { owner[i] = 1; heat[i] = 255; } }
+    else {
+      this.now.results.forEach((result, k) => {
+        const number = this.results.indexOf(result), warm = this.arrays[`heat${number}`], own = this.arrays[`owner${number}`];
+        if (!warm || !own) return;
+        for (let i = 0; i < count; i++) { heat[i] = Math.max(heat[i], warm[i]); if (own[i] && !owner[i]) owner[i] = k + 1; }
+      });
+    }
+    return { heat, owner, match: null, object };
+  }
+
+  async act(act: Act): Promise<State> {
+    const change = await this.changed(act);
+    this.now = { ...this.now, ...change, revision: this.now.revision + 1, paint: this.now.paint + 1 };
+    return this.now;
+  }
+
+  private async changed(act: Act): Promise<Partial<State>> {
+    switch (act.act) {
+      case "ask": return this.ask(String(act.text));
+      case "choose": return this.choose(this.file.objects.findIndex((one) => one.number === act.number));
+      case "click": return this.click(act.origin as Vec, act.direction as Vec);
+      case "mode": return { mode: act.mode as Mode };
+      case "clear":
+        this.object = -1;
+        return { results: [], mode: "as it is", clicked: null, chosen: null, said: "" };
+      default: throw new Error("This page was made to look at: open the scene with drsplat view to change it.");
+    }
+  }
+
+  /** Answer with what the page has: queries, several with ";" between them, or the name of an object. */
+  private ask(text: string): Partial<State> {
+    const asked = text.split(";").map((part) => part.trim()).filter(Boolean), results: Result[] = [];
+    for (const one of asked) {
+      const same = (other: string) => other.toLowerCase() === one.toLowerCase(), result = this.results.find((answer) => same(answer.text));
+      if (result) results.push(result);
+      else {
+        const object = this.file.objects.findIndex((thing) => same(thing.name));
+        if (object >= 0 && asked.length === 1) return this.choose(object);
+        throw new Error(`This page has no answer to “${one}”. It knows: ${[...this.results.map((answer) => answer.text), ...this.file.objects.map((thing) => thing.name)].slice(0, 8).join(", ")}.`);
+      }
+    }
+    this.object = -1;
+    return { results, mode: "answer", clicked: null, chosen: null, said: results.map((result) => result.said).join(" ") };
+  }
+
+  private choose(index: number): Partial<State> {
+    const object = this.file.objects[index];
+    if (!object) throw new Error("This page has no such object.");
+    this.object = index;
+    const match = { ...object, score: 1, place: "" };
+    const result: Result = {
+      text: object.name, said: "", doubt: "", accent: [255, 170, 30], matches: [match], num_matches: 1, threshold: 0, automatic: 0, limits: [0, 1], measure: "", rule: "", exact: true,
+    };
+    const chosen = { name: object.name, number: object.number, smaller: false, larger: false, gaussians: object.gaussians, photos: 0, label: false };
+    return { results: [result], mode: "answer", chosen, said: object.name };
+  }
+
+  private async click(eye: Vec, direction: Vec): Promise<Partial<State>> {
+    const row = pick(await this.scene, eye, direction), words = this.arrays.words, objects = this.arrays.objects;
+    if (row < 0) return { clicked: null };
+    const word = words && words[row] ? this.file.vocabulary[words[row] - 1] : "", object = objects ? objects[row] - 1 : -1;
+    const clicked = { name: word, words: word ? [{ text: word, score: 0 }] : [], place: "", evidence: [], photo: false };
+    const of = this.results.filter((_, k) => (this.arrays[`owner${k}`] as Uint8Array)[row]).map((result) => result.text);
+    return { ...(object >= 0 ? this.choose(object) : {}), clicked: { ...clicked, place: of.length ? `match of: ${of.join(", ")}` : "" } };
+  }
+
+  /** Return the scene as a file of its own, as others read it. */
+  static sceneFile(): Blob {
+    return new Blob([bytesOf(document.getElementById("scene")?.textContent ?? "")], { type: "application/octet-stream" });
+  }
+}
+
+function bytesOf(base64: string): Uint8Array<ArrayBuffer> { return Uint8Array.from(atob(base64.trim()), (c) => c.charCodeAt(0)); }
+
+async function inflated(base64: string, format: CompressionFormat): Promise<ArrayBuffer> {
+  return new Response(new Blob([bytesOf(base64)]).stream().pipeThrough(new DecompressionStream(format))).arrayBuffer();
+}

@@ -1,0 +1,98 @@
+// The documents that the client shows: the same ones from a page's own file and from a running viewer.
+// Positions are in the browser's frame (the scene at a radius of ten units); cameras have +x right, +y down, +z ahead.
+
+import type { Vec } from "./vectors";
+
+export type Color = [number, number, number]; // 0 to 255
+
+export interface Box { center: Vec; axes: [Vec, Vec, Vec]; extent: Vec }
+
+/** A place that can be flown to. `boxes`: where it is at each time of a page's scene that moves, null where it is gone. */
+export interface Place extends Box { eye: Vec; boxes?: (number[] | null)[]; gone?: boolean }
+
+export interface Match extends Place { score: number; size: string; place: string; gaussians: number; name: string }
+
+export interface Result {
+  text: string; said: string; doubt: string; accent: Color; matches: Match[]; num_matches: number;
+  threshold: number; automatic: number; limits: [number, number]; measure: string; rule: string; exact: boolean;
+}
+
+export interface SceneObject extends Place { number: number; name: string; unsure: boolean; size: string; gaussians: number; picture?: string }
+
+export interface Annotation { text: string; center: Vec; eye: Vec; axes?: [Vec, Vec, Vec]; extent?: Vec }
+
+export interface Photo { name: string; eye: Vec; target: Vec; up: Vec; fov: number; width: number; height: number }
+
+export interface Can {
+  ask: boolean; ask_picture: boolean; objects: boolean; name: boolean; edit: boolean; time: boolean; photos: boolean;
+  save_dir: boolean; catalogue: boolean; open: boolean; film_formats: string[];
+}
+
+export interface Header {
+  title: string; about: string; eye: Vec; target: Vec; up: Vec; fov: number; heat: Color[]; antialiased: boolean;
+  words: string[]; modes: Mode[]; can: Can; objects: SceneObject[]; photos: Photo[];
+  times: { first: number; last: number; count: number; seconds: number } | null;
+  film: Film | null; plays: boolean;
+}
+
+/** Places along a path, near enough to each other for straight lines. */
+export interface Film { seconds: number; eyes: Vec[]; targets: Vec[]; fovs: number[] }
+
+/** What colours say; the values are those of the Python session. */
+export type Mode = "answer" | "heat map" | "as it is" | "features" | "classes" | "objects";
+
+export interface Clicked {
+  name: string; words: { text: string; score: number }[]; place: string;
+  evidence: { photo: string; mask: number; share: number }[]; photo: boolean;
+}
+
+export interface Chosen {
+  name: string; number: number; smaller: boolean; larger: boolean; gaussians: number; photos: number; label: boolean;
+}
+
+export interface State {
+  revision: number; scene: number; geometry: number; paint: number; mode: Mode; said: string; selection: number;
+  results: Result[]; clicked: Clicked | null; chosen: Chosen | null;
+  classes: { name: string; count: number; color: Color }[] | null;
+  edits: { number: number; what: string; target: string; done: boolean }[]; can_undo: boolean; can_redo: boolean;
+  annotations: Annotation[]; time: { at: number; during: [number, number] | null } | null; kept: boolean;
+}
+
+/** Per row of the splats: how well it answers, whose answer it is (0: nobody's), its match, its object. */
+export interface Paint { heat: Uint8Array; owner: Uint8Array; match: Uint16Array | null; object: Uint16Array | null }
+
+/** Gaussians in the browser's frame. covariances: float16 bits, xx xy xz yy yz zz. */
+export interface Splats { count: number; centers: Float32Array; covariances: Uint16Array; rgb: Uint8Array; opacity: Uint8Array }
+
+export interface CameraPlace { eye: Vec; target: Vec; fov: number; width: number; height: number }
+
+export type Act = { act: string; [key: string]: unknown };
+
+/** Where documents come from. Every act returns the state after it; a refusal throws an Error with a sentence. */
+export interface Backend {
+  header(): Promise<Header>;
+  state(): Promise<State>;
+  splats(): Promise<Splats>;
+  paint(): Promise<Paint>;
+  colors(mode: Mode): Promise<Uint8Array>;
+  act(act: Act): Promise<State>;
+  /** Hear of changes that others made. */
+  listen(changed: (state: State) => void): void;
+  objectPicture(object: SceneObject): string;
+  live: Live | null;
+}
+
+/** What only a running viewer can do. */
+export interface Live {
+  photo(photo: Photo, side: number): string;
+  clickedPhoto(): string;
+  askPicture(file: File): Promise<State>;
+  open(files: { name: string; file: File }[]): Promise<State>;
+  /** Return a file that the service makes; saved beside the scene, too, where that was asked for at its start. */
+  file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string }>;
+  loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }>;
+  catalogue(text: string): Promise<{ said: string; entries: { number: number; title: string; scene: string; score: number }[] }>;
+  cataloguePicture(number: number): string;
+}
+
+export interface KeyFrame { eye: Vec; target: Vec; fov: number }

@@ -1,0 +1,94 @@
+// What was found, and what was clicked.
+
+import type { Match, Result } from "../protocol";
+import type { App, Tab } from "./app";
+import { button, counted, drawer, h } from "./dom";
+import { photosOf } from "./photos";
+
+const LISTED = 8, STEP = 0.001;
+
+export class AskTab implements Tab {
+  readonly name = "ask";
+  readonly label = "Ask";
+
+  constructor(private readonly app: App) {}
+
+  show(): Node[] {
+    const { results, clicked } = this.app.state;
+    return [
+      ...(results.length ? results.map((result, k) => this.result(result, k)) : [this.start()]),
+      ...(clicked ? [this.thing()] : []), ...this.classes(), ...photosOf(this.app),
+    ];
+  }
+
+  private start(): Node {
+    const words = this.app.header.words.slice(0, 4), ask = (word: string) => () => this.app.prompt.ask(word);
+    return h("div", { class: "start" }, h("p", { class: "faint" }, "Type what you look for, or click something in the scene."),
+      h("div", { class: "chips", id: "try" }, ...words.map((word) => button(word, ask(word), { class: "chip" }))));
+  }
+
+  private result(result: Result, number: number): Node {
+    const { matches, accent, text, num_matches, doubt } = result, chosen = this.app.state.chosen;
+    const title = h("h2", {}, h("span", { class: "dot", style: `background:rgb(${accent.join(",")})` }), chosen ? chosen.name : text);
+    const said = matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”.`;
+    const shown = matches.slice(0, LISTED).map((match, k) => this.match(match, k, matches.length));
+    const more = matches.slice(LISTED).map((match, k) => this.match(match, k + LISTED, matches.length));
+    return h("section", { class: "result" }, title, chosen ? this.about() : h("p", { class: "faint" }, doubt ? `${said} ${doubt}` : said),
+      h("div", { class: "matches" }, ...shown), more.length ? drawer(`${counted(more.length, "more match", "more matches")} of ${text}`, h("div", { class: "matches" }, ...more)) : null,
+      this.app.backend.live && !result.exact ? this.threshold(result, number) : null);
+  }
+
+  private match(match: Match, k: number, of: number): Node {
+    const words = [match.size, match.gaussians ? counted(match.gaussians, "Gaussian") : ""].filter(Boolean).join(" · ");
+    const score = this.app.state.chosen ? null : h("span", { class: "score" }, match.score.toFixed(2));
+    return h("button", { type: "button", class: "match", onclick: () => this.app.flyTo(match), title: match.place ? `at ${match.place}` : "" },
+      h("b", {}, of > 1 ? `${k + 1}` : "Go there"), h("span", { class: "faint" }, words), score);
+  }
+
+  /** The number that cuts, for who wants to move it. */
+  private threshold(result: Result, number: number): Node {
+    const [low, high] = result.limits, input = h("input", { type: "range", min: low, max: high, step: STEP, value: result.threshold, "aria-label": `Threshold of ${result.text}` });
+    let wanted: number | null = null;
+    const cut = () => {
+      const first = wanted === null;
+      wanted = Number(input.value);
+      if (first) setTimeout(() => { const value = wanted; wanted = null; void this.app.act({ act: "threshold", query: number, value }); }, 60);
+    };
+    input.addEventListener("change", cut);
+    const own = button("as chosen", () => void this.app.act({ act: "threshold", query: number, value: result.automatic }), { class: "quiet" });
+    return drawer(`Threshold of ${result.text}`, h("div", { class: "slider" }, input, h("output", {}, result.threshold.toFixed(3))),
+      h("p", { class: "faint" }, `${result.measure} above which a Gaussian is selected; ${result.rule} chose ${result.automatic.toFixed(3)}.`), own);
+  }
+
+  /** Of an object: how large it is, its parts, its name. */
+  private about(): Node {
+    const { chosen } = this.app.state, { can } = this.app.header;
+    if (!chosen) return h("p");
+    const facts = [chosen.gaussians ? counted(chosen.gaussians, "Gaussian") : "", chosen.photos ? `seen in ${counted(chosen.photos, "photo")}` : ""].filter(Boolean).join(", ");
+    const act = (what: string) => () => void this.app.act({ act: what });
+    const input = h("input", { type: "text", placeholder: "Name it", "aria-label": "Name of this object", maxlength: 60 });
+    const naming = h("form", { class: "line", onsubmit: (event: Event) => { event.preventDefault(); if (input.value.trim()) void this.app.act({ act: "name", text: input.value.trim() }); } }, input, h("button", {}, "Keep"));
+    return h("div", {}, h("p", { class: "faint" }, facts), this.app.backend.live ? h("div", { class: "chips" },
+      button("Smaller part", act("smaller"), { disabled: !chosen.smaller }), button("Larger group", act("larger"), { disabled: !chosen.larger })) : null, can.name ? naming : null);
+  }
+
+  private thing(): Node {
+    const { clicked } = this.app.state, live = this.app.backend.live;
+    if (!clicked) return h("p");
+    const others = clicked.words.slice(1).map((word) => word.text).join(", ");
+    return h("section", { class: "result", id: "what" }, h("h2", {}, "What is this?"),
+      h("p", {}, h("b", {}, clicked.name || "No word here fits it.")), others ? h("p", { class: "faint" }, `or ${others}`) : null, clicked.place ? h("p", { class: "faint" }, clicked.place) : null,
+      clicked.photo && live ? h("img", { class: "photo", src: live.clickedPhoto(), alt: "The photo that shows it best" }) : null,
+      clicked.evidence.length ? drawer("Where it is known from", ...clicked.evidence.map((one) => h("p", { class: "faint" }, `${one.photo}, mask ${one.mask} (${Math.round(100 * one.share)} %)`))) : null,
+      live ? button("More like this", () => void this.app.act({ act: "more_like_this" })) : null);
+  }
+
+  private classes(): Node[] {
+    const { classes } = this.app.state;
+    if (!this.app.backend.live) return [];
+    const input = h("input", { type: "text", placeholder: "mug, bowl, table", "aria-label": "Classes" });
+    const form = h("form", { class: "line", onsubmit: (event: Event) => { event.preventDefault(); void this.app.act({ act: "classify", text: input.value }); } }, input, h("button", {}, "Colour"));
+    const legend = (classes ?? []).map((one) => h("p", {}, h("span", { class: "dot", style: `background:rgb(${one.color.join(",")})` }), `${one.name}: ${counted(one.count, "Gaussian")}`));
+    return [drawer("Colour by classes", form, ...legend)];
+  }
+}

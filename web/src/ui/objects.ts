@@ -1,0 +1,29 @@
+// The scene's objects with their pictures.
+
+import type { SceneObject } from "../protocol";
+import type { App, Tab } from "./app";
+import { counted, drawer, h } from "./dom";
+
+export class ObjectsTab implements Tab {
+  readonly name = "objects";
+  readonly label = "Objects";
+
+  constructor(private readonly app: App) {}
+
+  show(): Node[] {
+    const { objects } = this.app.header, sure = objects.filter((one) => !one.unsure), unsure = objects.filter((one) => one.unsure);
+    const grid = (some: SceneObject[]) => h("div", { class: "things" }, ...some.map((one) => this.thing(one)));
+    return [
+      h("p", { class: "faint" }, `${counted(sure.length, "thing")} that the photos agree on.`), grid(sure),
+      unsure.length ? drawer(`${unsure.length} more, that photos agree less on`, grid(unsure)) : h("span"),
+    ];
+  }
+
+  private thing(object: SceneObject): Node {
+    const { app } = this, isChosen = app.state.chosen?.number === object.number, picture = app.backend.objectPicture(object);
+    const press = () => void app.act(isChosen ? { act: "clear" } : { act: "choose", number: object.number }).then((done) => { if (done && !isChosen) app.flyTo(object); });
+    const name = isChosen ? app.state.chosen?.name ?? object.name : object.name;
+    return h("button", { type: "button", class: "thing", "aria-pressed": String(isChosen), onclick: press, title: object.size },
+      picture ? h("img", { loading: "lazy", src: picture, alt: "" }) : h("span", { class: "blank" }), h("span", {}, name));
+  }
+}
