@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -13,8 +14,9 @@ from .options import PORT, add_overwrite, add_query_encoders, count, new_output,
 from .query_options import open_scene
 
 if TYPE_CHECKING:
+    from ..catalogue import Catalogue
     from ..query import Scene
-    from ..viewing.shown import Shown
+    from ..viewing.live.service import Service
 
 EXAMPLES = """\
   drsplat view drsplat-demo
@@ -23,7 +25,7 @@ EXAMPLES = """\
   drsplat view scene.ply
   drsplat view --catalogue flats.catalogue
 
-Needs viser: pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
+Needs pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
 0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
 only be looked at."""
 DAILY = ("scene", "views", "ask", "encoder", "port", "export", "overwrite")
@@ -133,26 +135,17 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _serve(arguments: argparse.Namespace) -> NoReturn:
-    from ..viewing.packages import viser_module
-
-    viser_module()
-    from ..viewing.panel import Panel
+    _require_packages()
     from ..viewing.session import Session
-    from ..viewing.window import Window
 
     scene, budget = _scene(arguments), arguments.max_gaussians or BUDGET
     session = Session(scene, budget, _words(arguments), edits_kept=arguments.edits != "none")
     note_applied(session.edits.listed.done)
-    up = _up(arguments, session.scene)
-    folder = None if arguments.save_dir is None else Path(arguments.save_dir)
-    window = Window(session, up, host=arguments.host, port=arguments.port)
-    panel = Panel(window, folder)
-    if arguments.ask:
-        panel.ask(arguments.ask)
-    _tell(arguments.json, window.served.address, session.shown)
-    with suppress(KeyboardInterrupt):
-        window.server.sleep_forever()
-    panel.stop()
+    up, shown = _up(arguments, scene), session.shown
+    with _service(arguments) as service:
+        service.show(session, up, arguments.ask)
+        _tell(arguments.json, service.address, {"num_shown": len(shown)}, shown.said)
+        service.run()
     raise SystemExit(0)  # all has been said
 
 
@@ -160,11 +153,8 @@ def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
     from ..catalogue import Catalogue
     from ..errors import InputError
     from ..terminal import counted
-    from ..viewing.packages import viser_module
 
-    viser_module()
-    from ..viewing.catalogue_page import CataloguePage
-
+    _require_packages()
     one_scene = [
         name for name in ("scene", "views", "words", "export", "up", "edits") if getattr(arguments, name) is not None
     ]
@@ -172,27 +162,50 @@ def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
         raise InputError(f"--{one_scene[0]} is of one scene, and --catalogue of many: drop one")
     given = {name: getattr(arguments, name) for name in ("encoder", "vocabulary", "device", "threads")}
     catalogue = Catalogue.open(arguments.catalogue, **given)
-    folder = None if arguments.save_dir is None else Path(arguments.save_dir)
-    page = CataloguePage(catalogue, arguments.max_gaussians or BUDGET, folder, arguments.host, arguments.port)
-    if arguments.ask:
-        page.ask(arguments.ask)
-    if arguments.json:
-        print(json.dumps({"address": page.served.address, "num_objects": len(catalogue)}), flush=True)
-    else:
-        said = counted(len(catalogue), "object")
-        print(f"Open {page.served.address} in a browser; Ctrl-C ends this. {said} to search.", flush=True)
-    with suppress(KeyboardInterrupt):
-        page.server.sleep_forever()
-    page.stop()
+    _ = catalogue.encoder  # or the error that says that nothing is in it
+    number = len(catalogue)
+    with _service(arguments, catalogue) as service:
+        service.search(arguments.ask)
+        _tell(arguments.json, service.address, {"num_objects": number}, f"{counted(number, 'object')} to search.")
+        service.run()
     raise SystemExit(0)
 
 
-def _tell(as_json: bool, address: str, shown: Shown) -> None:
+def _require_packages() -> None:
+    """Raises: MissingExtraError: a package of the viewer is not installed."""
+    from ..serving.libraries import require_packages
+
+    require_packages("viewer", "fastapi", "uvicorn", "prometheus_client")
+
+
+@contextmanager
+def _service(arguments: argparse.Namespace, catalogue: Catalogue | None = None) -> Iterator[Service]:
+    """Make a viewer that is about to answer on the address of the options.
+
+    Raises: InputError: nothing can listen there.
+    """
+    from ..viewing.listening import listening_socket
+    from ..viewing.live.service import Service
+    from ..viewing.live.shared import Shared
+    from ..viewing.live.shelf import Shelf
+    from ..viewing.saving import Saves
+
+    def opened(path: Path) -> Scene:
+        return _scene(argparse.Namespace(**{**vars(arguments), "field": str(path), "scene": None, "views": None}))
+
+    saves = Saves(None if arguments.save_dir is None else Path(arguments.save_dir))
+    shelf = None if catalogue is None else Shelf(catalogue)
+    shared = Shared(saves, opened, arguments.max_gaussians or BUDGET, shelf=shelf)
+    with listening_socket(arguments.host, arguments.port) as listening:
+        yield Service(shared, listening, arguments.host)
+
+
+def _tell(as_json: bool, address: str, numbers: dict[str, int], said: str) -> None:
     """At once: who waits for the end never learns the address."""
     if as_json:
-        print(json.dumps({"address": address, "num_shown": len(shown)}), flush=True)
+        print(json.dumps({"address": address, **numbers}), flush=True)
     else:
-        print(f"Open {address} in a browser; Ctrl-C ends this. {shown.said}", flush=True)
+        print(f"Open {address} in a browser; Ctrl-C ends this. {said}", flush=True)
 
 
 def _words(arguments: argparse.Namespace) -> list[str] | None:

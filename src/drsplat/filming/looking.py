@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Float64
+from ..arrays import Bool, Float64
 from ..errors import InputError
 from ..query import Match, Scene
 from ..scene.gaussians import Gaussians
@@ -64,33 +64,49 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
     Of the photos that have its middle in the picture, the one taken from about the best distance; without any, a place
     a little above it.
     """
-    distance = ASIDE * size_of(match, gaussians) * float(np.hypot(1, ABOVE))
-    showing = [view for view in views if _shows(view, match.center)] or views
-    if not showing:
+    return beside(match.center, size_of(match, gaussians), views, up)
+
+
+def beside(center: Vector, size: float, views: Sequence[View], up: Vector) -> Vector:
+    """Return a place to see something from, of a size in scene units; see `before`."""
+    distance = ASIDE * size * float(np.hypot(1, ABOVE))
+    if not views:
         side = np.array([0.8, 0.5, 0.3])
         side = side - (side @ up) * up
         side = side / np.linalg.norm(side) + ABOVE * up
-        return np.asarray(match.center + distance * side / np.linalg.norm(side))
-    ways = np.stack([view.center for view in showing]) - match.center
+        return np.asarray(center + distance * side / np.linalg.norm(side))
+    ways = np.stack([view.center for view in views]) - center
     lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
-    best = int(np.abs(np.log(lengths / distance)).argmin())
-    return np.asarray(match.center + ways[best] * min(1.0, distance / lengths[best]))
+    showing = _showing(views, center)
+    unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
+    best = int(unfit.argmin())
+    return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
 
 
-def _shows(view: View, point: Vector) -> bool:
-    """Return whether a point is in the inner part of a view's picture."""
-    x, y, z = view.cam_from_world[:3, :3] @ point + view.cam_from_world[:3, 3]
-    if z <= 0:
-        return False
-    u, v = view.K[0, 0] * x / z + view.K[0, 2], view.K[1, 1] * y / z + view.K[1, 2]
-    return bool(MARGIN <= u / view.width <= 1 - MARGIN and MARGIN <= v / view.height <= 1 - MARGIN)
+def _showing(views: Sequence[View], point: Vector) -> Bool[np.ndarray, " v"]:
+    """Return which views have a point in the inner part of their picture."""
+    poses, K = np.stack([view.cam_from_world for view in views]), np.stack([view.K for view in views])
+    x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T
+    z = np.where(z > 0, z, np.nan)
+    u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / [view.width for view in views]
+    v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / [view.height for view in views]
+    return np.asarray((np.minimum(u, v) >= MARGIN) & (np.maximum(u, v) <= 1 - MARGIN))
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:
     """The longest side of its box, but not less than a small part of the scene."""
+    return size_in(match.extent, radius_of(gaussians))
+
+
+def size_in(extent: Vector, radius: float) -> float:
+    """As `size_of`, of the lengths of a box and the radius of its scene."""
+    return max(float(extent.max()), LEAST_SIZE * radius, 1e-6)
+
+
+def radius_of(gaussians: Gaussians) -> float:
+    """Return the median distance of the Gaussians from their middle, in scene units."""
     spread = gaussians.means.astype(np.float64)
-    radius = float(np.median(np.linalg.norm(spread - np.median(spread, axis=0), axis=1)))
-    return max(float(match.extent.max()), LEAST_SIZE * radius, 1e-6)
+    return float(np.median(np.linalg.norm(spread - np.median(spread, axis=0), axis=1)))
 
 
 def swing(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0) -> list[Vector]:

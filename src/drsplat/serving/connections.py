@@ -139,8 +139,17 @@ def connection_class(most: int, seconds: Mapping[Stage, float] = SECONDS) -> typ
 
 def run(app: Any, listening: socket.socket, **options: Any) -> None:
     """Run an ASGI application on a socket until SIGINT or SIGTERM, with bounded connections. options: uvicorn's."""
-    config = uvicorn.Config(app, http=connection_class(room()), ws="none", server_header=False, **options)
-    server = uvicorn.Server(config)
+    run_server(uvicorn.Server(bounded(app, **options)), listening)
+
+
+def bounded(app: Any, seconds: Mapping[Stage, float] = SECONDS, **options: Any) -> uvicorn.Config:
+    """Return settings for a server with bounded connections. seconds: as of `connection_class`. options: uvicorn's."""
+    protocol = connection_class(room(), seconds)
+    return uvicorn.Config(app, http=protocol, ws="none", server_header=False, **options)
+
+
+def run_server(server: uvicorn.Server, listening: socket.socket) -> None:
+    """Run a server on a socket until SIGINT or SIGTERM."""
     with suppress(KeyboardInterrupt):
         server.run(sockets=[listening])
     if not server.started:

@@ -4,7 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable, MutableMapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from starlette.exceptions import HTTPException
 
@@ -39,10 +39,10 @@ class DoorKeeper:
         self.app, self.key, self.hosts = app, key, hosts
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or not await self.turned_away(scope, _Answer(send)):
+        if scope["type"] != "http" or not await self.turned_away(scope, Answer(send)):
             await self.app(scope, receive, send)
 
-    async def turned_away(self, scope: Message, answer: "_Answer") -> bool:
+    async def turned_away(self, scope: Message, answer: "Answer") -> bool:
         """Whether a request was refused."""
         headers = dict(scope["headers"])
         if not self._is_let_in(scope["path"], headers):
@@ -75,9 +75,9 @@ class Guard(DoorKeeper):
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
-        answer = _Answer(send)
+        answer = Answer(send)
         if scope["method"] == "HEAD":
-            scope, answer = {**scope, "method": "GET"}, _Answer(_without_body(send))
+            scope, answer = {**scope, "method": "GET"}, Answer(_without_body(send))
         start = time.perf_counter()
         try:
             if not await self.turned_away(scope, answer):
@@ -86,13 +86,11 @@ class Guard(DoorKeeper):
             route = getattr(scope.get("route"), "path", "none")
             self.metrics.answered(route, answer.status or 499, time.perf_counter() - start)
 
-    async def _bounded(self, scope: Message, receive: Receive, answer: "_Answer") -> None:
-        length, most = dict(scope["headers"]).get(b"content-length", b"0"), self.limits.body_bytes
-        if not length.isdigit() or len(length) > 18:
-            return await answer.refuse(400, "malformed", "Content-Length: expected a number of bytes")
-        if int(length) > most:
-            return await answer.refuse(413, "too large", TooLargeError(most).detail)
-        body = _Body(receive, self)
+    async def _bounded(self, scope: Message, receive: Receive, answer: "Answer") -> None:
+        most = self.limits.body_bytes
+        if await refused_length(scope, most, answer):
+            return
+        body = Body(receive, self, most)
         try:
             async with asyncio.timeout(self.limits.seconds):
                 await self.app(scope, body, answer)
@@ -102,7 +100,17 @@ class Guard(DoorKeeper):
             self.large -= body.is_large
 
 
-class _Answer:
+async def refused_length(scope: Message, most: int, answer: "Answer") -> bool:
+    """Refuse a request that says that its body is too long, or says nothing sensible; returns whether it did."""
+    length = dict(scope["headers"]).get(b"content-length", b"0")
+    if not length.isdigit() or len(length) > 18:
+        await answer.refuse(400, "malformed", "Content-Length: expected a number of bytes")
+    elif int(length) > most:
+        await answer.refuse(413, "too large", TooLargeError(most).detail)
+    return bool(answer.status)
+
+
+class Answer:
     """Send, which knows whether the answer has begun."""
 
     def __init__(self, send: Send) -> None:
@@ -141,20 +149,26 @@ def _without_body(send: Send) -> Send:
     return head
 
 
-class _Body:
+class LargeBodies(Protocol):
+    """Whoever counts the large bodies that are received and answered at once."""
+
+    large: int
+    limits: Limits
+
+
+class Body:
     """Receive, of a body whose length was not told, or was a lie; and one of not too many large ones."""
 
-    def __init__(self, receive: Receive, guard: Guard) -> None:
-        self.receive, self.guard, self.seen, self.is_large = receive, guard, 0, False
+    def __init__(self, receive: Receive, counter: LargeBodies, most: int) -> None:
+        self.receive, self.counter, self.most, self.seen, self.is_large = receive, counter, most, 0, False
 
     async def __call__(self) -> Message:
         message = await self.receive()
         self.seen += len(message.get("body", b""))
-        limits = self.guard.limits
-        if self.seen > limits.body_bytes:
-            raise TooLargeError(limits.body_bytes)
+        if self.seen > self.most:
+            raise TooLargeError(self.most)
         if self.seen > LARGE and not self.is_large:
-            if self.guard.large >= limits.large_bodies:
-                raise HTTPException(503, f"{self.guard.large} large bodies are here: come again")
-            self.guard.large, self.is_large = self.guard.large + 1, True
+            if self.counter.large >= self.counter.limits.large_bodies:
+                raise HTTPException(503, f"{self.counter.large} large bodies are here: come again")
+            self.counter.large, self.is_large = self.counter.large + 1, True
         return message

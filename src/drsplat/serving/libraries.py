@@ -12,6 +12,11 @@ def require(extra: str, *modules: str) -> None:
         raise InputError(
             "services give sockets to their processes, which Windows cannot: run them in WSL or a container"
         )
+    require_packages(extra, *modules)
+
+
+def require_packages(extra: str, *modules: str) -> None:
+    """Raises: MissingExtraError: a module of an extra is not installed."""
     absent = [name for name in modules if find_spec(name) is None]
     if absent:
         raise MissingExtraError(f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"')

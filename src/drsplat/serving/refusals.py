@@ -7,7 +7,10 @@ MOST, LONGEST = 5, 1000
 _WORDED = {"extra_forbidden": "there is no such field; /openapi.json lists those there are"}
 
 
-def faults_of(errors: Sequence[Mapping[str, Any]]) -> str:
-    """Return where each fault that pydantic found is, and what was expected there; no values, which may be large."""
-    faults = [f"{'.'.join(map(str, fault['loc']))}: {_WORDED.get(fault['type'], fault['msg'])}" for fault in errors]
+def faults_of(errors: Sequence[Mapping[str, Any]], worded: Mapping[str, str] = _WORDED) -> str:
+    """Return where each fault that pydantic found is, and what was expected there; no values, which may be large.
+
+    worded: what is said instead of pydantic's words, by its names of faults.
+    """
+    faults = [f"{'.'.join(map(str, fault['loc']))}: {worded.get(fault['type'], fault['msg'])}" for fault in errors]
     return "; ".join(faults[:MOST])[:LONGEST]

@@ -75,8 +75,14 @@ def words_of(scene: Scene) -> tuple[str, ...]:
 
 def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
     """The photo of most support, with the place in colour; None where there is none."""
-    names = {view.name for view in scene.views}
-    best = next((one.view_name for one in this.evidence if one.view_name in names), None)
+    best = best_photo(scene, this)
     if best is None or this.match is None:
         return None
     return scene.picture(best, this.match.gaussian_ids, photo=True, max_side=PICTURE_SIDE)
+
+
+def best_photo(scene: Scene, this: This) -> str | None:
+    """Return the name of the photo of most support; None where there is none to show."""
+    names = {view.name for view in scene.views}
+    best = next((one.view_name for one in this.evidence if one.view_name in names), None)
+    return None if this.match is None else best

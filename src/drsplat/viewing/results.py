@@ -7,7 +7,10 @@ import numpy as np
 
 from ..arrays import Float32, Int32, Int64
 from ..drawing.heat import heat_of
+from ..kernels.boxes import box_of
 from ..query import Answer, Match, Scene
+from ..query.defaults import OBJECT
+from ..scene.boxes import solid
 from ..terminal import counted
 
 SEVERAL = ";"
@@ -52,6 +55,14 @@ class Result:
 
 def result_of(scene: Scene, label: str, answer: Answer) -> Result:
     return Result(label, answer, answer.threshold, scene.locate(answer))
+
+
+def result_of_ids(scene: Scene, label: str, ids: Int64[np.ndarray, " m"]) -> Result:
+    """Return exactly some Gaussians, one or more, as the only match of a query; they need no feature."""
+    rows = scene.field.rows_of(ids)
+    answer = Answer.of_rows(scene.field, rows[rows >= 0], OBJECT)
+    box = box_of(scene.gaussians, solid(scene.gaussians, ids), scene.up)
+    return Result(label, answer, answer.threshold, [Match(box.center, box.axes, box.extent, 1.0, ids)])
 
 
 def cut_at(scene: Scene, result: Result, threshold: float) -> Result:

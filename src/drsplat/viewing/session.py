@@ -21,9 +21,11 @@ from ..query.nodes import Chosen, chosen_at, name_of
 from ..query.objects import answer_of, match_of, objects_of
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Span
+from ..scene.views import View
 from ..terminal import counted
 from . import painting, results
 from .edits import Edits
+from .lasso import inside_outline
 from .naming import This, known_words, this_is
 from .picking import hit_by_ray
 from .results import Result
@@ -50,7 +52,7 @@ class Session:
     words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets. chosen: the part,
     thing or group that was clicked, None for none. time: at which a scene that moves is shown; None: it stands still.
     during: the span of time that queries ask of. edits_kept: whether edits are those kept beside the scene, or in
-    memory from none on.
+    memory from none on. asked: the queries in words that are answered now, none where something else is shown.
     """
 
     scene: Scene
@@ -64,6 +66,7 @@ class Session:
     time: float | None = None
     during: Span | None = None
     edits_kept: bool = True
+    asked: tuple[str, ...] = ()
     _edits: Edits = field(init=False)
     _before: Mode = Mode.SCENE
 
@@ -120,9 +123,11 @@ class Session:
         texts = results.split_queries(text)
         if not 1 <= len(texts) <= MOST_QUERIES:
             raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
-        return self._answered(
+        said = self._answered(
             [results.result_of(self.scene, one, self.scene.ask(Query(one, during=self.during))) for one in texts]
         )
+        self.asked = tuple(texts)
+        return said
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
         """To what a picture shows. Raises: InputError: an encoder that sees no images."""
@@ -166,8 +171,25 @@ class Session:
         return " \n".join(result.said for result in self.results)
 
     def _answered(self, answers: list[Result]) -> str:
-        self.results, self.mode, self.chosen = tuple(answers), Mode.ANSWER, None
+        self.results, self.mode, self.chosen, self.asked = tuple(answers), Mode.ANSWER, None, ()
         return self.said
+
+    def clear(self) -> None:
+        """Show the scene as it is, with nothing found, clicked or selected."""
+        self.results, self.asked, self.clicked, self.chosen, self.mode = (), (), None, None, Mode.SCENE
+
+    def lasso(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> str:
+        """Select what is mostly seen inside an outline in a picture from a camera in the world.
+
+        outline: corners in pixels of the view. Raises: InputError: nothing is seen there.
+        """
+        splats = self.edits.splats if self.edits.is_edited else self.here.splats
+        ids = inside_outline(splats, view, outline, threads=self.scene.threads)
+        ids = ids[ids < len(self.scene.gaussians)]  # what edits added answers nothing
+        if not len(ids):
+            raise InputError("nothing is seen inside the outline: draw it around something")
+        self.clicked = None
+        return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
 
     # --- pointing ---
 

@@ -1,0 +1,185 @@
+"""Pictures and files that a browser gets: photos, what is shown, scenes, films and paths."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from threading import Event
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from ...arrays import UInt8
+from ...drawing.pictures import OtherPixels, as_pixels
+from ...drawing.rendering import render
+from ...errors import InputError
+from ...filming.path_files import path_of, write_path
+from ...filming.paths import frame_count
+from ...filming.writing import write_film
+from ...formats.json_files import document_in
+from ...query.sheets import AT_ONCE
+from ...serving.pictures import jpeg, png
+from ..exporting import export_page
+from ..naming import photo_of
+from ..object_list import pictures_of
+from ..saving import flight_gif, picture_of, save_scene, write_bytes
+from .cameras import FILM_SIZE, FPS, Body, Camera, Path, path_document, path_through, view_of
+from .shared import Shared
+from .stage import Stage
+from .state import film_formats
+
+SPLIT_SIDE = 960  # pixels of each side of before and after
+MOST_PICTURES = 256  # of objects that are kept
+
+
+class Saved(NamedTuple):
+    """path: where a file is, or what it is called. data: what is in it, empty where that is too large to send."""
+
+    path: FilePath
+    data: bytes
+
+
+class Save(Body):
+    """camera: of a swing, for where nothing is found."""
+
+    what: Literal["scene", "selection", "swing"]
+    camera: Camera | None = None
+
+
+class Film(Path):
+    """A film along a path."""
+
+    format: Literal[".mp4", ".webm", ".webp", ".gif"]
+
+
+# --- pictures ---
+
+
+def photo(stage: Stage, name: str, side: int) -> bytes:
+    """Return a photo as JPEG, or a rendering where it is not at hand. Raises: InputError: no such view."""
+    return jpeg(stage.session.scene.picture(name, photo=True, max_side=side))
+
+
+def clicked_photo(stage: Stage) -> bytes:
+    """Return the photo of most support of what was clicked, as JPEG. Raises: InputError: there is none."""
+    clicked = stage.session.clicked
+    picture = None if clicked is None else photo_of(stage.session.scene, clicked)
+    if picture is None:
+        raise InputError("no photo shows what was clicked: click something else")
+    return jpeg(picture)
+
+
+def shown_picture(stage: Stage, camera: Camera) -> bytes:
+    """Return what the viewer shows as PNG, by this package's own renderer."""
+    return png(picture_of(stage.session, view_of(stage, camera)))
+
+
+def before_after(stage: Stage, camera: Camera) -> bytes:
+    """Return the scene before its edits and after them, side by side, as PNG. Raises: InputError: nothing is left."""
+    session = stage.session
+    view = view_of(stage, camera, SPLIT_SIDE)
+    sides = session.here.gaussians, session.edited()[0]
+    drawn = [as_pixels(render(one, view, threads=session.scene.threads).rgb) for one in sides]
+    return png(np.concatenate(drawn, axis=1))
+
+
+@dataclass(eq=False)
+class ObjectPictures:
+    """Pictures of objects as JPEG, kept once they are drawn; those listed together are drawn together."""
+
+    _stage: Stage | None = None
+    _kept: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
+
+    def picture(self, stage: Stage, number: int) -> bytes:
+        """Raises: InputError: no such object, or no photos of it."""
+        if stage is not self._stage:
+            self._stage, self._kept = stage, OrderedDict()
+        if number not in self._kept:
+            self._draw(stage, number)
+        return self._kept[number]
+
+    def _draw(self, stage: Stage, number: int) -> None:
+        if number not in stage.listed:
+            raise InputError(f"there is no object {number} of {len(stage.listed)}")
+        begin = stage.listed.index(number) // AT_ONCE * AT_ONCE
+        numbers = stage.listed[begin : begin + AT_ONCE]
+        objects = stage.session.scene.objects
+        for one, pixels in zip(numbers, pictures_of(stage.session, [objects[one] for one in numbers]), strict=True):
+            self._keep(one, pixels)
+
+    def _keep(self, number: int, pixels: OtherPixels | None) -> None:
+        if pixels is None:
+            raise InputError("this scene has no photos: open it with its capture to see its objects")
+        self._kept[number] = jpeg(np.ascontiguousarray(pixels))
+        while len(self._kept) > MOST_PICTURES:
+            self._kept.popitem(last=False)
+
+
+# --- files ---
+
+
+def saved(shared: Shared, asked: Save) -> Saved:
+    """Write what was asked for. Raises: InputError: nothing is selected; as `Saves.save`."""
+    stage = shared.stage
+    if asked.what == "swing":
+        data = _swing(stage, asked.camera)
+        return _save(shared, "found", ".gif", lambda path: write_bytes(path, data))
+    only, stem = (True, "selection") if asked.what == "selection" else (False, "found")
+    return _save(shared, stem, ".ply", lambda path: save_scene(path, stage.session, selected_only=only))
+
+
+def film(shared: Shared, asked: Film, is_gone: Event) -> Saved:
+    """Draw a film in the colours of the moment. is_gone: ends it early, as when nobody waits for it any more.
+
+    Raises: InputError: a format that cannot be written here; as `Saves.save`.
+    """
+    if asked.format not in film_formats():
+        raise InputError(f"{asked.format} needs the program ffmpeg: expected {' or '.join(film_formats())}")
+    path = path_through(shared.stage, asked)
+    views = path.views(frame_count(asked.seconds, FPS), FILM_SIZE)
+    session = shared.session
+
+    def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        for view in views:
+            if is_gone.is_set():
+                raise InputError("the film was not waited for")
+            yield picture_of(session, view)
+
+    return _save(shared, "film", asked.format, lambda file: write_film(file, pictures(), FPS))
+
+
+def path_file(shared: Shared, asked: Path) -> Saved:
+    path = path_through(shared.stage, asked)
+    return _save(shared, "path", ".json", lambda file: write_path(file, path))
+
+
+def loaded_path(stage: Stage, body: bytes) -> dict[str, Any]:
+    """Read a path of ours, or nerfstudio's, of the scene's world. Raises: FormatError, InputError: it is none."""
+    return path_document(stage, path_of(document_in(body, "the path"), "the path"))
+
+
+def page_file(shared: Shared) -> Saved:
+    """Export the scene with the queries that are answered now. Raises: InputError: none is."""
+    session = shared.session
+
+    def write(path: FilePath) -> None:
+        export_page(path, session.scene, session.asked, words=session.words, up=shared.stage.up)
+
+    return _save(shared, "page", ".html", write)
+
+
+def _save(shared: Shared, stem: str, suffix: str, write: Callable[[FilePath], object]) -> Saved:
+    return Saved(*shared.saves.save(stem, suffix, write))
+
+
+def _swing(stage: Stage, camera: Camera | None) -> bytes:
+    """Return a swing around the best match, else about what a camera looks at, as GIF."""
+    session = stage.session
+    found = [match for result in session.results for match in result.matches]
+    if found:
+        match = stage.placed(found[0])
+        return flight_gif(session, stage.eye_before(match.center, match.extent), match.center, stage.up)
+    if camera is None:
+        raise InputError("swing: expected a match to swing about, or a camera")
+    eye, target = (session.shown.frame.world(np.array(at, np.float64)) for at in (camera.eye, camera.target))
+    return flight_gif(session, eye, target, stage.up)

@@ -1,0 +1,177 @@
+"""What all who open the viewer share: the scene that is open, what was found in it, and counters of what changed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError
+from ...query import Scene
+from ..bare import NO_FIELD
+from ..saving import Saves
+from ..session import Session
+from ..texts import printable
+from . import arrays
+from .arrays import Packed
+from .shelf import Shelf
+from .stage import Stage, Vector
+from .state import LONGEST, film_formats, header_of, state_of
+from .uploads import Uploads
+
+NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
+CLOSED = {
+    "mode": "as it is", "selection": 0, "results": [], "clicked": None, "chosen": None, "classes": None,
+    "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
+}  # fmt: skip
+"""The state where no scene is open."""
+
+
+@dataclass
+class Counters:
+    """Numbers that grow when something changes: anything, the scene, its header, its splats, what these answer."""
+
+    revision: int = 0
+    scene: int = 0
+    header: int = 0
+    geometry: int = 0
+    paint: int = 0
+
+
+@dataclass(eq=False)
+class Shared:
+    """Not safe for several threads at once.
+
+    saves: where files go. open_path: opens a scene's file or folder. budget, words: as of `Session`. shelf: the
+    catalogue, None for none. tell: is called after each change.
+    """
+
+    saves: Saves
+    open_path: Callable[[Path], Scene]
+    budget: int = 1_000_000
+    words: Sequence[str] | None = None
+    shelf: Shelf | None = None
+    uploads: Uploads = field(default_factory=Uploads)
+    said: str = ""
+    tell: Callable[[], None] = lambda: None
+    _stage: Stage | None = None
+    _counters: Counters = field(default_factory=Counters)
+    _seen: tuple[Any, ...] = ()
+    _packed: dict[str, tuple[object, Packed]] = field(default_factory=dict)
+
+    @property
+    def stage(self) -> Stage:
+        """Raises: InputError: no scene is open."""
+        if self._stage is None:
+            raise InputError(NOTHING_OPEN)
+        return self._stage
+
+    @property
+    def session(self) -> Session:
+        """Raises: InputError: no scene is open."""
+        return self.stage.session
+
+    @property
+    def needed_shelf(self) -> Shelf:
+        """Raises: InputError: no catalogue was opened."""
+        if self.shelf is None:
+            raise InputError("there is no catalogue here")
+        return self.shelf
+
+    def said_of_answers(self) -> str:
+        """Return what the session says of its answers; empty where no scene is open."""
+        return "" if self._stage is None else printable(self._stage.session.said, LONGEST)
+
+    @property
+    def counted(self) -> Counters:
+        return self._counters
+
+    # --- changing ---
+
+    def show(self, session: Session, up: Vector | None = None) -> None:
+        """Show another session in place of the one that is open."""
+        self._stage = Stage.of(session, up)
+        self._counters.scene += 1
+        self._counters.header += 1
+        self.said = "" if session.is_askable else NO_FIELD
+
+    def search(self, text: str) -> dict[str, Any]:
+        """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
+        answer = self.needed_shelf.ask(text)
+        self.said = answer["said"]
+        self.note()
+        return answer
+
+    def prepare(self) -> None:
+        """Name objects and suggest words, which may load a model; the scene can be seen before."""
+        if self._stage is not None:
+            self._stage.prepare()
+            self.renew_header()
+            self.note()
+
+    def renew_header(self) -> None:
+        """Count that the header is another one, as after an object was named."""
+        self._counters.header += 1
+
+    def note(self) -> None:
+        """Count what has changed since the last time, and tell whoever listens."""
+        counters = self._counters
+        seen = self._seen_now()
+        if len(seen) != len(self._seen) or seen[0] is not self._seen[0]:
+            counters.geometry += 1
+        if len(seen) != len(self._seen) or any(one is not other for one, other in zip(seen, self._seen, strict=True)):
+            counters.paint += 1
+        self._seen = seen
+        counters.revision += 1
+        self.tell()
+
+    def _seen_now(self) -> tuple[Any, ...]:
+        if self._stage is None:
+            return ()
+        session = self._stage.session
+        return session.drawn, session.results, session.segmentation
+
+    # --- what a browser is told ---
+
+    def header(self) -> dict[str, Any]:
+        counters = {"scene": self._counters.scene, "header": self._counters.header}
+        return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
+
+    def state(self) -> dict[str, Any]:
+        state = CLOSED if self._stage is None else state_of(self._stage)
+        return vars(self._counters) | {"said": self.said, "fault": None} | state
+
+    def _can(self) -> dict[str, Any]:
+        session = None if self._stage is None else self._stage.session
+        askable = session is not None and session.is_askable
+        return {
+            "ask": askable,
+            "ask_picture": askable,
+            "objects": session is not None and session.has_objects,
+            "name": session is not None and session.has_objects and session.can_name,
+            "edit": session is not None,
+            "time": session is not None and session.scene.motion is not None,
+            "photos": session is not None and bool(session.scene.views),
+            "save_dir": self.saves.folder is not None,
+            "catalogue": self.shelf is not None,
+            "film_formats": list(film_formats()),
+            "open": True,
+        }
+
+    def splats(self) -> Packed:
+        return self._kept("splats", self._counters.geometry, arrays.splats)
+
+    def paint(self) -> Packed:
+        return self._kept("paint", (self._counters.geometry, self._counters.paint), arrays.paint)
+
+    def colors(self, mode: str) -> Packed:
+        key = self._counters.geometry, self._counters.paint, mode
+        return self._kept("colors", key, lambda stage: arrays.colors(stage, mode))
+
+    def _kept(self, name: str, version: object, make: Callable[[Stage], Packed]) -> Packed:
+        """Return arrays as they were made for somebody else, where nothing has changed since."""
+        if self._stage is None:
+            return arrays.nothing()
+        known = self._packed.get(name)
+        if known is None or known[0] != version:
+            known = self._packed[name] = version, make(self._stage)
+        return known[1]

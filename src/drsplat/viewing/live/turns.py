@@ -1,0 +1,63 @@
+"""One thread in which everything happens to a session, one thing after the other."""
+
+import asyncio
+import threading
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import Any, TypeVar
+
+from ...serving.replies import BusyError
+
+MOST_WAITING = 64
+GRACE_S = 5.0
+T = TypeVar("T")
+
+
+class Turns:
+    """A thread that does what it is given in that order. Exceptions go to whoever waits for the result."""
+
+    def __init__(self, most_waiting: int = MOST_WAITING) -> None:
+        self.most_waiting, self.waiting = most_waiting, 0
+        self._jobs: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
+        self._latest: dict[Hashable, object] = {}
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._thread.start()
+
+    def submit(self, act: Callable[[], T]) -> "Future[T]":
+        """Do something later. Raises: BusyError: too much waits already."""
+        with self._lock:
+            if self.waiting >= self.most_waiting:
+                raise BusyError(f"{self.waiting} requests wait already: come again")
+            self.waiting += 1
+        future: Future[T] = Future()
+        self._jobs.put((future, act))
+        return future
+
+    async def take(self, act: Callable[[], T]) -> T:
+        """Wait for a turn and for what it returns. Raises: as `submit`, and as the act."""
+        return await asyncio.wrap_future(self.submit(act))
+
+    async def take_latest(self, key: Hashable, act: Callable[[], T], overtaken: Callable[[], T]) -> T:
+        """As `take`; where another act of the same key came before its turn, `overtaken` is done instead."""
+        mark = self._latest[key] = object()
+        return await self.take(lambda: act() if self._latest[key] is mark else overtaken())
+
+    def stop(self) -> None:
+        """End after what is being done, which has some seconds; what waits is dropped."""
+        self._jobs.put(None)
+        self._thread.join(GRACE_S)
+
+    def _run(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            future, act = job
+            try:
+                if future.set_running_or_notify_cancel():
+                    future.set_result(act())
+            except BaseException as error:  # whoever waits gets it, and the next job must find this thread alive
+                future.set_exception(error)
+            finally:
+                del future, act, job
+                with self._lock:
+                    self.waiting -= 1
