@@ -4,7 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable, MutableMapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from starlette.exceptions import HTTPException
 
@@ -149,6 +149,7 @@ def _without_body(send: Send) -> Send:
     return head
 
 
+@runtime_checkable
 class LargeBodies(Protocol):
     """Whoever counts the large bodies that are received and answered at once."""
 

@@ -273,8 +273,7 @@ def read_act(body: bytes) -> AnyAct:
 def done(shared: Shared, act: Act) -> dict[str, object]:
     """Do an act and return the state after it. Raises: as the session's calls."""
     try:
-        said = act.do(shared)
-        shared.said = shared.said_of_answers() if said is None else said
+        shared.say(act.do(shared))
     finally:
         shared.note()
     return shared.state()

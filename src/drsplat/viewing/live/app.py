@@ -130,7 +130,7 @@ class Viewer:
         name, body = request.query_params.get("name", "picture"), await request.body()
 
         def ask() -> dict[str, Any]:
-            self.shared.said = self.shared.session.ask_picture(decoded(body, MOST_PIXELS), printable(name, 60))
+            self.shared.say(self.shared.session.ask_picture(decoded(body, MOST_PIXELS), printable(name, 60)))
             self.shared.note()
             return self.shared.state()
 
@@ -250,8 +250,7 @@ def _roots(shared: Shared) -> list[Any]:
     own = [] if scene is None or scene.path is None else [scene.path.parent, scene.path.resolve().parent]
     labels = [] if scene is None or scene.label_file is None else [scene.label_file.path.parent]
     saves = [] if shared.saves.folder is None else [shared.saves.folder]
-    batches = [one.folder for one in shared.uploads.every]
-    return [*batches, *own, *labels, *saves]
+    return [*shared.uploads.roots, *own, *labels, *saves]
 
 
 def _sent(reply: Reply) -> Response:

@@ -3,8 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from ...errors import DrSplatError
 from ...query import Scene
 from ...scene.views import View
+from ...serving.scene_folder import without_paths
 from ...terminal import counted
 from ..session import Session
 from ..texts import printable
@@ -25,8 +27,10 @@ def open_batch(shared: Shared, name: str) -> str:
         scene.views = tuple(confined(view, batch.folder) for view in scene.views)  # type: ignore[misc]
         session = Session(scene, shared.budget, edits_kept=False)
         shared.show(session)
-    except BaseException:
+    except BaseException as error:
         shared.uploads.drop(name)
+        if isinstance(error, DrSplatError):
+            error.args = (without_paths(str(error), [batch.folder]),)
         raise
     shared.uploads.keep_opened(name)
     if shared.shelf is not None:

@@ -64,9 +64,9 @@ class Service:
 
     def _ask(self, session: Session, text: str) -> None:
         try:
-            self.shared.said = session.ask(text)
+            self.shared.say(session.ask(text))
         except Exception as error:  # is said in the page
-            self.shared.said = str(error)
+            self.shared.say(str(error))
         self.shared.note()
 
     def submit(self, act: Any) -> None:

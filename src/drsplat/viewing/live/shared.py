@@ -77,9 +77,11 @@ class Shared:
             raise InputError("there is no catalogue here")
         return self.shelf
 
-    def said_of_answers(self) -> str:
-        """Return what the session says of its answers; empty where no scene is open."""
-        return "" if self._stage is None else printable(self._stage.session.said, LONGEST)
+    def say(self, text: str | None) -> None:
+        """Say something to all, safe to show; None: what the session says of its answers."""
+        own = "" if self._stage is None else self._stage.session.said
+        lines = (own if text is None else text).splitlines()
+        self.said = "\n".join(printable(line.strip(), LONGEST) for line in lines)
 
     @property
     def counted(self) -> Counters:
@@ -92,12 +94,12 @@ class Shared:
         self._stage = Stage.of(session, up)
         self._counters.scene += 1
         self._counters.header += 1
-        self.said = "" if session.is_askable else NO_FIELD
+        self.say("" if session.is_askable else NO_FIELD)
 
     def search(self, text: str) -> dict[str, Any]:
         """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
         answer = self.needed_shelf.ask(text)
-        self.said = answer["said"]
+        self.say(answer["said"])
         self.note()
         return answer
 

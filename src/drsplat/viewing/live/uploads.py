@@ -55,6 +55,11 @@ class Uploads:
             self._root = Path(tempfile.mkdtemp(prefix="drsplat-")).resolve()
         return self._root
 
+    @property
+    def roots(self) -> list[Path]:
+        """Folders of this machine that senders are not told."""
+        return [*(batch.folder for batch in self.every), *([] if self._root is None else [self._root])]
+
     def close(self) -> None:
         """Remove all files."""
         self.batches.clear()

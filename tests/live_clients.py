@@ -1,0 +1,167 @@
+"""The live viewer without a network, and clients that talk to it: its own page, and strangers."""
+
+import asyncio
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not installed")
+
+import httpx
+
+from drsplat.query import Scene, open_scene
+from drsplat.viewing.bare import is_bare, open_bare
+from drsplat.viewing.live.app import create_app
+from drsplat.viewing.live.gate import Gate
+from drsplat.viewing.live.shared import Shared
+from drsplat.viewing.live.shelf import Shelf
+from drsplat.viewing.live.turns import Turns
+from drsplat.viewing.live.uploads import UploadLimits, Uploads
+from drsplat.viewing.saving import Saves
+from drsplat.viewing.session import Session
+from viewing_scenes import THINGS, boxes_scene
+
+HOST = "127.0.0.1:8080"
+OWN = {"host": HOST, "origin": f"http://{HOST}"}
+KINDS = {"f4": np.float32, "f2": np.float16, "u1": np.uint8, "u2": np.uint16}
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def opened(path: Path) -> Scene:
+    return open_bare(path, threads=1) if is_bare(path) else open_scene(path, threads=1)
+
+
+class Viewer:
+    """A viewer of a session, and its own page. Faults of the service are raised here."""
+
+    def __init__(
+        self, session: Session | None = None, *, folder: Path | None = None, host: str = "127.0.0.1",
+        token: str | None = None, limits: UploadLimits | None = None, shelf: Shelf | None = None,
+    ) -> None:  # fmt: skip
+        self.shared = Shared(Saves(folder), opened, shelf=shelf, uploads=Uploads(limits or UploadLimits()))
+        if session is not None:
+            self.shared.show(session)
+            self.shared.note()
+        self.turns = Turns()
+        self.app = create_app(self.shared, self.turns)
+        self.gate = Gate(self.app, host, 8080, token)
+        self.gate._is_paced = lambda scope: True  # type: ignore[method-assign]  # but in the tests of pace
+
+    @property
+    def session(self) -> Session:
+        return self.shared.session
+
+    def close(self) -> None:
+        self.turns.stop()
+        self.shared.uploads.close()
+
+    def send(self, method: str, path: str, headers: dict[str, str] | None = None, **given: Any) -> httpx.Response:
+        """One request with these headers and no others but those of its body."""
+
+        async def sent() -> httpx.Response:
+            transport = httpx.ASGITransport(self.gate)
+            async with httpx.AsyncClient(transport=transport, base_url=f"http://{HOST}") as client:
+                own = OWN if headers is None else headers
+                return await client.request(method, path, headers=own, **given)
+
+        return asyncio.run(sent())
+
+    def get(self, path: str, **params: Any) -> httpx.Response:
+        return self.send("GET", path, params=params)
+
+    def post(self, path: str, body: Any) -> httpx.Response:
+        if isinstance(body, bytes):
+            return self.send("POST", path, OWN | {"content-type": "application/octet-stream"}, content=body)
+        return self.send("POST", path, json=body)
+
+    def do(self, act: str, **given: Any) -> dict[str, Any]:
+        """The state after an act that is done."""
+        answer = self.post("/view/do", {"act": act, **given})
+        assert answer.status_code == 200, answer.text
+        state: dict[str, Any] = answer.json()
+        return state
+
+    def refused(self, act: str, status: int = 422, **given: Any) -> str:
+        """Why an act is refused."""
+        return error_of(self.post("/view/do", {"act": act, **given}), status)
+
+    def arrays(self, path: str, **params: Any) -> dict[str, np.ndarray]:
+        answer = self.get(path, **params)
+        assert answer.status_code == 200, answer.text
+        return {
+            name: np.frombuffer(answer.content, KINDS[kind], count, offset)
+            for name, kind, offset, count in json.loads(answer.headers["x-drsplat-arrays"])
+        }
+
+    def state(self) -> dict[str, Any]:
+        return dict(self.get("/view/state").json())
+
+
+def error_of(answer: httpx.Response, status: int) -> str:
+    assert answer.status_code == status, answer.text
+    body = answer.json()
+    assert set(body) == {"error", "kind"}
+    return str(body["error"])
+
+
+@contextmanager
+def a_viewer(session: Session | None = None, **given: Any) -> Iterator[Viewer]:
+    """Of three boxes that answer words, unless another session is given."""
+    viewer = Viewer(Session(boxes_scene(), words=THINGS) if session is None else session, **given)
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+
+
+def camera(viewer: Viewer, eye: Any = (3.0, -9.0, 4.0), target: Any = (0.0, 0.0, 0.0)) -> dict[str, Any]:
+    """A browser's camera that looks from one place of the world at another."""
+    frame = viewer.session.shown.frame
+    places = (frame.shown(np.array(place, np.float64)).tolist() for place in (eye, target))
+    return dict(zip(("eye", "target"), places, strict=True)) | {"fov": 50.0, "width": 320, "height": 240}
+
+
+class Stream:
+    """The events of one page, read from the application itself: httpx would wait for their end."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer, self.gone = viewer, asyncio.Event()
+        self.messages: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+
+    async def __aenter__(self) -> "Stream":
+        headers = [(key.encode(), value.encode()) for key, value in OWN.items()]
+        scope = {
+            "type": "http", "method": "GET", "path": "/view/events", "raw_path": b"/view/events", "query_string": b"",
+            "headers": headers, "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8080), "scheme": "http",
+            "http_version": "1.1", "asgi": {"version": "3.0", "spec_version": "2.3"},
+        }  # fmt: skip
+        self.task = asyncio.ensure_future(self.viewer.gate(scope, self._receive, self.messages.put))
+        self.status = (await self.messages.get())["status"]
+        return self
+
+    async def __aexit__(self, *_: Any) -> None:
+        self.gone.set()
+        await self.task
+
+    async def _receive(self) -> dict[str, Any]:
+        await self.gone.wait()
+        return {"type": "http.disconnect"}
+
+    async def line(self) -> str:
+        """The next text that is sent."""
+        message = await asyncio.wait_for(self.messages.get(), 60)
+        return str(message.get("body", b"").decode())
+
+    async def event(self) -> dict[str, int]:
+        """The next change."""
+        line = await self.line()
+        while line.startswith(":"):
+            line = await self.line()
+        return dict(json.loads(line.removeprefix("data: ")))
