@@ -55,7 +55,7 @@ class Shared:
     tell: Callable[[], None] = lambda: None
     _stage: Stage | None = None
     _counters: Counters = field(default_factory=Counters)
-    _seen: tuple[Any, ...] = ()
+    _seen: tuple[Any, ...] = (None, None, None)
     _packed: dict[str, tuple[object, Packed]] = field(default_factory=dict)
 
     @property
@@ -118,17 +118,16 @@ class Shared:
         """Count what has changed since the last time, and tell whoever listens."""
         counters = self._counters
         seen = self._seen_now()
-        if len(seen) != len(self._seen) or seen[0] is not self._seen[0]:
-            counters.geometry += 1
-        if len(seen) != len(self._seen) or any(one is not other for one, other in zip(seen, self._seen, strict=True)):
-            counters.paint += 1
+        changed = [one is not other for one, other in zip(seen, self._seen, strict=True)]
+        counters.geometry += changed[0]
+        counters.paint += any(changed)
         self._seen = seen
         counters.revision += 1
         self.tell()
 
     def _seen_now(self) -> tuple[Any, ...]:
         if self._stage is None:
-            return ()
+            return None, None, None
         session = self._stage.session
         return session.drawn, session.results, session.segmentation
 

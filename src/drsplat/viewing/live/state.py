@@ -242,7 +242,7 @@ def size_said(extent: Vector) -> str:
 
 
 def place_said(point: Vector) -> str:
-    return ", ".join(f"{x:.2f}" for x in point)
+    return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)
 
 
 def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
