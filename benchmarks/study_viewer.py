@@ -8,24 +8,25 @@ viewer_phone.jpg (the exported page on a desk and on a phone). Needs playwright 
 
 import argparse
 import io
+import json
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from drsplat import export_page, open_scene
-from drsplat.filming.looking import up_direction
-from drsplat.viewing.panel import Panel
+from drsplat.viewing.listening import listening_socket
+from drsplat.viewing.live.acts import done, read_act
+from drsplat.viewing.live.service import Service
+from drsplat.viewing.live.shared import Shared
+from drsplat.viewing.saving import Saves
 from drsplat.viewing.session import Session
-from drsplat.viewing.window import Window
 
 QUERIES, PAGE = "red vase; candle; couch", ["red vase", "couch", "something to eat", "laptop"]
 DESK, PHONE, QUALITY = (1280, 960), (390, 844), 80
@@ -59,28 +60,24 @@ def shot(page: Any, path: Path) -> None:
 
 
 def viewer(opened: Any, folder: Path, output: Path, count: int) -> None:
+    """The live viewer on a desk: three queries, then everything and a click on the vase."""
     session = Session(open_scene(folder), count)
-    panel = Panel(Window(session, up_direction(session.scene), port=8931))
-    page = opened.new_page(viewport={"width": DESK[0], "height": DESK[1]}, color_scheme="dark")
-    page.set_default_timeout(1000 * PATIENCE)
-    try:
-        panel.ask(QUERIES)
-        page.goto(panel.window.served.address)
-        page.get_by_text("Query by picture").wait_for()
-        page.add_style_tag(
-            content=".mantine-Notifications-root { display: none }"
-        )  # of drawing without a graphics card
-        eventually(lambda: len(panel.window.server.get_clients()) == 1)
-        page.wait_for_timeout(5000)
-        shot(page, output / "viewer.jpg")
-        vase, eye = session.results[0].matches[0].center, np.array(panel.window.server.initial_camera.position)
-        session.everything()
-        panel._clicked(SimpleNamespace(ray_origin=eye, ray_direction=session.shown.frame.shown(vase) - eye))
-        page.wait_for_timeout(3000)
-        shot(page, output / "viewer_objects.jpg")
-    finally:
-        page.close()
-        panel.stop()
+    with listening_socket("127.0.0.1", 8931) as listening:
+        service = Service(Shared(Saves(None), open_scene), listening, "127.0.0.1")
+        service.show(session, text=QUERIES)
+        with service.running() as address:
+            page = opened.new_page(viewport={"width": DESK[0], "height": DESK[1]}, color_scheme="dark")
+            page.set_default_timeout(1000 * PATIENCE)
+            page.goto(address)
+            eventually(lambda: len(session.results) == 3)
+            shot(page, output / "viewer.jpg")
+            eye, frame = service.shared.stage.first_look[0], session.shown.frame
+            vase = session.results[0].matches[0].center
+            click = {"act": "click", "origin": frame.shown(eye).tolist(), "direction": (vase - eye).tolist()}
+            for act in ({"act": "mode", "mode": "objects"}, click):
+                service.turns.submit(lambda act=act: done(service.shared, read_act(json.dumps(act).encode()))).result()
+            shot(page, output / "viewer_objects.jpg")
+            page.close()
 
 
 def exported(opened: Any, folder: Path, output: Path) -> None:

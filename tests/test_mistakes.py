@@ -110,7 +110,7 @@ def test_the_answer_to_a_mistake_says_the_way_on(
     line: tuple[str, ...], said: tuple[str, ...], things: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     if line[0] == "view":
-        pytest.importorskip("viser", reason="the extra drsplat[viewer] is not installed")
+        pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
     if {"sam", "clip"} & set(line):
         pytest.importorskip("transformers", reason="the extra drsplat[models] is not installed")
     monkeypatch.chdir(things)

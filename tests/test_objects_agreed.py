@@ -11,7 +11,7 @@ from drsplat import Scene
 from drsplat.errors import DrSplatWarning
 from drsplat.field.labels import LabelFile
 from drsplat.objects.agreed import agreed
-from drsplat.viewing.object_list import _more_said, in_order, names_of
+from drsplat.viewing.object_list import in_order, names_of
 from drsplat.viewing.page_parts import object_numbers, objects_of_page
 from drsplat.viewing.session import Session
 from known_objects import EACH, with_objects
@@ -97,11 +97,6 @@ def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture() -> None:
     assert numbers is not None
     assert numbers[[0, EACH, 2 * EACH, 3 * EACH - 1]].tolist() == [3, 1, 2, 0]
     assert names_of(session) == ["object 0", "object 1", "object 2"]
-
-
-def test_the_button_of_the_viewer_says_what_is_left() -> None:
-    assert _more_said(sure=30, every=200) == "12 more of 30"
-    assert _more_said(sure=0, every=170) == "12 of 170 that photos agree less on"
 
 
 def test_a_catalogue_counts_them(tmp_path: Path, capsys: Capture) -> None:

@@ -24,7 +24,6 @@ from drsplat.models import sam
 from fake_models import ColorSegmenter
 
 pytest.importorskip("transformers", reason="the extra drsplat[models] is not installed")
-pytest.importorskip("viser", reason="the extra drsplat[viewer] is not installed")
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
 

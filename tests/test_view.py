@@ -11,16 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-pytest.importorskip("msgspec", reason="the extra drsplat[viewer] is not installed")
-
 from drsplat import read_gaussians, write_gaussians
 from drsplat.drawing.heat import heat_of
-from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
+from drsplat.errors import InputError
 from drsplat.filming import looking
 from drsplat.query import Scene
-from drsplat.viewing import painting, picking, results, saving, shown, texts, uploads
+from drsplat.viewing import painting, picking, results, saving, shown, texts
 from drsplat.viewing.bare import is_bare, open_bare
-from drsplat.viewing.finds import finds_of
 from drsplat.viewing.naming import photo_of
 from drsplat.viewing.session import MOST_QUERIES, Mode, Session
 from drsplat.viewing.suggestions import suggestions
@@ -487,17 +484,6 @@ def test_nothing_is_suggested_where_nothing_can_be_asked(tmp_path: Path) -> None
     assert suggestions(open_bare(tmp_path / "plain.ply")) == []
 
 
-# --- what was found ---
-
-
-def test_finds_are_numbered_through_all_queries_and_one_alone_is_not(session: Session) -> None:
-    session.ask("red mug; tall lamp")
-    assert [find.name for find in finds_of(session.results)] == ["1 red mug", "2 tall lamp"]
-    assert [find.query for find in finds_of(session.results)] == [0, 1]
-    session.ask("tall lamp")
-    assert [find.name for find in finds_of(session.results)] == ["tall lamp"]
-
-
 # --- a scene without a field ---
 
 
@@ -525,30 +511,3 @@ def test_a_trained_model_is_bare_until_it_has_a_field(tmp_path: Path) -> None:
     (tmp_path / "room.field").mkdir()
     assert not is_bare(tmp_path)
     assert not is_bare(tmp_path / "nothing")
-
-
-# --- uploads ---
-
-
-def test_an_uploaded_picture_is_read_and_anything_else_refused() -> None:
-    pixels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
-    np.testing.assert_array_equal(uploads.picture_in(saving.png_of(pixels)), pixels)
-    with pytest.raises(InputError, match="1 to"):
-        uploads.picture_in(b"")
-    for junk in (b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(40), bytes(1000)):
-        with pytest.raises(FormatError, match="no picture"):
-            uploads.picture_in(junk)
-    with pytest.raises(InputError, match="bytes"):
-        uploads.picture_in(bytes(uploads.MOST_BYTES + 1))
-
-
-@pytest.mark.parametrize("package", ["viser", "msgspec", "websockets"])
-def test_without_viser_the_message_says_what_to_install(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
-    from drsplat.viewing.packages import viser_module
-
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=r"drsplat\[viewer\]"):
-        viser_module()
-    assert issubclass(MissingExtraError, DrSplatError)

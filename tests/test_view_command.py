@@ -6,7 +6,7 @@ import re
 import signal
 import subprocess
 import sys
-import time
+import urllib.request
 import zlib
 from pathlib import Path
 
@@ -147,21 +147,25 @@ def test_a_name_that_is_no_text_is_no_obstacle(folder: Path) -> None:
     assert "<b>" not in text.split("<style>")[0]
 
 
-def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path) -> None:
-    pytest.importorskip("viser")
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path, end: signal.Signals) -> None:
+    pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+    pytest.importorskip("prometheus_client", reason="the extra drsplat[viewer] is not installed")
     command = [sys.executable, "-m", "drsplat", "view", str(folder), "--port", "8981", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as started:
         assert started.stdout is not None
         told = json.loads(started.stdout.readline())
         assert told["address"].startswith("http://127.0.0.1:")
-        time.sleep(1)
-        started.send_signal(signal.SIGINT)
+        state = f"{told['address']}/view/state"
+        with urllib.request.urlopen(state, timeout=60) as answer:
+            assert json.load(answer)["results"] == []
+        started.send_signal(end)
         rest = started.stdout.read()
     assert "{" not in rest
     assert started.returncode == 0
 
 
-@pytest.mark.parametrize("package", ["viser", "msgspec", "websockets"])
+@pytest.mark.parametrize("package", ["fastapi", "uvicorn", "prometheus_client"])
 def test_without_the_extra_a_line_says_what_to_install(package: str, folder: Path) -> None:
     """In a process of its own, where nothing of it has been imported yet."""
     code = f"import sys; sys.modules[{package!r}] = None; from drsplat.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -169,7 +173,7 @@ def test_without_the_extra_a_line_says_what_to_install(package: str, folder: Pat
         [sys.executable, "-c", code, "view", str(folder)], capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 1
-    assert done.stderr.startswith("drsplat: error: the viewer in a browser needs viser")
+    assert done.stderr.startswith(f"drsplat: error: {package} not installed")
     assert 'pip install "drsplat[viewer]"' in done.stderr
 
 
@@ -179,7 +183,8 @@ def test_without_the_extra_a_line_says_what_to_install(package: str, folder: Pat
 def test_where_it_cannot_listen_is_said(
     folder: Path, capsys: pytest.CaptureFixture[str], options: list[str], code: int
 ) -> None:
-    pytest.importorskip("viser")
+    pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+    pytest.importorskip("prometheus_client", reason="the extra drsplat[viewer] is not installed")
     assert main(["view", str(folder), *options]) == code
     assert re.search("listen|port", capsys.readouterr().err)
 

@@ -19,7 +19,6 @@ from drsplat.viewing.page_parts import annotations_of_page, objects_of_page
 from drsplat.viewing.playing import placed_now
 from drsplat.viewing.session import Mode, Session
 from toy_capture import PER_THING, THINGS
-from viewer_clients import a_viewer
 from viewing_scenes import EACH, boxes_scene
 
 UP = np.array([0.0, 0, 1])
@@ -134,35 +133,6 @@ def test_annotations_are_kept(room: Path, session: Session) -> None:
             one.edits.drop(2)
     assert [note.text for note in AnnotationFile.beside(room / "scene.ply").read()] == ["b"]
     assert [note.text for note in session_of(room).edits.annotations] == ["b"]
-
-
-def test_the_panel_edits(tmp_path: Path) -> None:
-    with a_viewer() as panel:
-        controls, session = panel.editing, panel.session
-        session.ask("red mug")
-        for what in controls.what.options:
-            controls.what.value = what
-            controls._show_inputs()
-            if what != "fill":  # three boxes in the air
-                controls._apply(None)
-            if what == "remove":  # nothing is selected then
-                controls._did(session.edits.undo)
-        assert session.edits.listed.done == len(controls.what.options) - 2 == 8
-        assert "8. palette" in controls.told.content
-        assert controls.redo.disabled
-        for _ in range(8):
-            controls._did(session.edits.undo)
-        assert controls.undo.disabled
-        assert not controls.redo.disabled
-        controls.text.value = "mine"
-        controls._annotate(None)
-        assert [note.text for note in session.edits.annotations] == ["mine"]
-        assert "mine" in [mark.text for mark in panel.window._marks if hasattr(mark, "text")]
-        controls.marks.value = False
-        controls._show_marks(None)
-        assert "mine" not in [mark.text for mark in panel.window._marks if hasattr(mark, "text")]
-        controls._drop(None)
-        assert session.edits.annotations == ()
 
 
 def header_of(page: Path) -> dict[str, Any]:

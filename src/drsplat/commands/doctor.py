@@ -23,15 +23,15 @@ PACKAGES = {
     "rich": "core", "torch": "models, cuda", "transformers": "models",
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1 and TIPSv2", "torchvision": "open-clip, EdgeTAM",
     "timm": "open-clip, EdgeTAM", "open_clip_torch": "open-clip",
-    "gsplat": "cuda", "viser": "viewer", "msgspec": "viewer", "websockets": "viewer",
-    "fastapi": "serve", "uvicorn": "serve", "prometheus-client": "serve", "mcp": "mcp", "faiss-cpu": "not needed",
+    "gsplat": "cuda", "fastapi": "viewer, serve", "uvicorn": "viewer, serve",
+    "prometheus-client": "viewer, serve, mcp", "mcp": "mcp", "faiss-cpu": "not needed",
     "lancedb": "catalogue", "pyarrow": "catalogue", "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
 }  # fmt: skip
 """Name of each distribution and what it is for."""
 SERVERS = {
     "pose photos and videos (drsplat capture)": ("capture", ("pycolmap", "pi_heif", "av")),
     "search many scenes at once (drsplat catalogue)": ("catalogue", ("lancedb", "pyarrow")),
-    "show and search scenes in a browser (drsplat view)": ("viewer", ("viser", "msgspec", "websockets")),
+    "show and search scenes in a browser (drsplat view)": ("viewer", ("fastapi", "uvicorn", "prometheus_client")),
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
     "scenes for language models (drsplat mcp)": ("mcp", ("mcp", "prometheus_client")),
 }

@@ -1,6 +1,6 @@
 """Seeing a scene answer: what is shown, picked, painted and saved, apart from how a browser shows it.
 
-Only `window` and `catalogue_page` start viser. Source: Dr. Splat Sec. F "Broader application".
+`live` is what a browser talks to. Source: Dr. Splat Sec. F "Broader application".
 
 Imports `catalogue`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`,
 `query`, `editing`, `filming` and `serving`.

@@ -3,7 +3,6 @@
 import html
 
 MOST_SHOWN = 200
-STYLE = "padding:.3em 1em;font-size:.85em;overflow-wrap:anywhere"
 
 
 def printable(text: str, most: int = MOST_SHOWN) -> str:
@@ -15,8 +14,3 @@ def printable(text: str, most: int = MOST_SHOWN) -> str:
 def escaped(text: str, most: int = MOST_SHOWN) -> str:
     """As HTML that says just that."""
     return html.escape(printable(text, most))
-
-
-def paragraphs(*lines: str) -> str:
-    """HTML of lines that are HTML already; empty ones are left out."""
-    return f'<div style="{STYLE}">{"".join(f"<div>{line}</div>" for line in lines if line)}</div>'

@@ -18,7 +18,6 @@ from ...errors import DrSplatError, InputError
 from ...serving.pictures import decoded
 from ...serving.refusals import faults_of
 from ...serving.replies import BUG, JPEG, PNG, Reply, problem, refusal
-from ...serving.scene_folder import without_paths
 from ..texts import printable
 from . import files, pages
 from .acts import AnyAct, Open, done, read_act
@@ -220,7 +219,7 @@ def _refusals(shared: Shared) -> dict[Any, Any]:
     """Return what answers each kind of error; no answer names a folder of this machine."""
 
     async def refused(_: Request, error: DrSplatError) -> Response:
-        return _sent(refusal(error, without_paths(str(error), _roots(shared))))
+        return _sent(refusal(error, shared.without_folders(str(error))))
 
     async def invalid(_: Request, error: ValidationError) -> Response:
         return _sent(problem(422, faults_of(error.errors(), WORDED), "invalid"))
@@ -242,15 +241,6 @@ def _refusals(shared: Shared) -> dict[Any, Any]:
         DrSplatError: refused, ValidationError: invalid, HTTPException: http, OSError: failed_system,
         MemoryError: failed_memory, Exception: failed,
     }  # fmt: skip
-
-
-def _roots(shared: Shared) -> list[Any]:
-    """Folders that are not told: of files that were sent, of the scene that is open, and of what is saved."""
-    scene = None if shared._stage is None else shared._stage.session.scene
-    own = [] if scene is None or scene.path is None else [scene.path.parent, scene.path.resolve().parent]
-    labels = [] if scene is None or scene.label_file is None else [scene.label_file.path.parent]
-    saves = [] if shared.saves.folder is None else [shared.saves.folder]
-    return [*shared.uploads.roots, *own, *labels, *saves]
 
 
 def _sent(reply: Reply) -> Response:

@@ -1,6 +1,7 @@
 """Starting the viewer: a socket, the gate, and a server until it is stopped."""
 
 import secrets
+import signal
 import socket
 import threading
 from collections.abc import Iterator
@@ -36,6 +37,11 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
+def _end(*_: Any) -> None:
+    """Leave as at the end of the program, so that nothing stays behind."""
+    raise SystemExit(0)
+
+
 class Service:
     """A viewer on a socket. `address` is for a browser, with the token that others need to come in."""
 
@@ -66,7 +72,7 @@ class Service:
         try:
             self.shared.say(session.ask(text))
         except Exception as error:  # is said in the page
-            self.shared.say(str(error))
+            self.shared.say(self.shared.without_folders(str(error)))
         self.shared.note()
 
     def submit(self, act: Any) -> None:
@@ -76,6 +82,7 @@ class Service:
     def run(self) -> None:
         """Answer until SIGINT or SIGTERM."""
         with closing(self):
+            signal.signal(signal.SIGTERM, _end)  # which the server raises again, when it has ended
             run_server(self._server, self.listening)
 
     @contextmanager

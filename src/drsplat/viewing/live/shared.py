@@ -1,5 +1,6 @@
 """What all who open the viewer share: the scene that is open, what was found in it, and counters of what changed."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 from ...errors import InputError
 from ...query import Scene
+from ...serving.scene_folder import without_paths
 from ..bare import NO_FIELD
 from ..saving import Saves
 from ..session import Session
@@ -19,6 +21,7 @@ from .state import LONGEST, film_formats, header_of, state_of
 from .uploads import Uploads
 
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
+FOLDERS = re.compile(r"(?<![\w.])/(?:[^/\s'\",:;]+/)+")
 CLOSED = {
     "mode": "as it is", "selection": 0, "results": [], "clicked": None, "chosen": None, "classes": None,
     "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
@@ -82,6 +85,13 @@ class Shared:
         own = "" if self._stage is None else self._stage.session.said
         lines = (own if text is None else text).splitlines()
         self.said = "\n".join(printable(line.strip(), LONGEST) for line in lines)
+
+    def without_folders(self, message: str) -> str:
+        """Return a message for others than the one who started the viewer: it names no folder of this machine."""
+        scene = None if self._stage is None else self._stage.session.scene
+        own = [] if scene is None or scene.path is None else [scene.path.parent, scene.path.resolve().parent]
+        saves = [] if self.saves.folder is None else [self.saves.folder]
+        return FOLDERS.sub("", without_paths(message, [*self.uploads.roots, *own, *saves]))
 
     @property
     def counted(self) -> Counters:
