@@ -5,10 +5,16 @@ import type { Act, Backend, Header, KeyFrame, Live, Mode, Paint, Photo, SceneObj
 const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 type Arrays = Record<string, Float32Array | Uint16Array | Uint8Array | Uint32Array | undefined>;
 
+const NOTHING: Omit<Header, "can"> = {
+  title: "drsplat", about: "", eye: [8, 8, 6], target: [0, 0, 0], up: [0, 0, 1], fov: 55, heat: [], antialiased: false, words: [], modes: ["as it is"], objects: [], photos: [],
+  times: null, film: null, plays: false,
+};
+
 export class LiveBackend implements Backend, Live {
   readonly live: Live = this;
 
-  header(): Promise<Header> { return this.json("/view/header"); }
+  /** Of a catalogue no scene is open at first: its header says only what can be done. */
+  async header(): Promise<Header> { return { ...NOTHING, ...(await this.json<Header>("/view/header")) }; }
   state(): Promise<State> { return this.json("/view/state"); }
 
   async splats(): Promise<Splats> {
@@ -25,14 +31,24 @@ export class LiveBackend implements Backend, Live {
 
   act(act: Act): Promise<State> { return this.json("/view/do", act); }
 
+  /** Hear of changes while the page is seen: browsers open few connections to a host. */
   listen(changed: (state: State) => void): void {
-    const events = new EventSource("/view/events");
-    let asked = false;
-    events.onmessage = () => {
-      if (asked) return;
-      asked = true;
-      setTimeout(() => { asked = false; void this.state().then(changed); }, 30);
+    let events: EventSource | null = null, wanted = false;
+    const fetch = () => {
+      if (wanted) return;
+      wanted = true;
+      setTimeout(() => { wanted = false; void this.state().then(changed, () => undefined); }, 30);
     };
+    const follow = () => {
+      events?.close();
+      events = null;
+      if (document.hidden) return;
+      events = new EventSource("/view/events");
+      events.onmessage = fetch;
+      fetch();
+    };
+    document.addEventListener("visibilitychange", follow);
+    follow();
   }
 
   objectPicture(object: SceneObject): string { return `/view/object-picture?number=${object.number}`; }
@@ -42,11 +58,12 @@ export class LiveBackend implements Backend, Live {
 
   async askPicture(file: File): Promise<State> { return (await this.sent(`/view/ask-picture?name=${encodeURIComponent(file.name)}`, file)).json() as Promise<State>; }
 
+  /** Open one scene's file, or the files of a folder. */
   async open(files: { name: string; file: File }[]): Promise<State> {
-    let reply: Response | null = null;
-    for (const [part, { name, file }] of files.entries()) reply = await this.sent(`/view/open?name=${encodeURIComponent(name)}&part=${part + 1}&parts=${files.length}`, file);
-    if (!reply) throw new Error("there is no file to open");
-    return this.state();
+    if (files.length === 1 && !files[0].name.includes("/")) return (await this.sent(`/view/open?name=${encodeURIComponent(files[0].name)}`, files[0].file)).json() as Promise<State>;
+    const batch = Array.from(crypto.getRandomValues(new Uint32Array(3)), (x) => x.toString(36)).join("");
+    for (const { name, file } of files.filter((one) => !/(^|\/)\./.test(one.name))) await this.sent(`/view/upload?batch=${batch}&name=${encodeURIComponent(name)}`, file);
+    return this.act({ act: "open", batch });
   }
 
   async file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string }> {

@@ -23,7 +23,8 @@ async function start(): Promise<void> {
   tools(app);
   hands(app);
   await app.begin();
-  const placed = await follow(app);
+  const placed = await follow(app), first = app.state.results.flatMap((result) => result.matches)[0];
+  if (!placed && backend.live && first) app.camera.stand(first.eye, first.center);
   if (!placed && header.plays && !matchMedia("(prefers-reduced-motion: reduce)").matches) app.film.play();
   document.body.classList.remove("loading");
   window.drsplat = app;

@@ -29,7 +29,7 @@ export class PageBackend implements Backend {
     this.results = file.answers;
     const mode: Mode = file.answers.length && !file.plays ? "answer" : "as it is";
     this.now = {
-      revision: 0, scene: 0, geometry: 0, paint: 0, mode, said: "", selection: 0, results: file.answers.slice(0, 1), clicked: null, chosen: null,
+      revision: 0, scene: 0, header: 0, geometry: 0, paint: 0, mode, said: "", selection: 0, results: file.answers.slice(0, 1), clicked: null, chosen: null,
       classes: null, edits: [], can_undo: false, can_redo: false, annotations: file.annotations, time: null, kept: false,
     };
   }

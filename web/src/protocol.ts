@@ -47,11 +47,11 @@ export interface Clicked {
 }
 
 export interface Chosen {
-  name: string; number: number; smaller: boolean; larger: boolean; gaussians: number; photos: number; label: boolean;
+  name: string; number: number | null; smaller: boolean; larger: boolean; gaussians: number; photos: number; label: boolean;
 }
 
 export interface State {
-  revision: number; scene: number; geometry: number; paint: number; mode: Mode; said: string; selection: number;
+  revision: number; scene: number; header: number; geometry: number; paint: number; mode: Mode; said: string; selection: number;
   results: Result[]; clicked: Clicked | null; chosen: Chosen | null;
   classes: { name: string; count: number; color: Color }[] | null;
   edits: { number: number; what: string; target: string; done: boolean }[]; can_undo: boolean; can_redo: boolean;

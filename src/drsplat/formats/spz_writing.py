@@ -80,7 +80,7 @@ def _smallest_three(quats: Float32[np.ndarray, "n 4"]) -> np.ndarray:
     for component in range(4):
         written = (packed << 10) | (negative[:, component].astype(np.uint32) << 9) | sizes[:, component]
         packed = np.where(largest == component, packed, written)
-    return packed.astype("<u4")
+    return np.asarray(packed.astype("<u4"))
 
 
 def _harmonics(rest: Float32[np.ndarray, "n k 3"]) -> UInt8[np.ndarray, "n k 3"]:

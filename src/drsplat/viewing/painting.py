@@ -6,7 +6,6 @@ import numpy as np
 
 from ..arrays import Bool, Float32, Int32, UInt8
 from ..drawing import palette
-from ..drawing.heat import heat_colors
 from ..field import LanguageField
 
 Colors = Float32[np.ndarray, "n 3"]
@@ -19,10 +18,9 @@ ACCENTS = (
 """Of several queries at once, in the order they were given."""
 
 LUMA = palette.LUMA.astype(np.float32)
-DIM, DIM_FLOOR = 0.30, 0.03  # what a Gaussian keeps of its light where another is meant
-TINT = 0.8  # share of the query's colour in what was found, where several are told apart
-GLOW = 0.3  # power of more light than it had: dark things gain most, and no channel overflows
-WARMTH = 0.75  # of the heat map in what was not found, at the highest heat
+DIM, DIM_FLOOR = 0.52, 0.08  # what a Gaussian keeps of its light where another is meant: dimmed, never black
+GREYED = 0.72  # share of its colour that it loses
+TINT = 0.35  # share of the query's colour in what was found, where several are told apart
 FEATURE_SAMPLE = 20_000
 
 
@@ -31,31 +29,27 @@ def accent(number: int) -> tuple[int, int, int]:
 
 
 def dimmed(rgb: Colors) -> Colors:
-    """Dark and without colour, so that what is not dimmed stands out."""
-    grey = DIM_FLOOR + DIM * (rgb @ LUMA)
-    return np.repeat(grey[:, None], 3, axis=1).astype(np.float32)
+    """Return colours with half their light and little of their hue, so that what is not dimmed stands out."""
+    grey = (rgb @ LUMA)[:, None]
+    return np.asarray(DIM_FLOOR + DIM * (GREYED * grey + (1 - GREYED) * rgb), np.float32)
 
 
-def brighter(rgb: Colors) -> Colors:
-    """Of the same hue and saturation, with more light."""
-    top = rgb.max(axis=1, keepdims=True, initial=0)
-    return np.asarray(rgb * np.clip(top, 1e-3, 1) ** -GLOW, np.float32)
+def highlighted(rgb: Colors, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]) -> Colors:
+    """Return what was found in its own colours and full light, the rest dimmed; as the client paints answers.
 
+    Of several queries, what was found has a share of its query's colour.
 
-def highlighted(rgb: Colors, heat: Values, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]) -> Colors:
-    """What was found in its own colours, brighter, the rest dimmed and faintly warm where it nearly fits.
-
-    Of several queries, what was found is in the colour of its query.
-
-    owners: the number of the query that found a Gaussian, -1 for none of them.
+    owners: the number of the query that found a Gaussian, -1 for none of them. Where nothing was found, nothing is
+    dimmed.
     """
-    warmth = (WARMTH * np.clip(heat - 0.25, 0, 1))[:, None]
-    painted = dimmed(rgb) * (1 - warmth) + heat_colors(heat) * warmth
-    palette = np.array(accents, np.float32).reshape(-1, 3) / 255
     found = owners >= 0
-    bright = brighter(rgb[found])
+    if not found.any():
+        return rgb
+    painted = dimmed(rgb)
+    palette = np.array(accents, np.float32).reshape(-1, 3) / 255
     tint = 0.0 if len(palette) == 1 else TINT
-    painted[found] = (1 - tint) * bright + tint * palette[owners[found]] * (0.45 + 0.55 * (bright @ LUMA)[:, None])
+    shade = (0.45 + 0.55 * (rgb[found] @ LUMA))[:, None]
+    painted[found] = (1 - tint) * rgb[found] + tint * palette[owners[found]] * shade
     return np.clip(painted, 0, 1).astype(np.float32)
 
 

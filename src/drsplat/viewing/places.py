@@ -27,7 +27,7 @@ def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], n
         "eye": frame.shown(eye).tolist(),
         "score": round(float(match.score), 4),
         "size": size_text(match.extent),
-        "place": ", ".join(f"{x:.2f}" for x in match.center),
+        "place": place_text(match.center),
         "gaussians": len(match.gaussian_ids),
         "name": printable(name, MAX_NAME_LENGTH),
     }
@@ -35,4 +35,9 @@ def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], n
 
 def size_text(extent: Float64[np.ndarray, " 3"]) -> str:
     """Return the lengths of a box in scene units, such as "0.12 x 0.08 x 0.09"."""
-    return " x ".join(f"{x:.2f}" for x in extent)
+    return " x ".join(f"{x:.3g}" for x in extent)
+
+
+def place_text(point: Float64[np.ndarray, " 3"]) -> str:
+    """Return a place in the world, such as "0.30, 0.14, 0.82"."""
+    return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)

@@ -352,7 +352,7 @@ class Session:
                 return heat_colors(heat)
             accents = [painting.accent(number) for number in range(len(self.results))]
             owners = results.owners(self.results, count)
-            return painting.highlighted(self.edits.colors, heat, owners, accents)
+            return painting.highlighted(self.edits.colors, owners, accents)
         return self.edits.colors
 
     @property

@@ -82,11 +82,12 @@ export class App {
   /** Show a state; what has not changed since the last one is not fetched again. */
   private async take(state: State, first = false): Promise<void> {
     const before = this.state;
-    if (!first && state.scene !== before.scene) { location.reload(); return; }
+    if (!first && state.scene !== before.scene) { location.assign(location.pathname); return; }
     if (!first && state.geometry !== before.geometry) {
       this.splats = await this.backend.splats();
       this.stage.hold(this.splats, this.header.antialiased);
     }
+    if (!first && state.header !== before.header) this.header = await this.backend.header();
     const changed = first || state.paint !== before.paint || state.geometry !== before.geometry || state.mode !== before.mode;
     this.state = state;
     if (changed) {

@@ -25,6 +25,12 @@ export class EditTab implements Tab {
     });
   }
 
+  /** Two edits, as filling alone leaves the thing where it is. */
+  private async fill(): Promise<void> {
+    const done = await this.app.act({ act: "edit", change: "remove" }) && await this.app.act({ act: "edit", change: "fill" });
+    if (done) this.app.say("Removed, and the hole is filled: two edits, which Undo takes back one by one.");
+  }
+
   private selected(): Node {
     const { selection, chosen, results } = this.app.state, name = chosen?.name ?? results.map((result) => result.text).join(", ");
     const text = selection ? `Selected: ${name || "what you drew around"}, ${counted(selection, "Gaussian")}` : "Nothing is selected: ask, click something, or draw around it.";
@@ -36,7 +42,7 @@ export class EditTab implements Tab {
   private changes(): Node {
     const none = !this.app.state.selection;
     return h("div", { class: "grid" }, button("Cut out", this.change("isolate"), { class: "primary", disabled: none, title: "Keep nothing but this" }),
-      button("Remove", this.change("remove"), { disabled: none }), button("Remove and fill", this.change("fill"), { disabled: none, title: "Fill the hole with what is around it" }),
+      button("Remove", this.change("remove"), { disabled: none }), button("Remove and fill", () => void this.fill(), { disabled: none, title: "Fill the hole with what is around it" }),
       button("Undo", () => void this.app.act({ act: "undo" }), { disabled: !this.app.state.can_undo }), button("Redo", () => void this.app.act({ act: "redo" }), { disabled: !this.app.state.can_redo }));
   }
 

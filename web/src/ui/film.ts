@@ -96,9 +96,9 @@ export class FilmTab implements Tab {
   private saving(): Node[] {
     const { app } = this, { film_formats } = app.header.can, few = this.keys.length < 2;
     const choice = h("select", { "aria-label": "Format of the film", onchange: () => { this.format = choice.value; } }, ...film_formats.map((one) => h("option", { value: one, selected: one === this.format }, one.toUpperCase())));
-    const path = () => ({ keys: this.keys, seconds: this.seconds });
+    const path = () => ({ keys: this.keys, ...(this.seconds === null ? {} : { seconds: this.seconds }) });
     return [
-      h("div", { class: "line" }, choice, button("Save the film", () => void app.edit.save("/view/film", { ...path(), format: this.format, mode: app.state.mode }), { disabled: few })),
+      h("div", { class: "line" }, choice, button("Save the film", () => void app.edit.save("/view/film", { ...path(), format: this.format }), { disabled: few })),
       h("div", { class: "line" }, button("Save the path", () => void app.edit.save("/view/path", path()), { disabled: few }), button("Load a path", () => byId<HTMLInputElement>("path-file").click())),
     ];
   }

@@ -72,7 +72,7 @@ const PLACES = 3;
 export function linkOf(app: App): string {
   const numbers = [...app.camera.eye, ...app.camera.target].map((x) => x.toFixed(PLACES)).join(","), parts = new URLSearchParams({ at: numbers });
   const { chosen, results } = app.state;
-  if (chosen) parts.set("object", String(chosen.number));
+  if (chosen?.number != null) parts.set("object", String(chosen.number));
   else if (results.length) parts.set("q", results.map((result) => result.text).join("; "));
   const url = new URL(location.href);
   url.hash = parts.toString();

@@ -18,8 +18,9 @@ from ...errors import DrSplatError, InputError
 from ...serving.pictures import decoded
 from ...serving.refusals import faults_of
 from ...serving.replies import BUG, JPEG, PNG, Reply, problem, refusal
+from ..client import client_file, live_html
 from ..texts import printable
-from . import files, pages
+from . import files
 from .acts import AnyAct, Open, done, read_act
 from .arrays import HEADER, Packed
 from .cameras import MOST_SIDE, Body, Camera, Path, Text
@@ -52,7 +53,8 @@ class Viewer:
 
     def routes(self) -> list[Route]:
         looks: dict[str, Handler] = {
-            "/": self.page, "/client.js": self.script, "/view/header": self.header, "/view/state": self.state,
+            "/": self.page, "/client.js": self.script, "/client.css": self.style,
+            "/view/header": self.header, "/view/state": self.state,
             "/view/splats": self.splats, "/view/paint": self.paint, "/view/colors": self.colors,
             "/view/events": self.listen, "/view/photo": self.photo, "/view/object-picture": self.object_picture,
             "/view/clicked-photo": self.clicked_photo, "/view/catalogue-picture": self.catalogue_picture,
@@ -71,10 +73,13 @@ class Viewer:
     # --- looking ---
 
     async def page(self, _: Request) -> Response:
-        return HTMLResponse(pages.html())
+        return HTMLResponse(live_html())
 
     async def script(self, _: Request) -> Response:
-        return Response(pages.script(), media_type="text/javascript")
+        return Response(client_file("client.js"), media_type="text/javascript")
+
+    async def style(self, _: Request) -> Response:
+        return Response(client_file("client.css"), media_type="text/css")
 
     async def header(self, _: Request) -> Response:
         return JSONResponse(await self.turns.take(self.shared.header))

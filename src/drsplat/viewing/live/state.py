@@ -22,6 +22,7 @@ from ...scene.views import View
 from .. import painting
 from ..bare import NO_FIELD
 from ..naming import This, best_photo
+from ..places import place_text, size_text
 from ..results import Result
 from ..session import Session
 from ..texts import printable
@@ -93,7 +94,7 @@ def _object(stage: Stage, number: int, match: Match) -> Document:
     return _box(stage, now.center, now.axes, now.extent) | {
         "number": number,
         "name": printable(stage.names[number], 60),
-        "size": size_said(now.extent),
+        "size": size_text(now.extent),
         "gaussians": len(match),
     }
 
@@ -161,8 +162,8 @@ def _match(stage: Stage, result: Result, match: Match) -> Document:
     return _box(stage, now.center, now.axes, now.extent) | {
         "name": printable(match.label or result.label, 60),
         "score": round(match.score, 4),
-        "size": size_said(now.extent),
-        "place": place_said(now.center),
+        "size": size_text(now.extent),
+        "place": place_text(now.center),
         "gaussians": len(match),
     }
 
@@ -174,7 +175,7 @@ def _clicked(session: Session, this: This) -> Document:
     return {
         "name": printable(this.name, 60),
         "words": [{"text": printable(word.text, 60), "score": round(word.score, 4)} for word in this.words],
-        "place": place_said(this.point),
+        "place": place_text(this.point),
         "center": _numbers(session.shown.frame.shown(this.point)),
         "evidence": evidence,
         "photo": best_photo(session.scene, this) is not None,
@@ -235,14 +236,6 @@ def _annotation(stage: Stage, one: Annotation) -> Document:
 
 
 # --- numbers and words ---
-
-
-def size_said(extent: Vector) -> str:
-    return " x ".join(f"{x:.3g}" for x in extent)
-
-
-def place_said(point: Vector) -> str:
-    return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)
 
 
 def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:

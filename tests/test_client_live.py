@@ -1,0 +1,223 @@
+"""The client before a running viewer, in a real browser: what a person does, seen in the session and in pixels."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsing import (
+    PANEL,
+    a_browser,
+    a_page,
+    colorfulness,
+    eventually,
+    near,
+    needs_chromium,
+    opened,
+    pixels_of,
+    settled,
+)
+from drsplat.editing import Duplicate
+from drsplat.query import Scene, open_scene
+from drsplat.scene.annotations import Annotation
+from drsplat.viewing.exporting import export_page
+from drsplat.viewing.listening import listening_socket
+from drsplat.viewing.saving import Saves
+from drsplat.viewing.session import Session
+
+pytest.importorskip("uvicorn")
+pytestmark = [needs_chromium, pytest.mark.slow]
+SIZES = {"desk": (1100, 700), "hand": (390, 844)}
+UP = np.array([0.0, 0, 1])
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with a_browser() as browser:
+        yield browser
+
+
+@pytest.fixture
+def session(room: Path) -> Session:
+    return Session(open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture"))
+
+
+@contextmanager
+def served(session: Session) -> Iterator[str]:
+    """The address of a viewer of a session."""
+    from drsplat.viewing.live.service import Service
+    from drsplat.viewing.live.shared import Shared
+    from live_clients import opened as open_path
+
+    with listening_socket("127.0.0.1", 0) as listening:
+        service = Service(Shared(Saves(None), open_path), listening, "127.0.0.1")
+        service.show(session, UP, "")
+        with service.running() as address:
+            yield address
+
+
+def wait_for(page: Any, condition: str) -> None:
+    page.wait_for_function(f"() => {condition}")
+    settled(page)
+
+
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_ask_remove_undo(session: Session, size: tuple[int, int], chromium: Any) -> None:
+    with served(session) as address, a_page(chromium, *size) as page:
+        opened(page, address)
+        page.locator("#query").fill("red mug")
+        page.locator("#ask").click()
+        wait_for(page, "drsplat.state.results.length === 1 && drsplat.state.results[0].matches.length")
+        left = PANEL if size[0] > 760 else 0
+        x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.state.results[0].matches[0].center)")
+        there = near(pixels_of(page, size[0]), (left + x, y), 5)
+        assert (there[..., 0] - there[..., 1]).mean() > 0.2  # the red ball, in its own colour
+        page.locator("#tab-edit").click()
+        page.get_by_role("button", name="Remove", exact=True).click()
+        wait_for(page, "drsplat.state.edits.length === 1")
+        assert session.edits.listed.done == 1
+        gone = near(pixels_of(page, size[0]), (left + x, y), 5)
+        assert (gone[..., 0] - gone[..., 1]).mean() < 0.1
+        page.get_by_role("button", name="Undo").click()
+        wait_for(page, "!drsplat.state.can_undo")
+        assert session.edits.listed.done == 0
+        back = near(pixels_of(page, size[0]), (left + x, y), 5)
+        np.testing.assert_allclose(back.mean((0, 1)), there.mean((0, 1)), atol=0.05)
+
+
+def test_a_click_takes_the_place_of_the_query_and_can_be_named(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
+        opened(page, address)
+        page.locator("#query").fill("zzz")
+        page.locator("#ask").click()
+        wait_for(page, "!document.querySelector('#said').hidden || drsplat.state.results.length")
+        page.evaluate("() => { const o = drsplat.header.objects[0]; drsplat.camera.stand(o.eye, o.center); }")
+        settled(page)
+        x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.header.objects[0].center)")
+        page.mouse.click(PANEL + x, y)
+        wait_for(page, "drsplat.state.chosen !== null")
+        assert page.locator("#said").is_hidden()  # what was said of the query is gone with it
+        assert page.locator("#query").input_value() == page.evaluate("() => drsplat.state.chosen.name")
+        page.get_by_label("Name of this object").fill("my ball")
+        page.get_by_role("button", name="Keep").click()
+        wait_for(page, "drsplat.state.chosen.name.includes('my ball')")
+        assert "my ball" in session.scene.label_file.path.read_text()  # type: ignore[union-attr]
+
+
+def test_a_lasso_selects_what_is_inside_and_takes_a_note(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
+        opened(page, address)
+        page.evaluate("() => { const o = drsplat.header.objects[0]; drsplat.camera.stand(o.eye, o.center); }")
+        settled(page)
+        x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.header.objects[0].center)")
+        page.locator("#tab-edit").click()
+        page.get_by_role("button", name="Box", exact=True).click()
+        page.mouse.move(PANEL + x - 200, y - 200)
+        page.mouse.down()
+        page.mouse.move(PANEL + x, y, steps=3)
+        page.mouse.move(PANEL + x + 200, y + 200, steps=3)
+        page.mouse.up()
+        wait_for(page, "drsplat.state.selection > 10")
+        selected = session.selection
+        inside = np.isin(selected, session.scene.objects[0].gaussian_ids)
+        assert inside.mean() > 0.8
+        page.get_by_text("Annotations").click()
+        page.get_by_label("Text of the annotation").fill("look here")
+        page.get_by_role("button", name="At the selection").click()
+        wait_for(page, "drsplat.state.annotations.length === 1")
+        assert [one.text for one in session.edits.annotations] == ["look here"]
+
+
+def test_two_windows_see_each_others_changes(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium) as one, a_page(chromium) as other:
+        opened(one, address)
+        opened(other, address)
+        one.evaluate("() => drsplat.act({ act: 'ask', text: 'blue plate' })")
+        wait_for(other, "drsplat.state.results.length === 1")
+        assert other.locator("#query").input_value() == one.locator("#query").input_value()
+
+
+def test_a_file_that_is_dropped_is_opened(session: Session, room: Path, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium) as page:
+        opened(page, address)
+        page.locator("#scene-file").set_input_files(room / "scene.ply")
+        page.wait_for_function("() => window.drsplat && !drsplat.header.can.ask && drsplat.stage.frames > 0")
+        assert not page.locator("#prompt").is_visible()
+        assert page.evaluate("() => drsplat.splats.count") == len(session.scene.gaussians)
+
+
+def test_key_frames_make_a_path_that_is_saved(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium) as page:
+        opened(page, address)
+        page.keyboard.press("k")
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("k")
+        page.locator("#tab-film").click()
+        assert "2 key frames" in page.locator("#content").inner_text()
+        page.get_by_text("Save or load").click()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Save the path").click()
+        assert "keyframes" in Path(download.value.path()).read_text().replace("_", "")
+
+
+def is_noted(pixels: np.ndarray) -> bool:
+    """Whether the colour of annotations is there."""
+    return bool((np.abs(pixels - np.array([255, 224, 130]) / 255).max(axis=-1) < 0.06).any())
+
+
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_a_page_lists_objects_and_draws_annotations(
+    session: Session, size: tuple[int, int], chromium: Any, tmp_path: Path
+) -> None:
+    session.ask("red mug")
+    session.edit(Duplicate((0.0, 0.0, 1.0)))
+    session.edits.annotate(Annotation.at("here", (0.0, 0.0, 0.6)))
+    export_page(tmp_path / "page.html", session.scene, ["blue plate"], up=UP)
+    with a_page(chromium, *size) as page:
+        opened(page, (tmp_path / "page.html").as_uri())
+        left = PANEL if size[0] > 760 else 0
+        page.evaluate(
+            "() => { const note = drsplat.state.annotations[0]; drsplat.camera.stand(note.eye, note.center); }"
+        )
+        settled(page)
+        x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.state.annotations[0].center)")
+        assert is_noted(near(pixels_of(page, size[0]), (left + x, y), 20))
+        page.locator("#tab-objects").click()
+        thing = page.locator(".thing").first
+        assert thing.locator("img").get_attribute("src").startswith("data:image/jpeg;base64,")
+        thing.click()
+        eventually(lambda: page.locator(".thing").first.get_attribute("aria-pressed") == "true")
+        target = page.evaluate("() => drsplat.header.objects[0].center")
+        eventually(lambda: np.allclose(page.evaluate("() => drsplat.camera.target"), target, atol=1e-3))
+        settled(page)
+        x, y, depth = page.evaluate("() => drsplat.camera.project(drsplat.header.objects[0].center)")
+        assert depth > 0
+        assert colorfulness(near(pixels_of(page, size[0]), (left + x, y), 8)).mean() > 0.3  # in its own colour
+        page.locator(".thing").first.click()
+        eventually(lambda: page.locator(".thing").first.get_attribute("aria-pressed") == "false")
+        box = page.locator(".thing").first.bounding_box()
+        assert box is not None
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= size[0]
+
+
+def test_a_page_has_what_photos_agree_less_on_behind_more(session: Session, chromium: Any, tmp_path: Path) -> None:
+    field = session.scene.field
+    assert field.objects is not None
+    sure = field.objects.sure.copy()
+    sure[field.objects.thing(0)] = 0.01
+    doubted = Scene(field.with_objects(replace(field.objects, sure=sure)), session.scene.gaussians, session.scene.views)
+    export_page(tmp_path / "page.html", doubted, ["blue plate"], up=UP)
+    with a_page(chromium, *SIZES["desk"]) as page:
+        opened(page, (tmp_path / "page.html").as_uri())
+        page.locator("#tab-objects").click()
+        hidden = page.get_by_role("button", name="object 0")
+        assert page.get_by_role("button", name="object 1").is_visible()
+        assert not hidden.is_visible()
+        page.get_by_text("1 more, that photos agree less on").click()
+        hidden.click()
+        wait_for(page, "drsplat.state.chosen !== null && drsplat.state.chosen.number === 0")
