@@ -74,7 +74,7 @@ class Viewer:
         return asyncio.run(sent())
 
     def get(self, path: str, **params: Any) -> httpx.Response:
-        return self.send("GET", path, params=params)
+        return self.send("GET", path, params=params or None)
 
     def post(self, path: str, body: Any) -> httpx.Response:
         if isinstance(body, bytes):

@@ -542,6 +542,14 @@ def test_a_stranger_cannot_fill_the_disk_with_files_that_are_sent() -> None:
     assert not root.exists()
 
 
+def test_a_file_that_is_sent_to_be_opened_leaves_nothing_where_it_is_refused(viewer: Viewer) -> None:
+    for _ in range(2 * viewer.shared.uploads.limits.batches):
+        error_of(viewer.post("/view/open?name=../a.ply", b"ply"), 422)
+        error_of(viewer.post("/view/open?name=a.ply", b"ply"), 422)
+    assert viewer.shared.uploads.batches == {}
+    assert stored(viewer) == 0
+
+
 def test_a_disk_that_is_nearly_full_takes_no_file() -> None:
     with a_viewer(limits=UploadLimits(free=1 << 62)) as viewer:
         error_of(viewer.post("/view/upload?batch=a&name=a.ply", bytes(100)), 507)

@@ -1,6 +1,7 @@
 """The routes of the viewer: each is one call in the thread of its session."""
 
 import asyncio
+import secrets
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from threading import Event
@@ -101,7 +102,7 @@ class Viewer:
         return StreamingResponse(self.events.open(), media_type="text/event-stream")
 
     async def photo(self, request: Request) -> Response:
-        name, side = request.query_params.get("name", ""), _number(request, "side", 960)
+        name, side = request.query_params.get("name", ""), _number(request, "side", "960")
         if not 16 <= side <= MOST_SIDE:
             raise InputError(f"side: expected 16 to {MOST_SIDE} pixels, got {side}")
         return Response(await self.turns.take(lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
@@ -147,10 +148,12 @@ class Viewer:
 
     async def open(self, request: Request) -> Response:
         """Take one file, and open it."""
-        batch = request.query_params.get("batch", "file")
-        self.shared.uploads.drop(batch)
-        await self.shared.uploads.take(batch, request.query_params.get("name", ""), request.stream())
-        return JSONResponse(await self._done(Open(act="open", batch=batch)))
+        batch, uploads = secrets.token_hex(8), self.shared.uploads
+        try:
+            await uploads.take(batch, request.query_params.get("name", ""), request.stream())
+            return JSONResponse(await self._done(Open(act="open", batch=batch)))
+        finally:
+            uploads.drop(batch)
 
     # --- files ---
 
@@ -262,9 +265,9 @@ async def _body(request: Request, kind: type[B]) -> B:
     return kind.model_validate_json(await request.body())
 
 
-def _number(request: Request, name: str, default: int = -1) -> int:
+def _number(request: Request, name: str, default: str = "") -> int:
     """Return a whole number of the query. Raises: InputError: there is none."""
-    text = request.query_params.get(name, str(default))
+    text = request.query_params.get(name, default)
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise InputError(f"{name}: expected a whole number, got {text!a:.40}")
     return int(text)

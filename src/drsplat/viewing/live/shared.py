@@ -59,6 +59,7 @@ class Shared:
     _stage: Stage | None = None
     _counters: Counters = field(default_factory=Counters)
     _seen: tuple[Any, ...] = (None, None, None)
+    _told: tuple[int, dict[str, Any]] | None = None
     _packed: dict[str, tuple[object, Packed]] = field(default_factory=dict)
 
     @property
@@ -148,8 +149,12 @@ class Shared:
         return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
 
     def state(self) -> dict[str, Any]:
-        state = CLOSED if self._stage is None else state_of(self._stage)
-        return vars(self._counters) | {"said": self.said, "fault": None} | state
+        """Return the state, made once after each change: all pages ask for it then."""
+        revision = self._counters.revision
+        if self._told is None or self._told[0] != revision:
+            state = CLOSED if self._stage is None else state_of(self._stage)
+            self._told = revision, vars(self._counters) | {"said": self.said, "fault": None} | state
+        return self._told[1]
 
     def _can(self) -> dict[str, Any]:
         session = None if self._stage is None else self._stage.session
