@@ -132,6 +132,20 @@ def test_colours_that_only_the_session_knows_are_sent(viewer: Viewer) -> None:
     assert "features or classes" in answer.json()["error"]
 
 
+# --- the page ---
+
+
+def test_the_page_takes_its_script_and_its_look_from_here(viewer: Viewer) -> None:
+    html = viewer.get("/")
+    assert html.headers["content-type"] == "text/html; charset=utf-8"
+    for name, kind in (("client.js", "text/javascript"), ("client.css", "text/css")):
+        assert name in html.text
+        part = viewer.get(f"/{name}")
+        assert part.headers["content-type"] == f"{kind}; charset=utf-8"
+        assert len(part.content) > 1000
+    assert "http://" not in html.text.replace("http://www.w3.org", "")
+
+
 # --- the header ---
 
 
