@@ -54,7 +54,7 @@ class Viewer:
 
     def routes(self) -> list[Route]:
         looks: dict[str, Handler] = {
-            "/": self.page, "/client.js": self.script, "/client.css": self.style,
+            "/": self.page, "/client.js": self.script, "/client.css": self.style, "/favicon.ico": self.icon,
             "/view/header": self.header, "/view/state": self.state,
             "/view/splats": self.splats, "/view/paint": self.paint, "/view/colors": self.colors,
             "/view/events": self.listen, "/view/photo": self.photo, "/view/object-picture": self.object_picture,
@@ -81,6 +81,9 @@ class Viewer:
 
     async def style(self, _: Request) -> Response:
         return Response(client_file("client.css"), media_type="text/css")
+
+    async def icon(self, _: Request) -> Response:
+        return Response(status_code=204)  # which browsers ask for unasked
 
     async def header(self, _: Request) -> Response:
         return JSONResponse(await self.turns.take(self.shared.header))
