@@ -1,14 +1,16 @@
-"""The viewer and its page in a browser, on the scene that `drsplat demo` writes: the pictures of docs/viewer.md.
+"""The viewer and its page in a browser, on the scene that `drsplat demo` writes: five tasks, and the pictures of
+docs/viewer.md.
 
-    python benchmarks/study_viewer.py drsplat-demo FOLDER [--chromium PROGRAM] [--gaussians N]
+    python benchmarks/study_viewer.py drsplat-demo FOLDER [--chromium PROGRAM]
 
-writes viewer.jpg (three queries at once), viewer_objects.jpg (everything, and a click on the vase), viewer_page.jpg and
-viewer_phone.jpg (the exported page on a desk and on a phone). Needs playwright and a Chromium.
+The tasks are done as a new user does them, with a mouse and a keyboard: find the candle, cut it out, name three things,
+make a film, send a page. For each: presses of the mouse, texts that are typed, and seconds until what was asked for is
+there to be seen (in a browser that draws on the processor). Writes viewer.jpg, viewer_edit.jpg, viewer_objects.jpg,
+viewer_page.jpg and viewer_phone.jpg. Needs playwright and a Chromium.
 """
 
 import argparse
 import io
-import json
 import shutil
 import tempfile
 import time
@@ -22,89 +24,168 @@ from playwright.sync_api import sync_playwright
 
 from drsplat import export_page, open_scene
 from drsplat.viewing.listening import listening_socket
-from drsplat.viewing.live.acts import done, read_act
 from drsplat.viewing.live.service import Service
 from drsplat.viewing.live.shared import Shared
 from drsplat.viewing.saving import Saves
 from drsplat.viewing.session import Session
 
-QUERIES, PAGE = "red vase; candle; couch", ["red vase", "couch", "something to eat", "laptop"]
-DESK, PHONE, QUALITY = (1280, 960), (390, 844), 80
-PATIENCE = 400.0  # seconds: WebGL on a processor
+PAGE = ["red vase", "couch", "something to eat", "laptop"]
+DESK, PHONE, QUALITY = (1280, 800), (390, 844), 82
+PATIENCE_MS = 90_000
+STILL = "() => !drsplat.camera.isFlying && !drsplat.stage.moving && drsplat.stage.busy === 'no' && !drsplat.stage.stale"
 
 
-@contextmanager
-def browser(program: str) -> Iterator[Any]:
-    with sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield opened
-        opened.close()
+class Person:
+    """Somebody with a mouse and a keyboard, whose presses are counted."""
+
+    def __init__(self, page: Any) -> None:
+        self.page, self.presses, self.texts = page, 0, 0
+
+    def press(self, target: Any) -> None:
+        target.click()
+        self.presses += 1
+
+    def button(self, name: str) -> None:
+        self.press(self.page.get_by_role("button", name=name, exact=True).first)
+
+    def tab(self, name: str) -> None:
+        self.press(self.page.locator(f"#tab-{name}"))
+
+    def type(self, field: Any, text: str) -> None:
+        self.press(field)
+        self.page.keyboard.type(text)
+        self.page.keyboard.press("Enter")
+        self.texts += 1
+
+    def sees(self, condition: str) -> None:
+        self.page.wait_for_function(f"() => {condition}")
+        self.page.wait_for_function(STILL)
 
 
-def eventually(holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not holds():
-        if time.monotonic() > end:
-            raise TimeoutError("the browser shows nothing")
-        time.sleep(0.5)
+def find(one: Person) -> None:
+    one.type(one.page.locator("#query"), "blue candle")
+    one.sees("drsplat.state.results[0]?.text === 'blue candle' && drsplat.state.results[0].matches.length")
+
+
+def cut_out(one: Person) -> None:
+    one.tab("edit")
+    one.button("Cut out")
+    one.sees("drsplat.state.edits.length === 1")
+    one.press(one.page.get_by_text("Save as"))
+    with one.page.expect_download() as file:
+        one.button("Scene (PLY)")
+    file.value.path()
+
+
+def name_three(one: Person) -> None:
+    one.tab("objects")
+    for number, name in ((9, "grandma's vase"), (8, "my cup"), (12, "the car")):
+        if one.page.locator("#tab-objects").get_attribute("aria-selected") != "true":
+            one.tab("objects")
+        one.press(one.page.locator(".thing").nth([thing["number"] for thing in things(one)].index(number)))
+        one.sees(f"drsplat.state.chosen?.number === {number}")
+        one.tab("ask")
+        one.type(one.page.get_by_label("Name of this object"), name)
+        one.sees(f'drsplat.state.chosen?.name.includes("{name}")')
+
+
+def things(one: Person) -> list[dict[str, Any]]:
+    listed: list[dict[str, Any]] = one.page.evaluate("() => drsplat.header.objects")
+    return listed
+
+
+def film(one: Person) -> None:
+    one.tab("film")
+    one.button("Add key frame")
+    one.page.mouse.move(800, 400)
+    one.page.mouse.down()
+    one.page.mouse.move(950, 380, steps=4)
+    one.page.mouse.up()
+    one.button("Add key frame")
+    one.press(one.page.get_by_text("Save or load"))
+    with one.page.expect_download() as file:
+        one.button("Save the film")
+    file.value.path()
+
+
+def send(one: Person) -> None:
+    one.tab("edit")
+    if not one.page.get_by_role("button", name="Page (HTML)").is_visible():
+        one.press(one.page.get_by_text("Save as"))
+    with one.page.expect_download() as file:
+        one.button("Page (HTML)")
+    file.value.path()
 
 
 def shot(page: Any, path: Path) -> None:
-    """After what was asked for last is drawn: when two pictures are the same."""
-    before, end = b"", time.monotonic() + PATIENCE
-    while (now := page.screenshot(timeout=1000 * PATIENCE)) != before and time.monotonic() < end:
-        before = now
-        page.wait_for_timeout(2000)
-    Image.open(io.BytesIO(now)).convert("RGB").save(path, quality=QUALITY)
+    """Keep what is shown, once all of it is drawn."""
+    page.wait_for_function(STILL)
+    page.wait_for_timeout(2000)
+    Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE_MS))).convert("RGB").save(path, quality=QUALITY)
     print(f"{path}: {path.stat().st_size:,} bytes")
 
 
-def viewer(opened: Any, folder: Path, output: Path, count: int) -> None:
-    """The live viewer on a desk: three queries, then everything and a click on the vase."""
-    session = Session(open_scene(folder), count)
+@contextmanager
+def shown(opened: Any, address: str, size: tuple[int, int]) -> Iterator[Any]:
+    page = opened.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme="dark")
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(address)
+    page.wait_for_function("() => window.drsplat && drsplat.stage.frames > 0")
+    page.wait_for_function(STILL)
+    yield page
+    page.close()
+
+
+def timed(name: str, one: Person, task: Callable[[Person], None]) -> None:
+    before, begin = (one.presses, one.texts), time.perf_counter()
+    task(one)
+    presses, texts = one.presses - before[0], one.texts - before[1]
+    print(f"{name:18} {presses:2} presses, {texts} texts, {time.perf_counter() - begin:5.1f} s")
+
+
+def live(opened: Any, folder: Path, output: Path) -> None:
+    session = Session(open_scene(folder))
     with listening_socket("127.0.0.1", 8931) as listening:
         service = Service(Shared(Saves(None), open_scene), listening, "127.0.0.1")
-        service.show(session, text=QUERIES)
-        with service.running() as address:
-            page = opened.new_page(viewport={"width": DESK[0], "height": DESK[1]}, color_scheme="dark")
-            page.set_default_timeout(1000 * PATIENCE)
-            page.goto(address)
-            eventually(lambda: len(session.results) == 3)
+        service.show(session)
+        with service.running() as address, shown(opened, address, DESK) as page:
+            one = Person(page)
+            timed("find the candle", one, find)
             shot(page, output / "viewer.jpg")
-            eye, frame = service.shared.stage.first_look[0], session.shown.frame
-            vase = session.results[0].matches[0].center
-            click = {"act": "click", "origin": frame.shown(eye).tolist(), "direction": (vase - eye).tolist()}
-            for act in ({"act": "mode", "mode": "objects"}, click):
-                service.turns.submit(lambda act=act: done(service.shared, read_act(json.dumps(act).encode()))).result()
+            timed("cut it out", one, cut_out)
+            shot(page, output / "viewer_edit.jpg")
+            page.get_by_role("button", name="Undo").click()
+            timed("name three things", one, name_three)
+            page.locator("#tab-objects").click()
+            page.locator("#colours").select_option("objects")
+            page.locator("#home").click()
+            page.wait_for_timeout(8000)  # pictures of objects come one by one
             shot(page, output / "viewer_objects.jpg")
-            page.close()
+            timed("make a film", one, film)
+            timed("send a page", one, send)
 
 
 def exported(opened: Any, folder: Path, output: Path) -> None:
     with tempfile.TemporaryDirectory() as place:
         export_page(Path(place) / "page.html", open_scene(folder), PAGE)
-        for name, (width, height) in (("viewer_page", (1000, 640)), ("viewer_phone", PHONE)):
-            page = opened.new_page(viewport={"width": width, "height": height}, color_scheme="dark")
-            page.set_default_timeout(1000 * PATIENCE)
-            page.goto((Path(place) / "page.html").as_uri())
-            page.wait_for_function("window.drsplat && drsplat.play && drsplat.frames > 0")
-            x, y, _ = page.evaluate("drsplat.project(drsplat.header.answers[0].matches[0].center)")
-            page.mouse.click(x, y)
-            shot(page, output / f"{name}.jpg")
-            page.close()
+        for name, size in (("viewer_page", (1000, 640)), ("viewer_phone", PHONE)):
+            with shown(opened, (Path(place) / "page.html").as_uri(), size) as page:
+                shot(page, output / f"{name}.jpg")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--chromium", default=shutil.which("chromium"))
-    parser.add_argument("--gaussians", type=int, default=20_000, help="shown by the viewer (default: 20,000)")
     given = parser.parse_args()
     given.output.mkdir(exist_ok=True)
-    with browser(given.chromium) as opened:
-        viewer(opened, given.folder, given.output, given.gaussians)
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as driver:
+        copy = Path(shutil.copytree(given.folder, Path(place) / "demo"))  # names and edits are kept beside a scene
+        opened = driver.chromium.launch(executable_path=given.chromium, args=["--no-sandbox"])
+        live(opened, copy, given.output)
         exported(opened, given.folder, given.output)
+        opened.close()
 
 
 if __name__ == "__main__":
