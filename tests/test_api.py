@@ -86,6 +86,7 @@ ORDER = (
     "exchange",
     "catalogue",
     "embedding",
+    "photographing",
     "serving",
     "viewing",
     "triangulation",

@@ -73,7 +73,7 @@ def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
     endless = {"view", "serve", "mcp"}
     assert {command[1] for command in commands} - endless == set(VERBS) - endless - {"demo"}
-    left_out = {"scan", "capture", "train", "embed", "codebook", "evaluate", "field", *endless} | (
+    left_out = {"scan", "capture", "train", "photograph", "embed", "codebook", "evaluate", "field", *endless} | (
         {"catalogue"} if find_spec("lancedb") is None else set()
     )
     commands = [command[1:] for command in commands if command[1] not in left_out]

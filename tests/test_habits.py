@@ -82,7 +82,10 @@ def test_help_lists_the_verbs_in_groups(monkeypatch: pytest.MonkeyPatch, capsys:
     [
         ("lokate room", "there is no verb 'lokate'; did you mean locate?"),
         ("Register", "there is no verb 'Register'; did you mean register?"),
-        ("frobnicate", "there is no verb 'frobnicate':\n  make a scene: scan, capture, train, tile, motion\n"),
+        (
+            "frobnicate",
+            "there is no verb 'frobnicate':\n  make a scene: scan, capture, train, photograph, tile, motion\n",
+        ),
         ("--config a.toml locate room", "expected a verb first, then its options: drsplat VERB --config"),
         ("locate room mug --treshold 0.5", "there is no option '--treshold'; did you mean --threshold?"),
         ("locate room mug --thresh=0.5", "there is no option '--thresh'; did you mean --threshold?"),

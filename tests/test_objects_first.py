@@ -16,7 +16,7 @@ from drsplat.embedding.embed import embed
 from drsplat.embedding.keeping import WithoutEmbedding
 from drsplat.embedding.objects_first import CROPS, MASKS, embed_objects
 from drsplat.embedding.shared_crops import CROPS_PER_OBJECT, _spread, node_fits, share_crops
-from drsplat.embedding.view_choice import SIGHTS, _greedy, choose_views
+from drsplat.embedding.view_choice import SIGHTS, choose_views, greedy
 from drsplat.errors import InputError
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.cameras_json import write_cameras_json
@@ -201,7 +201,7 @@ def test_each_view_is_the_one_that_shows_most_of_what_is_left(views, rows, seed)
     """Beside a plain loop that looks at every view each time."""
     rng = np.random.default_rng(seed)
     shares = rng.random((rows, views)) * (rng.random((rows, views)) < 0.7)
-    order, seen = _greedy(csc_array(shares), 1.0, views)
+    order, seen = greedy(csc_array(shares), 1.0, views)
     have, score, total = np.zeros(rows), 0.0, np.minimum(shares.sum(1), SIGHTS).sum()
     for view, share in zip(order, seen, strict=True):
         gains = (np.minimum(have[:, None] + shares, SIGHTS) - np.minimum(have, SIGHTS)[:, None]).sum(0)

@@ -167,6 +167,10 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--words",
             "mug",
         ],
+        "photograph": [
+            *[scene, "-o", str(out / "pictures"), "--overwrite"],
+            *["--size", "32x24", "--number", "2", "--path", "swing"],
+        ],
         "motion": [str(room / "frames"), "-o", str(out / "s.motion"), "--overwrite"],
         "when": [field, "red mug", "above", "blue plate", *asked],
         "catalogue": ["ask", str(out / "none.catalogue"), "red mug"],

@@ -241,7 +241,7 @@ def register(
         columns = [maker.columns(view, features[key]) for view, key in followed]
         check_one_size({c.embeddings.shape[1]: c.view_name for c in columns})
         weights = stack_columns(columns, len(gaussians))
-    masks = masks_of([c.view_name for c in columns], [len(c.embeddings) for c in columns])
+    masks = masks_of(seen, [len(c.embeddings) for c in columns])
     evidence = Evidence(weights, replace(masks, times=times), np.concatenate([c.embeddings for c in columns]))
     encoder = encoder_of(features, evidence.embeddings.shape[1])
     provenance = provenance_of(seen, [c.key for c in columns], features)
@@ -334,12 +334,14 @@ def check_one_size(sizes: Mapping[int, str]) -> None:
         raise InputError(f"embeddings of different sizes: {listed}: embed all views with one encoder")
 
 
-def masks_of(view_names: Sequence[str], counts: Sequence[int]) -> MaskIds:
+def masks_of(views: Sequence[View], counts: Sequence[int]) -> MaskIds:
     """The masks of views, one after another, so many of each."""
+    sources = tuple(view.rendered_from for view in views)
     return MaskIds(
-        view_names=tuple(view_names),
-        views=np.repeat(np.arange(len(view_names), dtype=np.int32), counts),
+        view_names=tuple(view.name for view in views),
+        views=np.repeat(np.arange(len(views), dtype=np.int32), counts),
         ids=np.concatenate([np.arange(n, dtype=np.int32) for n in counts]),
+        rendered_from=sources if any(sources) else (),
     )
 
 

@@ -134,6 +134,7 @@ def add_device(parser: argparse._ActionsContainer) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..progress import Stopwatch
+    from ..scene.views import pictures_kind
     from ..system import peak_memory_bytes
 
     watch = Stopwatch()
@@ -151,6 +152,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     made = report.photos - report.reused
     return {
         "output": str(output),
+        "pictures": pictures_kind(view.rendered_from for view in chosen),
         "num_photos": report.photos,
         "num_photos_not_chosen": len(views) - len(chosen),
         "seen_share": seen,
@@ -243,12 +245,12 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import said, show_facts, size_said
 
-    made = answer["num_photos"] - answer["num_photos_reused"]
+    made, reused = answer["num_photos"] - answer["num_photos_reused"], said(answer["num_photos_reused"])
     anew = f", {said(answer['num_photos_redone'])} over older files" if answer["num_photos_redone"] else ""
     show_facts(
         f"embedded: {answer['output']}",
         {
-            "photos": f"{said(answer['num_photos'])} ({said(answer['num_photos_reused'])} from an earlier run{anew})",
+            answer["pictures"]: f"{said(answer['num_photos'])} ({reused} from an earlier run{anew})",
             "not chosen": _not_chosen(answer),
             "masks": f"{said(answer['num_masks'])} ({said(answer['masks_per_level'])})",
             "embedded crops": said(answer["num_crops"]),

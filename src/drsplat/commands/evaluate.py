@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ..evaluation.report import shown
-    from ..evaluation.tables import tables_of
+    from ..evaluation.tables import pictures_note, tables_of
     from .tables import show_table
 
     for table in (table for table in tables_of([answer]) if not table.aside):
@@ -123,7 +123,7 @@ def show(answer: dict[str, Any]) -> None:
         show_table(table.title, table.columns, rows)
         if table.note:
             print(f"{table.note}\n")
-    print("\n".join(answer["written"]))
+    print("\n".join([*filter(None, [pictures_note(answer)]), *answer["written"]]))
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -82,10 +82,15 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..scene.views import pictures_kind, scenes_rendered
+
     views = views_of(arguments, arguments.path)
     lenses = sorted({"pinhole" if view.distortion is None else "distorted" for view in views})
+    sources = [view.rendered_from for view in views]
     return {
         "num_views": len(views),
+        "pictures": pictures_kind(sources),
+        "rendered_from": scenes_rendered(sources),
         "num_photos": sum(view.image_path is not None for view in views),
         "num_masked": sum(view.mask_path is not None for view in views),
         "sizes": sorted({f"{view.width}x{view.height}" for view in views}),
@@ -105,15 +110,20 @@ def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _features(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..embedding.embed import recorded_renderings
     from ..formats.langsplat import read_features
     from ..masks.masks import LEVELS
+    from ..scene.views import pictures_kind
 
     place = place_of(Path(arguments.path), "features")
     folder = read_features(place)
     by_level = {level: read_features(place, level=level) for level in LEVELS}
     photos = [{"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}} for key in folder]
+    rendered = recorded_renderings(place)
     return {
         "num_photos": len(folder),
+        "pictures": pictures_kind(rendered),
+        "rendered_from": rendered,
         "dim": folder.dim,
         "masks_per_level": {level: sum(photo[level] for photo in photos) for level in LEVELS},
         "map_sizes": sorted({"{1}x{0}".format(*folder[key].mask_ids.shape) for key in folder}),
@@ -125,6 +135,7 @@ def _features(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _field(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import load_field
+    from ..scene.views import pictures_kind, scenes_rendered
 
     place = place_of(Path(arguments.path), "field")
     field = load_field(place)
@@ -140,6 +151,8 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
         "scene": field.scene,
         "aggregator": field.aggregator.name,
         "left_out": list(field.left_out),
+        "pictures": pictures_kind(field.rendered_from),
+        "rendered_from": scenes_rendered(field.rendered_from),
         "num_views": None if evidence is None else len(evidence.masks.view_names),
         "times": None if field.times is None else [field.times.min(), field.times.max()],
         "num_masks": None if evidence is None else len(evidence.masks),

@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.replacing import together
     from ..query.objects import objects_of
+    from ..scene.views import pictures_kind, scenes_rendered
 
     check(arguments)
     scene = _with_objects(arguments)
@@ -81,6 +82,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_in_objects": sum(one["num_gaussians"] for one in every),
         "objects": every,
         "all": arguments.all,
+        "pictures": pictures_kind(scene.field.rendered_from),
+        "rendered_from": scenes_rendered(scene.field.rendered_from),
         "doubt": scene.doubt,
         "drifting": _drifting(scene),
         "labels_of_none": [label.name for label in scene.labels.orphans],
@@ -96,17 +99,18 @@ def show(answer: dict[str, Any]) -> None:
     listed = _listed(answer["objects"], answer["all"])
     inside, every = said(sum(one["num_gaussians"] for one in listed)), counted(answer["num_registered"], "Gaussian")
     unsure = answer["num_objects"] - len(listed)
-    photos_agree = " that photos agree on" if unsure else ""
+    pictures = answer["pictures"]
+    photos_agree = f" that {pictures} agree on" if unsure else ""
     title = f"{counted(len(listed), 'object')}{photos_agree}, {inside} of {every} in them; lengths in scene units"
-    columns = ("object", "name", "Gaussians", "centre", "extent", "photos", "sure")
+    columns = ("object", "name", "Gaussians", "centre", "extent", pictures, "sure")
     largest = listed if answer["all"] else listed[:MOST_SHOWN]
     show_table(title, columns, [_row(one) for one in largest])
     if len(listed) > len(largest):
         print(f"and {len(listed) - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
     if unsure:
-        print(f"and {unsure:,} more that photos agree less on: --all lists them")
+        print(f"and {unsure:,} more that {pictures} agree less on: --all lists them")
     if not answer["objects"]:
-        print("No two masks of different photos agree: more photos, or larger masks, may help.")
+        print(f"No two masks of different {pictures} agree: more {pictures}, or larger masks, may help.")
     if answer["doubt"]:
         print(f"warning: {answer['doubt']}")
     if answer["drifting"]:

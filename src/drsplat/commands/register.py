@@ -227,10 +227,14 @@ def _read(arguments: argparse.Namespace) -> "_Inputs":
 
 
 def _facts(registration: "Registration", field: "LanguageField") -> dict[str, Any]:
+    from ..scene.views import pictures_kind, scenes_rendered
+
     return {
         "num_gaussians": field.num_gaussians,
         "num_registered": len(field),
         "num_views": len(registration.masks.view_names),
+        "pictures": pictures_kind(field.rendered_from),
+        "rendered_from": scenes_rendered(field.rendered_from),
         "num_times": None if field.times is None else len(set(field.times.tolist())),
         "num_masks": len(registration.masks),
         "num_weights": int(registration.weights.nnz),
@@ -279,7 +283,7 @@ def show(answer: dict[str, Any]) -> None:
         f"registered: {answer['field']}{COMPLETE if answer['was_complete'] else ''}",
         {
             "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({share:.1%})",
-            "views": f"{said(answer['num_views'])}{_at_times(answer)}{reused}{out}",
+            "views": f"{said(answer['num_views'])} {answer['pictures']}{_at_times(answer)}{reused}{out}",
             "masks": f"{said(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",

@@ -67,11 +67,12 @@ def ended(verb: str, answer: Mapping[str, Any]) -> str:
         held_out = "" if psnr is None else f", PSNR {psnr:.2f} dB in photos that were held out"
         return f"{counted(answer['num_gaussians'], 'Gaussian')}{held_out}"
     if verb == "embed":
-        return f"{counted(answer['num_masks'], 'mask')} in {counted(answer['num_photos'], 'photo')}"
+        one = _pictures(answer).removesuffix("s")
+        return f"{counted(answer['num_masks'], 'mask')} in {counted(answer['num_photos'], one)}"
     if verb == "register":
         return f"{answer['num_registered']:,} of {counted(answer['num_gaussians'], 'Gaussian')} can be asked"
     if verb == "objects":
-        return f"{counted(answer['num_agreed'], 'object')} that photos agree on"
+        return f"{counted(answer['num_agreed'], 'object')} that {_pictures(answer)} agree on"
     return f"{counted(len(answer['answers']), 'query', 'queries')} answered in the page"
 
 
@@ -82,6 +83,7 @@ def summary(states: Mapping[str, Any], source: ScanInput) -> dict[str, Any]:
     train, objects = stages["train"], stages["objects"]
     return {
         "num_photos": posed["num_photos"],
+        "pictures": _pictures(stages["register"]),
         "num_registered": posed["num_registered"],
         "psnr_test": train["psnr_test"],
         "num_gaussians": train["num_gaussians"],
@@ -94,6 +96,11 @@ def summary(states: Mapping[str, Any], source: ScanInput) -> dict[str, Any]:
         "stage_cpu_seconds": {verb: state["cpu_seconds"] for verb, state in states.items()},
         "seconds": sum(state["seconds"] for state in states.values()),
     }
+
+
+def _pictures(answer: Mapping[str, Any]) -> str:
+    """Return what a stage looked at; stages of older versions knew photos only."""
+    return str(answer.get("pictures", "photos"))
 
 
 def notes(states: Mapping[str, Any]) -> list[str]:
@@ -123,7 +130,7 @@ def show_answer(answer: Mapping[str, Any]) -> None:
     show_facts(
         f"scanned: {answer['output']}",
         {
-            "posed": f"{said(answer['num_registered'])} of {said(answer['num_photos'])} photos",
+            "posed": f"{said(answer['num_registered'])} of {said(answer['num_photos'])} {answer['pictures']}",
             "held out": "nothing" if psnr is None else f"PSNR {psnr:.2f} dB",
             "Gaussians": said(answer["num_gaussians"]),
             "masks": said(answer["num_masks"]),

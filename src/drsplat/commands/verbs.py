@@ -1,7 +1,7 @@
 """The verbs of the command line, in the groups and with the summaries of --help, which loads nothing else of them."""
 
 GROUPS = {
-    "make a scene": ("scan", "capture", "train", "tile", "motion"),
+    "make a scene": ("scan", "capture", "train", "photograph", "tile", "motion"),
     "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
     "ask": ("locate", "select", "segment", "when", "catalogue"),
     "look and change": ("view", "render", "edit"),
@@ -12,6 +12,7 @@ SUMMARIES = {
     "scan": "scan photos or a video: poses, a scene, masks, a field, its objects and a page to open, in one go",
     "capture": "pose photos or a video (COLMAP): where each was taken, as a capture that train and embed take",
     "train": "train a scene of Gaussians on posed photos (3D Gaussian Splatting), on a CPU or on CUDA",
+    "photograph": "render pictures of a scene without photos, with poses: a capture that embed and register take",
     "tile": "cut a huge scene, or the blocks of one, into tiles that are registered with little memory",
     "motion": "inspect a scene that moves, or convert it to motion that drsplat reads fast, or to numbered PLY files",
     "embed": "cut posed photos into masks (SAM) and embed each (CLIP), for drsplat register",

@@ -31,7 +31,7 @@ from ..query.nouns import broad_list
 from ..query.word_list import known_words
 from ..scene.photo_masks import load_mask, views_with_something
 from ..scene.photos import load_image
-from ..scene.views import View
+from ..scene.views import View, scenes_rendered
 from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
 from .mask_rows import mask_rows
 from .side_by_side import Threaded, photos_at_once, side_by_side
@@ -101,6 +101,7 @@ def embed(
         "encoder": identity_json(encoder.identity),
         "max_height": max_height,
         "algorithm": ALGORITHM,
+        **pictures_setting(views),
     }
     with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
         _tell_changes(record)
@@ -118,6 +119,21 @@ def embed(
                 _store(record, stem, photos[stem], found, form)
         finish_folder(record, encoder)
     return report_of(record, list(photos), len(pending), redone)
+
+
+def pictures_setting(views: Sequence[View]) -> dict[str, list[str]]:
+    """Return what the record of a folder says of renderings: the scenes they are of; nothing where all are photos."""
+    scenes = scenes_rendered(view.rendered_from for view in views)
+    return {"rendered_from": scenes} if scenes else {}
+
+
+def recorded_renderings(folder: str | Path) -> list[str]:
+    """Return the scenes that the pictures of a folder of features are renderings of; none of photos, or unknown.
+
+    Raises: as `recorded_encoder`.
+    """
+    scenes = (read_settings(Path(folder)) or {}).get("rendered_from", [])
+    return [str(scene) for scene in scenes] if isinstance(scenes, list) else []
 
 
 def finish_folder(record: EmbeddingRecord, encoder: ImageEncoder) -> None:

@@ -24,7 +24,7 @@ from ..masks.masks import Segmenter
 from ..registration import register
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
-from .embed import MAX_HEIGHT, EmbeddingReport, embed, finish_folder, finish_photo, report_of
+from .embed import MAX_HEIGHT, EmbeddingReport, embed, finish_folder, finish_photo, pictures_setting, report_of
 from .keeping import ChosenMasks, WithoutEmbedding, masks_hash
 from .shared_crops import CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE, share_crops
 
@@ -79,6 +79,7 @@ def embed_objects(
         "algorithm": ALGORITHM,
         "crops": [CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE],
         "scene": gaussians.fingerprint,
+        **pictures_setting(views),
     }
     digest = _digest(masks, by_stem)
     with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:

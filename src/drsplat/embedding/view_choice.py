@@ -65,7 +65,7 @@ def choose_views(
     Source: Nemhauser, Wolsey and Fisher 1978; evaluated lazily as by Minoux 1978.
     """
     sights = _sights(gaussians, views, threads, track)
-    order, seen = _greedy(sights, enough, len(views) if most is None else most)
+    order, seen = greedy(sights, enough, len(views) if most is None else most)
     return ViewChoice([views[number] for number in order], seen)
 
 
@@ -86,8 +86,12 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
     return csc_array((data / best[rows], rows, starts), shape=(len(gaussians), len(views)))
 
 
-def _greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list[float]]:
-    """Return the views in order, and the share of the score of all of them after each."""
+def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list[float]]:
+    """Return the views in order, and the share of the score of all of them after each.
+
+    sights: how much of a sight each view is of each Gaussian, (N, V). enough: share of that score at which the choice
+    ends. most: views at most.
+    """
     have = np.zeros(sights.shape[0])
 
     def rows_and_sights(view: int) -> tuple[Integer[np.ndarray, " r"], Float64[np.ndarray, " r"]]:

@@ -17,7 +17,7 @@ from PIL import Image
 from ..arrays import UInt8
 from ..formats.replacing import replacing
 from .svg import scatter
-from .tables import Table, tables_of
+from .tables import Table, pictures_note, tables_of
 
 FORMAT, VERSION = "drsplat evaluation", 1
 RESULTS, PAGE = "results.json", "report.html"
@@ -96,7 +96,9 @@ def html_page(
     results: Sequence[Mapping[str, Any]], tables: Sequence[Table], figures: Sequence[Figure], charts: Sequence[str]
 ) -> str:
     title = f"{results[0]['protocol']}: {', '.join(str(r['method']) for r in results)}"
-    parts = [f"<h1>{escape(title)}</h1>", *map(_table, tables)]
+    notes = [note for note in map(pictures_note, results) if note]
+    parts = [f"<h1>{escape(title)}</h1>", *(f'<p class="note">{escape(note)}</p>' for note in notes)]
+    parts += map(_table, tables)
     if charts:
         parts += ["<h2>Charts</h2>", *(f"<figure>{chart}</figure>" for chart in charts)]
     if figures:

@@ -22,6 +22,7 @@ from .predictions import Chooser
 from .report import RESULTS, Figure, write_report
 from .scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene
 from .scorers import Scorer, cosine_scorer, feature_scorer, relevant
+from .tables import pictures_judged
 
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
 _SCANNET = {"scannet-points": scannet_points, "scannet-volume": scannet_volume, "voxel": voxel}
@@ -123,6 +124,7 @@ def evaluate(
         more = {"side": voxel_side, "threads": threads} if protocol == "voxel" else {}
         result = _SCANNET[protocol].score(scenes, task.folder, **more)
         labelled = [file for name in judged for file in sorted((data / name).glob("*_vh_clean_2.labels.ply"))]
+    result["pictures"] = pictures_judged(result)
     result["files"] = {f"{path.parent.name}/{path.name}": hash_file(path) for path in [*files, *labelled]}
     written = write_report(report, [result], pictures, overwrite=True)
     return {**result, "written": [str(path) for path in written]}

@@ -15,6 +15,7 @@ from ..formats.peer_features import Rows
 from ..query import Scene
 from ..query.search import CHUNK, NEGATIVES, embed_query
 from ..query.wholes import by_object, for_comparing
+from ..scene.views import pictures_kind, scenes_rendered
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
@@ -91,6 +92,8 @@ def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", 
         "encoder": known.encoder.name,
         "registered": len(known),
         "measure": "cosine",
+        "pictures": pictures_kind(known.rendered_from),
+        "rendered_from": scenes_rendered(known.rendered_from),
     }
     views = None if known.evidence is None else known.evidence.masks.view_names
     return Scorer(

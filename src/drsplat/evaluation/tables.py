@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..scene.views import PHOTOS
 from .metrics import mean_interval
 from .published import DR_SPLAT, Published, published_for, same_data
 
@@ -23,6 +24,19 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
     aside: bool = False
+
+
+def pictures_judged(result: Mapping[str, Any]) -> str | None:
+    """Return what the fields of a result were made from: "photos", "renderings" or both; None where nobody knows."""
+    scorers = [scene.get("inputs", {}).get("scorer", {}) for scene in result.get("scenes", ())]
+    kinds = [kind for scorer in scorers for kind in str(scorer.get("pictures", "")).split(" and ") if kind]
+    return " and ".join(sorted(set(kinds))) or None
+
+
+def pictures_note(result: Mapping[str, Any]) -> str:
+    """Return a sentence where a field was made from renderings, else nothing."""
+    pictures = result.get("pictures") or PHOTOS
+    return "" if pictures == PHOTOS else f"{result['method']}: its fields were made from {pictures} of the scenes"
 
 
 def tables_of(results: Sequence[Mapping[str, Any]]) -> list[Table]:

@@ -20,7 +20,8 @@ def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
     columns = np.where(kept, np.cumsum(kept) - 1, GONE).astype(np.int32)
     none = csr_array((len(evidence), int(kept.sum())), dtype=np.float32)
     times = None if masks.times is None else masks.times[~gone]
-    ids = MaskIds(names, number[masks.views[kept]], masks.ids[kept], times)
+    rendered = _rendered(tuple(source for source, goes in zip(masks.sources, gone.tolist(), strict=True) if not goes))
+    ids = MaskIds(names, number[masks.views[kept]], masks.ids[kept], times, rendered)
     return Evidence(changed_columns(evidence.weights, columns, none), ids, evidence.embeddings[kept])
 
 
@@ -38,8 +39,15 @@ def with_views(evidence: Evidence, other: Evidence) -> Evidence:
     new = other.weights
     added = csr_array((new.data, its[new.indices], new.indptr), shape=(len(other), len(order)))
     embeddings = _interleaved(evidence.embeddings, other.embeddings, order)
-    known = MaskIds(tuple(names), views[order], ids[order], _times(both, rank))
+    of_view = {name: source for masks in both for name, source in zip(masks.view_names, masks.sources, strict=True)}
+    rendered = _rendered(tuple(of_view[name] for name in names))
+    known = MaskIds(tuple(names), views[order], ids[order], _times(both, rank), rendered)
     return Evidence(changed_columns(evidence.weights, own, added), known, embeddings)
+
+
+def _rendered(sources: tuple[str, ...]) -> tuple[str, ...]:
+    """Return `MaskIds.rendered_from` of the sources of all views."""
+    return sources if any(sources) else ()
 
 
 def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.ndarray, " v"] | None:

@@ -29,7 +29,8 @@ class Explanation(NamedTuple):
 class MaskIds:
     """The columns of W. views: per column an index into view_names. ids: the mask in that view.
 
-    times: when each view was taken, of a scene that moves; None of one that stands still.
+    times: when each view was taken, of a scene that moves; None of one that stands still. rendered_from: scene that the
+    picture of each view is a rendering of, "" for photos (`View.rendered_from`); () where all are photos.
 
     Raises: InputError: shapes disagree, a column of no view, or times that are not finite.
     """
@@ -38,6 +39,7 @@ class MaskIds:
     views: Int32[np.ndarray, " m"]
     ids: Int32[np.ndarray, " m"]
     times: Float64[np.ndarray, " v"] | None = None
+    rendered_from: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, values in (("views", self.views), ("ids", self.ids)):
@@ -49,9 +51,16 @@ class MaskIds:
             self.times.shape != (len(self.view_names),) or not np.isfinite(self.times).all()
         ):
             raise InputError(f"masks: expected a finite time for each of {len(self.view_names)} views")
+        if self.rendered_from and len(self.rendered_from) != len(self.view_names):
+            raise InputError(f"masks: expected what each of {len(self.view_names)} views is a rendering of, or nothing")
 
     def __len__(self) -> int:
         return len(self.views)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """`rendered_from` of every view."""
+        return self.rendered_from or ("",) * len(self.view_names)
 
 
 class Entries(NamedTuple):
@@ -190,7 +199,9 @@ class Evidence:
 
     def metadata(self) -> dict[str, str]:
         """Further text of its file."""
-        return {"view_names": json.dumps(self.masks.view_names)}
+        rendered = self.masks.rendered_from
+        more = {"rendered_from": json.dumps(rendered)} if rendered else {}
+        return {"view_names": json.dumps(self.masks.view_names), **more}
 
 
 class StoredEvidence(Evidence):
@@ -242,17 +253,19 @@ def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[s
     if not whole or (indptr[1:] < indptr[:-1]).any():
         raise FormatError(f"{where}: row starts do not fit {len(indices)} entries")
     try:
-        masks = MaskIds(_view_names(metadata), views, ids, tensors.get("view_times"))
+        rendered = _texts(metadata, "rendered_from") if "rendered_from" in metadata else ()
+        masks = MaskIds(_texts(metadata, "view_names"), views, ids, tensors.get("view_times"), rendered)
         return StoredEvidence.of(Entries(indptr, indices, data), masks, embeddings)
     except ValueError as error:
         raise FormatError(f"{where}: {error}") from error
 
 
-def _view_names(metadata: Mapping[str, str]) -> tuple[str, ...]:
+def _texts(metadata: Mapping[str, str], key: str) -> tuple[str, ...]:
+    """Read a text for each view. Raises: InputError: the metadata holds no list of texts by that key."""
     try:
-        names = json.loads(metadata.get("view_names", ""))
+        texts = json.loads(metadata.get(key, ""))
     except RecursionError:
-        names = None
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise InputError("expected a list of view names")
-    return tuple(names)
+        texts = None
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise InputError(f"{key}: expected a list of texts, one for each view")
+    return tuple(texts)

@@ -16,6 +16,7 @@ from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..scene.gaussians import Gaussians
+from ..scene.views import pictures_kind, scenes_rendered
 from ..terminal import counted, facts_html
 from .growth import Growth
 from .objects import Objects
@@ -323,6 +324,11 @@ class LanguageField:
         """Of its views, of a scene that moves; None of one that stands still, or without evidence."""
         return None if self.evidence is None else self.evidence.masks.times
 
+    @property
+    def rendered_from(self) -> tuple[str, ...]:
+        """Scene that each view's picture is a rendering of, "" for photos; () where all are photos or unknown."""
+        return () if self.evidence is None else self.evidence.masks.rendered_from
+
     def check_motion(self, moves: bool) -> None:
         """Refuse more views of a still scene for a field of a moving one, and the reverse. Raises: MismatchError."""
         if self.evidence is not None and moves != (self.times is not None):
@@ -400,6 +406,8 @@ class LanguageField:
             "aggregator": record_json(self.aggregator),
             "up": None if self.up is None else self.up.tolist(),
             "left_out": list(self.left_out),
+            "pictures": pictures_kind(self.rendered_from),
+            "rendered_from": scenes_rendered(self.rendered_from),
             "negatives": list(self.negatives.texts) if self.negatives else [],
             "contrast": list(self.contrast.texts) if self.contrast else [],
             "objects": None if self.objects is None else len(self.objects),

@@ -20,6 +20,7 @@ from .mask_files import with_masks
 from .photo_files import find_photo, image_folder, listed, on_photo
 from .point_ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
+from .rendering_record import with_renderings
 from .transforms import point_file, read_applied_transform, read_transforms
 from .view_times import with_times
 
@@ -82,6 +83,7 @@ def read_views(
     if frame is not None:
         views = [frame.view(view) for view in views]
     views = with_masks([view.limited(max_side) for view in _sorted(views, source.path)], invert_masks)
+    views = with_renderings(views, source.path)
     return views if times is None else with_times(views, times)
 
 

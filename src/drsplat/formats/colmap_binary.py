@@ -15,10 +15,10 @@ from ..contents import SMALL, open_file
 from ..errors import FormatError
 from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
 
-_COUNT = struct.Struct("<Q")
-_CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the model's parameters
-_IMAGE = struct.Struct("<I7dI")  # id, quaternion, translation, camera id; then name, count, 2D points
-_POINT = struct.Struct("<Q3d3BdQ")  # id, xyz, rgb, error, length of the track; then the track
+COUNT = struct.Struct("<Q")
+CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the model's parameters
+IMAGE = struct.Struct("<I7dI")  # id, quaternion, translation, camera id; then name, count, 2D points
+POINT = struct.Struct("<Q3d3BdQ")  # id, xyz, rgb, error, length of the track; then the track
 _OBSERVATION_BYTES = 24
 _TRACK_BYTES = 8
 _MAX_NAME = 4096
@@ -37,7 +37,7 @@ class _Cursor:
 
     def count(self, record_bytes: int) -> int:
         """A count of records, each at least `record_bytes` long, that can still follow."""
-        (count,) = self.take(_COUNT)
+        (count,) = self.take(COUNT)
         left = len(self._content) - self._at
         if count * record_bytes > left:
             raise FormatError(
@@ -82,8 +82,8 @@ def _opened(path: Path) -> Iterator[_Cursor]:
 
 def cameras(path: Path) -> Iterator[CameraRecord]:
     with _opened(path) as cursor:
-        for _ in range(cursor.count(_CAMERA.size)):
-            camera_id, model_id, width, height = map(int, cursor.take(_CAMERA))
+        for _ in range(cursor.count(CAMERA.size)):
+            camera_id, model_id, width, height = map(int, cursor.take(CAMERA))
             model = MODEL_NAMES[model_id] if 0 <= model_id < len(MODEL_NAMES) else f"id {model_id}"
             num_parameters = len(parameter_names(model, f"{path}, camera {camera_id}"))
             parameters = cursor.take(struct.Struct(f"<{num_parameters}d"))
@@ -93,8 +93,8 @@ def cameras(path: Path) -> Iterator[CameraRecord]:
 
 def images(path: Path) -> Iterator[ImageRecord]:
     with _opened(path) as cursor:
-        for _ in range(cursor.count(_IMAGE.size + 1 + _COUNT.size)):
-            _, w, x, y, z, tx, ty, tz, camera_id = cursor.take(_IMAGE)
+        for _ in range(cursor.count(IMAGE.size + 1 + COUNT.size)):
+            _, w, x, y, z, tx, ty, tz, camera_id = cursor.take(IMAGE)
             name = cursor.name()
             cursor.skip(cursor.count(_OBSERVATION_BYTES) * _OBSERVATION_BYTES)
             yield ImageRecord(name, (w, x, y, z), (tx, ty, tz), int(camera_id))
@@ -103,8 +103,8 @@ def images(path: Path) -> Iterator[ImageRecord]:
 
 def points(path: Path) -> Iterator[PointRecord]:
     with _opened(path) as cursor:
-        for _ in range(cursor.count(_POINT.size)):
-            _, x, y, z, r, g, b, _, track = cursor.take(_POINT)
+        for _ in range(cursor.count(POINT.size)):
+            _, x, y, z, r, g, b, _, track = cursor.take(POINT)
             cursor.skip(int(track) * _TRACK_BYTES)
             yield x, y, z, int(r), int(g), int(b)
         cursor.finish()

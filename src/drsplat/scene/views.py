@@ -1,5 +1,6 @@
 """A posed photo."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from ..arrays import Float64
 from ..errors import InputError
 
+PHOTOS, RENDERINGS = "photos", "renderings"
 LITTLE = 0.05  # of a side: what rounding may change of a raster that shows the same
 
 
@@ -22,6 +24,7 @@ class View:
     kernel are of the undistorted pinhole; `load_image` undoes the distortion.
     mask_path: picture of which pixels of the photo are used: white ones, with mask_inverted black ones; None: all.
     time: when the photo was taken, in the unit of a moving scene's times; None: unknown, or all stands still.
+    rendered_from: scene that the picture is a rendering of, its name and fingerprint; empty for a photo.
 
     Raises: InputError: a singular K, a pose that is no rigid motion, an empty raster, or a time that is not finite.
     """
@@ -36,6 +39,7 @@ class View:
     time: float | None = None
     mask_path: Path | None = None
     mask_inverted: bool = False
+    rendered_from: str = ""
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -79,6 +83,20 @@ class View:
         if scale >= 1:
             return self
         return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
+
+def pictures_kind(sources: Iterable[str]) -> str:
+    """Return what pictures are: "photos", "renderings" or "photos and renderings".
+
+    sources: `rendered_from` of each.
+    """
+    kinds = {bool(source) for source in sources}
+    return RENDERINGS if kinds == {True} else f"{PHOTOS} and {RENDERINGS}" if True in kinds else PHOTOS
+
+
+def scenes_rendered(sources: Iterable[str]) -> list[str]:
+    """Return the scenes that some pictures are renderings of, sorted. sources: `rendered_from` of each."""
+    return sorted({*sources} - {""})
 
 
 def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:

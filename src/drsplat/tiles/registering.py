@@ -152,7 +152,8 @@ def register_tiles(
     rows = RowMaker(store, names, widths, key)
     new_rows = list(followed(launcher.results(rows, runs), track, [run.name for run in runs], "gathering rows"))
     embeddings = _embeddings(store, names, sum(widths), made[0].dim)
-    masks = masks_of([one.view_name for one in made], widths)
+    by_name = {view.name: view for view, _ in chosen}
+    masks = masks_of([by_name[one.view_name] for one in made], widths)
     evidence = Evidence(joined_rows(runs, store, sum(widths)), masks, embeddings)
     new = sum(one.is_new for one in made)
     tell(Work(new, len(made) - new, sum(new_rows), len(runs) - sum(new_rows)))

@@ -154,6 +154,8 @@ def canonical(evidence: Evidence) -> Evidence:
         return evidence
     columns = csr_array(weights[:, order])
     columns.sort_indices()
-    times = None if masks.times is None else masks.times[np.argsort(np.array(masks.view_names, object), kind="stable")]
-    ordered = MaskIds(tuple(names), views[order], masks.ids[order], times)
+    by_name = np.argsort(np.array(masks.view_names, object), kind="stable")
+    times = None if masks.times is None else masks.times[by_name]
+    rendered = tuple(masks.sources[at] for at in by_name) if masks.rendered_from else ()
+    ordered = MaskIds(tuple(names), views[order], masks.ids[order], times, rendered)
     return Evidence(columns, ordered, evidence.embeddings[order])
