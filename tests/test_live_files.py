@@ -317,3 +317,17 @@ def test_nothing_is_left_on_the_disk_when_the_viewer_ends(viewer: Viewer) -> Non
     assert root.exists()
     viewer.close()
     assert not root.exists()
+
+
+def test_a_flight_passes_the_key_frames_as_the_film_does(viewer: Viewer) -> None:
+    keys = [{"eye": [4.0 * k, -8.0, 3.0], "target": [0.0, 0.0, float(k)], "fov": 50.0} for k in range(3)]
+    flight = viewer.post("/view/flight", {"keys": keys, "seconds": 2.0}).json()
+    assert flight["seconds"] == 2.0
+    assert len(flight["eyes"]) == len(flight["targets"]) == len(flight["fovs"]) == 24
+    np.testing.assert_allclose(flight["eyes"][0], keys[0]["eye"], atol=1e-3)
+    np.testing.assert_allclose(flight["eyes"][-1], keys[-1]["eye"], atol=1e-3)
+    apart = np.linalg.norm(np.array(flight["eyes"]) - keys[1]["eye"], axis=1)
+    assert apart.min() < 0.5
+    ahead = np.array(flight["targets"][0]) - flight["eyes"][0]
+    meant = np.array(keys[0]["target"]) - keys[0]["eye"]
+    np.testing.assert_allclose(ahead / np.linalg.norm(ahead), meant / np.linalg.norm(meant), atol=1e-3)

@@ -1,6 +1,6 @@
 // A running viewer: the service that this page came from.
 
-import type { Act, Backend, Header, KeyFrame, Live, Mode, Paint, Photo, SceneObject, Splats, State } from "./protocol";
+import type { Act, Backend, Film, Header, KeyFrame, Live, Mode, Paint, Photo, SceneObject, Splats, State } from "./protocol";
 
 const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 type Arrays = Record<string, Float32Array | Uint16Array | Uint8Array | Uint32Array | undefined>;
@@ -71,6 +71,8 @@ export class LiveBackend implements Backend, Live {
     const name = /filename="?([^";]+)"?/.exec(reply.headers.get("content-disposition") ?? "")?.[1] ?? "drsplat";
     return { blob: await reply.blob(), name, saved: reply.headers.get("x-drsplat-saved") ?? "" };
   }
+
+  flight(keys: KeyFrame[], seconds: number | null): Promise<Film> { return this.json("/view/flight", { keys, ...(seconds === null ? {} : { seconds }) }); }
 
   async loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }> {
     return (await this.sent("/view/load-path", await file.text(), "application/json")).json() as Promise<{ keys: KeyFrame[]; seconds: number | null }>;

@@ -90,6 +90,8 @@ export interface Live {
   open(files: { name: string; file: File }[]): Promise<State>;
   /** Return a file that the service makes; saved beside the scene, too, where that was asked for at its start. */
   file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string }>;
+  /** Return the places between key frames, as the film that would be saved has them. */
+  flight(keys: KeyFrame[], seconds: number | null): Promise<Film>;
   loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }>;
   catalogue(text: string): Promise<{ said: string; entries: { number: number; title: string; scene: string; score: number }[] }>;
   cataloguePicture(number: number): string;

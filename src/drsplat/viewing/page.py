@@ -155,7 +155,7 @@ def _header(page: Page) -> dict[str, Any]:
         "photos": [],
         "times": None,
         "clock": None if page.times is None else header_of(page.times),
-        "film": None if page.path is None else _film(frame, page.path, page.target),
+        "film": None if page.path is None else film_document(frame, page.path, page.target),
         "plays": page.plays,
         "vocabulary": list(page.words)[:MOST_WORDS],
         "annotations": list(page.annotations),
@@ -181,8 +181,11 @@ def _about(page: Page) -> str:
     return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.said}".split())
 
 
-def _film(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
-    """Places along it, near enough to each other for straight lines; each looks at something as far as `target`."""
+def film_document(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
+    """Return places along a path, near enough to each other for straight lines, in the browser's frame.
+
+    Each looks at something as far off as `target`, in the world.
+    """
     seconds = min(path.seconds or FILM_SECONDS, MOST_FILM_SECONDS)
     shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS_PER_SECOND)))
     keys = path.at(shares)

@@ -89,9 +89,9 @@ export class EditTab implements Tab {
   }
 
   private saving(): Node[] {
-    const { camera } = { camera: this.app.place }, save = (what: string) => () => void this.save("/view/save", { what, camera });
+    const camera = this.app.place, save = (what: string) => () => void this.save("/view/save", { what, camera });
     return [h("div", { class: "grid" }, button("Scene (PLY)", save("scene")), button("Selection (PLY)", save("selection"), { disabled: !this.app.state.selection }),
-      button("Picture (PNG)", () => void this.save("/view/picture", { camera: this.app.place })), button("Page (HTML)", () => void this.save("/view/page", {})))];
+      button("Picture (PNG)", () => void this.save("/view/picture", { camera: this.app.place })), button("Swing (GIF)", save("swing")), button("Page (HTML)", () => void this.save("/view/page", {})))];
   }
 
   async file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string } | null> {

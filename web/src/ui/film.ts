@@ -3,15 +3,14 @@
 import type { Film, KeyFrame } from "../protocol";
 import { clamp, mix } from "../vectors";
 import type { App, Tab } from "./app";
-import { button, byId, counted, download, drawer, h } from "./dom";
-
-const SECONDS_A_KEY = 2;
+import { button, byId, counted, drawer, h } from "./dom";
 
 export class FilmTab implements Tab {
   readonly name = "film";
   readonly label = "Film";
   keys: KeyFrame[] = [];
   private seconds: number | null = null;
+  private flight: Film | null = null;
   private share = 0;
   private playing = false;
   private format = "";
@@ -20,19 +19,16 @@ export class FilmTab implements Tab {
 
   get isPlaying(): boolean { return this.playing; }
 
-  /** What is played: key frames where there are two, else the page's own path. */
-  get film(): Film | null {
-    if (this.keys.length < 2) return this.app.header.film;
-    return { seconds: this.seconds ?? SECONDS_A_KEY * (this.keys.length - 1), eyes: this.keys.map((key) => key.eye), targets: this.keys.map((key) => key.target), fovs: this.keys.map((key) => key.fov) };
-  }
+  /** What is played: the way through key frames where there are two, else the page's own path. */
+  get film(): Film | null { return this.keys.length < 2 ? this.app.header.film : this.flight; }
 
   show(): Node[] {
     const { film } = this, slider = h("input", { type: "range", id: "at", min: 0, max: 1000, value: Math.round(1000 * this.share), "aria-label": "Place in the film", disabled: !film });
     slider.addEventListener("input", () => { this.stop(); this.app.camera.fly(null); this.at(Number(slider.value) / 1000); });
     return [
       h("div", { class: "line" }, button(this.playing ? "Stop" : "Play", () => this.play(), { id: "play", class: "primary", disabled: !film }), slider),
-      ...this.time(), h("p", { class: "faint" }, this.keys.length ? counted(this.keys.length, "key frame") : film ? "Plays the path that came with the scene." : "Add two key frames to make a film."),
-      h("div", { class: "chips" }, button("Add key frame", () => this.add()), button("Drop the last", () => { this.keys.pop(); this.app.render(); }, { disabled: !this.keys.length })),
+      ...this.time(), h("p", { class: "faint" }, this.keys.length ? counted(this.keys.length, "key frame") : film ? "A path through the scene." : "Add two key frames to make a film."),
+      this.app.backend.live ? h("div", { class: "chips" }, button("Add key frame", () => this.add()), button("Drop the last", () => { this.keys.pop(); void this.follow(); }, { disabled: !this.keys.length })) : h("span"),
       ...(this.app.backend.live ? [drawer("Save or load", ...this.saving())] : []),
     ];
   }
@@ -47,13 +43,25 @@ export class FilmTab implements Tab {
     if (!times || !app.state.time) return [];
     const slider = h("input", { type: "range", id: "time", min: times.first, max: times.last, step: "any", value: app.state.time.at, "aria-label": "Time" });
     slider.addEventListener("change", () => void app.act({ act: "time", at: Number(slider.value) }));
-    return [h("h2", {}, `Time ${Number(app.state.time.at.toPrecision(4))}`), slider];
+    const [from, to] = app.state.time.during ?? [times.first, times.last], ends = [from, to].map((value, k) => h("input", { type: "number", step: "any", value, "aria-label": k ? "Queries ask until" : "Queries ask from" }));
+    const span = () => void app.act({ act: "during", span: ends.map((end) => Number(end.value)) });
+    return [h("h2", {}, `Time ${Number(app.state.time.at.toPrecision(4))}`), slider, drawer("Ask of a span of time", h("div", { class: "line" }, ...ends),
+      h("div", { class: "chips" }, button("Ask of this span", span), button("Ask of all", () => void app.act({ act: "during", span: null }), { disabled: !app.state.time.during })))];
   }
 
   add(): void {
+    if (!this.app.backend.live) return;
     const { eye, target, fov } = this.app.camera;
     this.keys.push({ eye, target, fov });
     this.app.say(`${counted(this.keys.length, "key frame")}. ${this.keys.length < 2 ? "Go elsewhere and add another." : "Play flies through them."}`);
+    void this.follow();
+  }
+
+  /** Take the way through the key frames as they are now. */
+  private async follow(): Promise<void> {
+    const { live } = this.app.backend;
+    this.flight = live && this.keys.length > 1 ? await live.flight(this.keys, this.seconds).catch(() => null) : null;
+    this.share = 0;
     this.app.render();
   }
 
@@ -108,12 +116,9 @@ export class FilmTab implements Tab {
     if (!live) return;
     try {
       const { keys, seconds } = await live.loadPath(file);
-      Object.assign(this, { keys, seconds, share: 0 });
+      Object.assign(this, { keys, seconds });
       this.app.say(`${counted(keys.length, "key frame")} loaded.`);
-      this.app.render();
+      await this.follow();
     } catch (error) { this.app.say(error instanceof Error ? error.message : String(error), true); }
   }
-
-  /** Take a picture as the canvas shows it, where nobody can draw a better one. */
-  snapshot(): void { byId<HTMLCanvasElement>("splats").toBlob((blob) => { if (blob) download(blob, "drsplat.png"); }); }
 }

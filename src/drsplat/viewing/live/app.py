@@ -24,7 +24,7 @@ from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, done, read_act
 from .arrays import HEADER, Packed
-from .cameras import MOST_SIDE, Body, Camera, Path, Text
+from .cameras import MOST_SIDE, Body, Camera, Path, Text, flight_document
 from .events import Events
 from .shared import Shared
 from .turns import Turns
@@ -63,7 +63,7 @@ class Viewer:
         acts: dict[str, Handler] = {
             "/view/do": self.do, "/view/ask-picture": self.ask_picture, "/view/open": self.open,
             "/view/upload": self.upload, "/view/picture": self.picture, "/view/before-after": self.before_after,
-            "/view/save": self.save, "/view/film": self.film, "/view/path": self.path,
+            "/view/save": self.save, "/view/film": self.film, "/view/path": self.path, "/view/flight": self.flight,
             "/view/load-path": self.load_path, "/view/page": self.export, "/view/catalogue": self.catalogue,
         }  # fmt: skip
         return [
@@ -186,6 +186,10 @@ class Viewer:
     async def path(self, request: Request) -> Response:
         asked = await _body(request, Path)
         return self._file(await self.turns.take(lambda: files.path_file(self.shared, asked)))
+
+    async def flight(self, request: Request) -> Response:
+        asked = await _body(request, Path)
+        return JSONResponse(await self.turns.take(lambda: flight_document(self.shared.stage, asked)))
 
     async def load_path(self, request: Request) -> Response:
         body = await request.body()

@@ -9,6 +9,7 @@ from ...errors import InputError
 from ...filming.looking import looking_at
 from ...filming.paths import CameraPath, KeyFrame
 from ...scene.views import View
+from ..page import film_document
 from .stage import Stage
 
 MOST_TEXT = 500  # characters that are typed
@@ -67,6 +68,15 @@ def path_through(stage: Stage, path: Path) -> CameraPath:
     """Return a path in the world. Raises: InputError: a key frame stands where it looks."""
     keys = [KeyFrame.of(_view(stage, key, FILM_SIZE)) for key in path.keys]
     return CameraPath(tuple(keys), path.closed, False, path.seconds, FPS, FILM_SIZE)
+
+
+def flight_document(stage: Stage, path: Path) -> dict[str, Any]:
+    """Return the places that a browser flies through: those of the film that would be saved.
+
+    Raises: InputError: a key frame stands where it looks.
+    """
+    frame = stage.session.shown.frame
+    return film_document(frame, path_through(stage, path), frame.world(np.array(path.keys[0].target, np.float64)))
 
 
 def path_document(stage: Stage, path: CameraPath) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from .state import film_formats
 
 SPLIT_SIDE = 960  # pixels of each side of before and after
 MOST_PICTURES = 256  # of objects that are kept
+MOST_PAGE_QUERIES = 6  # suggested words that a page answers, where nothing was asked
 
 
 class Saved(NamedTuple):
@@ -159,11 +160,15 @@ def loaded_path(stage: Stage, body: bytes) -> dict[str, Any]:
 
 
 def page_file(shared: Shared) -> Saved:
-    """Export the scene with the queries that are answered now. Raises: InputError: none is."""
-    session = shared.session
+    """Export the scene with the queries that are answered now, else with the words that are suggested.
+
+    Raises: InputError: nothing was asked, and no word has a match.
+    """
+    session, stage = shared.session, shared.stage
+    queries = session.asked or stage.words[:MOST_PAGE_QUERIES]
 
     def write(path: FilePath) -> None:
-        export_page(path, session.scene, session.asked, words=session.words, up=shared.stage.up)
+        export_page(path, session.scene, queries if session.is_askable else (), words=session.words, up=stage.up)
 
     return _save(shared, "page", ".html", write)
 
