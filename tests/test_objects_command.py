@@ -14,7 +14,9 @@ from PIL import Image
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
 from drsplat.commands import objects as objects_command
-from drsplat.drawing.cutouts import cut_out
+from drsplat.drawing.cards import GAP_PX, HEADING_PX, LINE_SPACING, MARGIN_PX, NOTE_PX
+from drsplat.drawing.cutouts import TILE, cut_out
+from drsplat.drawing.pictures import PAPER
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
@@ -138,17 +140,28 @@ def test_tables_hold_no_formulas(room: Path, capsys: Capture, label: str) -> Non
     assert json.loads((room / "o.json").read_text())["objects"][1]["label"] == label
 
 
-def test_the_sheet_shows_each_object_cut_out(room: Path, capsys: Capture) -> None:
+PHOTO, GHOST = (90, 140, 200), 232  # of a photo of one colour: its pale grey is 255 - 0.16 * (255 - luma)
+
+
+def test_the_sheet_shows_each_object_on_its_pale_surroundings(room: Path, capsys: Capture) -> None:
     answer_of(capsys, *asked(room, "--views", room / "capture", "--picture", room / "sheet.png"))
     sheet = np.asarray(Image.open(room / "sheet.png").convert("RGB"))
-    assert sheet.shape[1] > 3 * 320
-    tiles = [sheet[14:254, 14 + n * 334 : 334 + n * 334].astype(int) for n in range(3)]
+    left, top = (
+        MARGIN_PX + 1,
+        MARGIN_PX + sum(round(LINE_SPACING * size) for size in (HEADING_PX, NOTE_PX)) + GAP_PX + 1,
+    )
+    step = TILE[0] + 2 + GAP_PX
+    assert sheet.shape[1] == 2 * MARGIN_PX + 3 * step - GAP_PX
+    tiles = [sheet[top : top + 240, left + n * step : left + n * step + 320].astype(int) for n in range(3)]
     for tile in tiles:
-        lit = np.abs(tile - (90, 140, 200)).max(axis=2) < 12  # the object's place in the photo
-        dark = np.abs(tile - np.multiply(0.3, (90, 140, 200))).max(axis=2) < 12
+        lit = np.abs(tile - PHOTO).max(axis=2) < 12  # the object's place in the photo
+        pale = np.abs(tile - GHOST).max(axis=2) < 12
         assert 0.05 < lit.mean() < 0.9
-        assert dark.mean() > 0.1
+        assert pale.mean() > 0.1
         assert np.abs(np.argwhere(lit).mean(axis=0) - (120, 160)).max() < 30  # in the middle
+    captions = sheet[top + 242 : top + 320]
+    assert (captions.min(axis=2) < 60).any(axis=0).sum() > 20  # names, in ink
+    assert tuple(np.median(captions.reshape(-1, 3), axis=0)) == PAPER
 
 
 @pytest.mark.parametrize(
@@ -254,14 +267,27 @@ def test_a_cut_out_stays_in_the_photo(corner: tuple[int, int]) -> None:
     share = np.zeros((72, 96), np.float32)
     rows, columns = (slice(max(at - 8, 0), at + 8) for at in corner)
     share[rows, columns] = 0.2
-    photo = np.full((72, 96, 3), 200, np.uint8)
+    photo = np.full((72, 96, 3), 100, np.uint8)
     tile = cut_out(photo, share)
     assert tile.shape == (240, 320, 3)
-    assert tile.min() > 50  # dark is 60; nothing is beyond the photo
-    assert tile.max() > 80
-    assert np.abs(np.argwhere(tile[..., 0] > 75).mean(axis=0) - (120, 160)).max() > 30
+    assert tile.max() < 235  # the ghost is 230; paper, 255, would be beyond the photo
+    assert tile.min() < 215
+    assert np.abs(np.argwhere(tile[..., 0] < 215).mean(axis=0) - (120, 160)).max() > 30
+
+
+@pytest.mark.parametrize("light", [0, 255])
+def test_a_cut_out_is_seen_whatever_its_colour(light: int) -> None:
+    """Black and white things alike differ from what is around them by a grey line, and black ones by themselves."""
+    share = np.zeros((72, 96), np.float32)
+    share[24:48, 32:64] = 1
+    tile = cut_out(np.full((72, 96, 3), light, np.uint8), share).astype(int)
+    middle, corner, row = tile[120, 160], tile[5, 5], tile[120, :, 0]
+    assert middle.tolist() == [light] * 3
+    assert corner.min() >= 213  # 255 - 0.16 * 255 at the darkest: never a black cell
+    assert row.min() < 140
+    assert (row < 140).sum() >= 2
 
 
 def test_nothing_seen_is_the_whole_photo() -> None:
     tile = cut_out(np.full((72, 96, 3), 200, np.uint8), np.zeros((72, 96), np.float32))
-    assert (tile == 60).all()
+    assert (tile == 246).all()  # 255 - 0.16 * (255 - 200)

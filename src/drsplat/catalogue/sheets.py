@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from ..drawing.cutouts import captioned
-from ..drawing.pictures import OtherPixels, contact_sheet
+from ..drawing.cards import Card, card_sheet
+from ..drawing.pictures import OtherPixels
 from ..errors import InputError
 from .entries import Entry
 from .thumbnails import SIZE
@@ -15,15 +15,15 @@ COLUMNS, MOST = 5, 60
 GREY = 214  # of an object that could not be drawn
 
 
-def entry_sheet(entries: Sequence[Entry]) -> OtherPixels:
-    """The first 60 objects with their scenes. Raises: InputError: none. FormatError: a damaged thumbnail."""
+def entry_sheet(entries: Sequence[Entry], heading: str) -> OtherPixels:
+    """Draw a card for each of the first 60 entries. Raises: InputError: none. FormatError: a damaged thumbnail."""
     if not entries:
         raise InputError("there is nothing to draw: no object answers this query")
-    tiles = [
-        captioned(_tile(entry), f"{entry.score:.2f} {entry.title}", f"{entry.scene} {entry.photo or ''}")
+    cards = [
+        Card(_tile(entry), entry.title, (f"in {entry.scene}", f"score {entry.score:.2f} · {entry.photo or 'no photo'}"))
         for entry in entries[:MOST]
     ]
-    return contact_sheet(tiles, min(COLUMNS, len(tiles)), tile_width=tiles[0].shape[1])
+    return card_sheet(cards, COLUMNS, heading, "Best first.")
 
 
 def _tile(entry: Entry) -> OtherPixels:

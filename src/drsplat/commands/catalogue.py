@@ -137,14 +137,17 @@ def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     from ..catalogue import Where
     from ..catalogue.sheets import entry_sheet
     from ..drawing.pictures import write_picture
+    from ..terminal import counted
 
+    asked = " ".join(arguments.given) or arguments.image or arguments.vector
     where = Where(tuple(arguments.scene), box(arguments.box), area(arguments.area), moment(arguments.since))
     answer = catalogue.answer(_query(arguments), where, top=arguments.top)
     drawn = arguments.picture if answer.entries else None
     if drawn:
-        write_picture(drawn, entry_sheet(answer.entries), arguments.overwrite)
+        heading = f"{counted(len(answer.entries), 'match', 'matches')} for “{asked}”"
+        write_picture(drawn, entry_sheet(answer.entries, heading), arguments.overwrite)
     return {
-        "query": " ".join(arguments.given) or arguments.image or arguments.vector,
+        "query": asked,
         "measure": answer.measure,
         "threshold": answer.threshold,
         "threshold_rule": answer.rule,

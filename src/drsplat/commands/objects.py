@@ -182,6 +182,6 @@ def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, An
     if scene.objects and not listed:
         raise InputError(f"photos agree on none of the {len(scene.objects)} objects well: --all draws them")
     matches = scene.objects
-    titles = [" ".join([str(one["id"]), one["label"] or one["name"] or ""]) for one in listed]
-    sheet = object_sheet(scene, [matches[one["id"]] for one in listed], titles)
+    names = [one["label"] or one["name"] for one in listed]
+    sheet = object_sheet(scene, [matches[one["id"]] for one in listed], names)
     write_picture(arguments.picture, sheet, arguments.overwrite)

@@ -27,7 +27,7 @@ OUTLINE = (255, 64, 160)
 PNG_EFFORT = 3  # of 9: half the seconds of the usual 6, and a tenth more bytes
 SHADED = 0.45  # of its colour, what heat has where the photo is black
 SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)  # of the size of letters that a strip has room for in height
-PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (120, 124, 134)
+PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (98, 104, 118)
 Letters = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
@@ -86,7 +86,7 @@ def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: in
     faded = (150 + 0.38 * (grey - 110))[..., None]
     kept = np.clip(share, 0, 1)[..., None]
     picture: Pixels = np.clip(photo * kept + faded * (1 - kept), 0, 255).astype(np.uint8)
-    picture[_border(share > 0.5, outline_px or max(2, photo.shape[1] // 240))] = OUTLINE
+    picture[border(share > 0.5, outline_px or max(2, photo.shape[1] // 240))] = OUTLINE
     return picture
 
 
@@ -103,8 +103,8 @@ def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
     return picture
 
 
-def _border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
-    """Just outside of the region; specks of a few pixels get none."""
+def border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels just outside of a region; specks of a few pixels get none."""
     from scipy import ndimage
 
     rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
@@ -177,7 +177,7 @@ def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
     draw = ImageDraw.Draw(canvas)
     large, small = _letters(draw, title, note, width, strip)
     left = width - strip - draw.textlength(note, small)
-    draw.text((strip * 0.35, strip / 2), _cut(draw, title, large, left), INK, large, anchor="lm")
+    draw.text((strip * 0.35, strip / 2), fitting(draw, title, large, left), INK, large, anchor="lm")
     draw.text((width - strip * 0.35, strip / 2), note, FAINT, small, anchor="rm")
     return np.asarray(canvas)
 
@@ -191,8 +191,8 @@ def _letters(draw: ImageDraw.ImageDraw, title: str, note: str, width: int, strip
     return large, small
 
 
-def _cut(draw: ImageDraw.ImageDraw, text: str, letters: Letters, room: float) -> str:
-    """The beginning of a text that is too long for a line, and an ellipsis."""
+def fitting(draw: ImageDraw.ImageDraw, text: str, letters: Letters, room: float) -> str:
+    """Return a text as it is, or its beginning with an ellipsis where it is longer than `room` pixels."""
     if draw.textlength(text, letters) <= room:
         return text
     fits = [count for count in range(len(text)) if draw.textlength(f"{text[:count]}…", letters) <= room]

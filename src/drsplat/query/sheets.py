@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..drawing.cutouts import TILE, captioned, cut_out
+from ..drawing.cards import Card, card_sheet
+from ..drawing.cutouts import TILE, cut_out
 from ..drawing.heat import heat_of
 from ..drawing.pictures import (
     OtherPixels,
@@ -20,6 +21,7 @@ from ..drawing.pictures import (
 from ..drawing.rendering import render
 from ..errors import InputError
 from ..scene.views import View
+from ..terminal import counted
 from .answer import Answer, Match
 from .objects import objects_of, photos_of
 from .query import Query
@@ -62,19 +64,29 @@ def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
     return found
 
 
-def object_sheet(scene: Scene, matches: Sequence[Match], titles: Sequence[str]) -> OtherPixels:
-    """The first 60 objects, each with its title and the name of its photo.
+def object_sheet(scene: Scene, matches: Sequence[Match], names: Sequence[str | None]) -> OtherPixels:
+    """Draw a card for each of the first 60 objects: its picture, name, size, number and photo.
+
+    names: None for an object that has none.
 
     Raises: InputError: no objects, or as `object_views`.
     """
     if not matches:
         raise InputError("this field has no object to draw")
     shown = list(matches[:MOST])
-    tiles = [
-        captioned(object_picture(scene, match, view), title, view.name)
-        for match, view, title in zip(shown, object_views(scene, shown), titles, strict=False)
+    cards = [
+        Card(object_picture(scene, match, view), name or f"object {match.object_id}", _notes(match, view))
+        for match, view, name in zip(shown, object_views(scene, shown), names, strict=False)
     ]
-    return contact_sheet(tiles, min(COLUMNS, len(tiles)), tile_width=tiles[0].shape[1])
+    largest = f"The {len(shown)} largest of " if len(shown) < len(matches) else ""
+    heading = f"{largest}{counted(len(matches), 'object')} of {scene.name or 'the scene'}"
+    return card_sheet(cards, COLUMNS, heading, "Largest first. Lengths of the boxes in scene units.")
+
+
+def _notes(match: Match, view: View) -> list[str]:
+    """Return the size of an object, and its number with the name of the photo."""
+    size = " x ".join(f"{length:.2f}" for length in match.extent)
+    return [size, f"object {match.object_id} in {view.name}"]
 
 
 def attribute_row(

@@ -1,0 +1,61 @@
+"""Sheets of cards: a picture with a title and notes below it, side by side under a heading, on white."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from .pictures import FAINT, INK, PAPER, OtherPixels, fitting
+
+FRAME = (214, 217, 223)
+GAP_PX, MARGIN_PX, PADDING_PX = 16, 24, 10  # between cards, around the sheet, of text in a card
+TITLE_PX, NOTE_PX, HEADING_PX = 18, 14, 30  # heights of letters
+LINE_SPACING = 1.45  # of the height of letters
+
+
+@dataclass(frozen=True, eq=False)
+class Card:
+    """A picture with its title and further lines of text."""
+
+    pixels: OtherPixels
+    title: str
+    notes: Sequence[str] = ()
+
+
+def card_sheet(cards: Sequence[Card], columns: int, heading: str, note: str = "") -> OtherPixels:
+    """Return cards of one size in rows under a heading. Text that is too long ends in an ellipsis."""
+    drawn = [_drawn(card) for card in cards]
+    columns = min(columns, len(drawn))
+    wide, high = drawn[0].size
+    top = MARGIN_PX + sum(round(LINE_SPACING * size) for size in (HEADING_PX, NOTE_PX)) + GAP_PX
+    width = 2 * MARGIN_PX + columns * (wide + GAP_PX) - GAP_PX
+    height = top + -(-len(drawn) // columns) * (high + GAP_PX) - GAP_PX + MARGIN_PX
+    sheet = Image.new("RGB", (width, height), PAPER)
+    _write(sheet, MARGIN_PX, MARGIN_PX, [(heading, HEADING_PX, INK), (note, NOTE_PX, FAINT)])
+    for number, card in enumerate(drawn):
+        row, column = divmod(number, columns)
+        sheet.paste(card, (MARGIN_PX + column * (wide + GAP_PX), top + row * (high + GAP_PX)))
+    return np.asarray(sheet)
+
+
+def _drawn(card: Card) -> Image.Image:
+    height, width = card.pixels.shape[:2]
+    lines = [(card.title, TITLE_PX, INK), *((note, NOTE_PX, FAINT) for note in card.notes)]
+    text = sum(round(LINE_SPACING * size) for _, size, _ in lines) + 2 * PADDING_PX
+    drawn = Image.new("RGB", (width + 2, height + 2 + text), PAPER)
+    drawn.paste(Image.fromarray(card.pixels), (1, 1))
+    pen = ImageDraw.Draw(drawn)
+    pen.rectangle((0, 0, drawn.width - 1, drawn.height - 1), outline=FRAME)
+    pen.line((0, height + 1, drawn.width, height + 1), FRAME)
+    _write(drawn, PADDING_PX, height + 1 + PADDING_PX, lines)
+    return drawn
+
+
+def _write(picture: Image.Image, left: int, top: int, lines: Sequence[tuple[str, int, tuple[int, int, int]]]) -> None:
+    """Draw lines of text of some heights and colours, one below the other."""
+    pen, room = ImageDraw.Draw(picture), float(picture.width - 2 * left)
+    for text, size, color in lines:
+        letters, line = ImageFont.load_default(size), round(LINE_SPACING * size)
+        pen.text((left, top + line / 2), fitting(pen, text, letters, room), color, letters, anchor="lm")
+        top += line
