@@ -4,7 +4,7 @@ usage: python make_gallery.py FOLDER [SCENE...]    SCENE: demo, or a folder of w
 
 Masks and embeddings are made by what is built in, from all photos but those held out; the queries are what these show
 most of, and one thing that is not there. FOLDER gets NAME.html, NAME.jpg and gallery.json, which the site's page is
-made of (site_pages.py). Scenes that are there already are left as they are.
+made of (site_pages.py). Scenes that are there already are left as they are, unless the package is newer than they are.
 """
 
 import json
@@ -32,7 +32,7 @@ SCENES = {"demo": ROOT / "src/drsplat/demo/scene"} | {
 }
 MOST_GAUSSIANS = 50_000  # of a page: two and a half megabytes
 NUM_QUERIES, ABSENT = 5, ("laptop", "teddy bear", "basket")
-WIDTH = 400  # pixels of a picture
+WIDTH = 800  # pixels of a picture at most
 LIST = "gallery.json"
 
 
@@ -115,6 +115,12 @@ def read_list(folder: Path) -> list[dict[str, Any]]:
     return [one for one in made if (folder / f"{one['name']}.html").exists()]
 
 
+def is_older(page: Path, package: Path) -> bool:
+    """Whether any file of a package was changed after a page was made."""
+    files = [path for path in package.rglob("*") if path.is_file() and path.parent.name != "__pycache__"]
+    return page.stat().st_mtime < max(path.stat().st_mtime for path in files)
+
+
 def as_text(made: list[dict[str, Any]]) -> str:
     return json.dumps(made, indent=1) + "\n"
 
@@ -124,7 +130,7 @@ def main(arguments: list[str]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     made = {one["name"]: one for one in read_list(folder)}
     for name in names:
-        if name not in made:
+        if name not in made or is_older(folder / f"{name}.html", ROOT / "src/drsplat"):
             made[name] = make(name, folder)
             (folder / LIST).write_text(as_text([made[each] for each in SCENES if each in made]), encoding="utf-8")
         one = made[name]

@@ -16,17 +16,18 @@ from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "scripts"))
+sys.path[:0] = [str(ROOT / "scripts"), str(ROOT)]
 import make_gallery  # noqa: E402
 
 GALLERY = Path(os.environ.get("DRSPLAT_GALLERY", ROOT / "build/gallery"))  # of make_gallery.py
-PLACE = "<!-- gallery -->"  # in docs/gallery.md
+DEMO = "demo"  # the scene of the front page
 BROUGHT = {
-    "README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md",
+    "README.md": "overview.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md",
     "SECURITY.md": "security.md", "CODE_OF_CONDUCT.md": "code_of_conduct.md", "world/README.md": "world.md",
 }  # fmt: skip
 """Documents outside of docs/, and the pages that they become."""
@@ -67,15 +68,61 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             return f"{text[1:-1]} (`{meant}`)" if (ROOT / meant).exists() else found[0]
         return f"{text}({posixpath.relpath(made, here or '.')}{mark}{anchor})"
 
-    parts = _CODE.split(markdown.replace(PLACE, gallery(make_gallery.read_list(GALLERY))))
+    for place, made in PLACES.items():
+        if place in markdown:
+            markdown = markdown.replace(place, made())
+    parts = _CODE.split(markdown)
     return "".join(part if number % 2 else _LINK.sub(turned, part) for number, part in enumerate(parts))
 
 
-def gallery(made: list[dict[str, Any]]) -> str:
-    """A picture and a line for each page; that there is none where none has been made."""
-    if not made:
-        return "*This site was built without the pages of the gallery.*"
-    return "\n\n".join(_exhibit(one) for one in made)
+def gallery() -> str:
+    """Return a picture and a line for each page."""
+    return "\n\n".join(_exhibit(one) for one in exhibits())
+
+
+def exhibits() -> list[dict[str, Any]]:
+    """Return what the gallery has. Raises: PluginError: the demo is not in it."""
+    made = make_gallery.read_list(GALLERY)
+    if not any(one["name"] == DEMO for one in made):
+        raise PluginError(f"{GALLERY} has no page of the demo: run scripts/site, or scripts/make_gallery.py first")
+    return made
+
+
+def live() -> str:
+    """Return the demo's page for the front page: its picture, until somebody starts it."""
+    one = next(one for one in exhibits() if one["name"] == DEMO)
+    asked = ", ".join(f"“{text}”" for text in one["matches"])
+    size = f"{one['page_bytes'] / 1e6:.1f} MB"
+    return (
+        f'<div class="live" data-start="Start ({size})" data-title="The demo, to ask, click and turn" markdown>\n'
+        f'<div class="poster"><img src="gallery/{DEMO}.jpg" alt="A room with boxes around what was found"></div>\n\n'
+        f"A room of {one['num_shown']:,} Gaussians, of {one['num_gaussians']:,} in the scene, registered from "
+        f"{one['num_photos']} photos by the models that ship, and asked for {asked}. It is one file, which `drsplat "
+        f"view --export` writes: [open it on a page of its own](gallery/{DEMO}.html), or see "
+        "[the gallery](gallery.md).\n\n</div>"
+    )
+
+
+def numbers() -> str:
+    """Return how good answers are, from docs/answers.json, as the evaluation's own page has it."""
+    from benchmarks.suite.headline import PLACES as SAID
+    from benchmarks.suite.headline import asked
+
+    answers = json.loads((ROOT / "docs/answers.json").read_text(encoding="utf-8"))
+    found = [one for one in asked(answers) if one.masks == "graph"]
+    tiles = [
+        (f"{one.over('objects')[0]:.0f} %", f"IoU of what a word selects, in {len(one.records)} {SAID[one.kind]}")
+        for one in found
+    ]
+    absent = " and ".join(f"{one.share('found', 'objects'):.0f} %" for one in found)
+    places = " and ".join(SAID[one.kind] for one in found)
+    tiles.append((absent, f"of words for what is not there find something all the same, in {places}"))
+    made = "".join(f"<div><b>{number}</b> {said}</div>\n" for number, said in tiles)
+    return (
+        f'<div class="numbers">\n{made}</div>\n\nMasks are those of the segmenter that ships; words are asked by '
+        "genuine vectors of CLIP. Made by `python -m benchmarks.suite`, read from its results when this page was "
+        "built: [how it is measured, and beside other systems](evaluation.md)."
+    )
 
 
 def _exhibit(one: dict[str, Any]) -> str:
@@ -234,3 +281,7 @@ def _tools() -> Any:
         limits = Limits()
         with closing(Workbench(Workplace(folder, limits=limits), Metrics())) as bench:
             return asyncio.run(make_server(SceneFolder(Path(folder)), bench, limits).list_tools())
+
+
+PLACES = {"<!-- gallery -->": gallery, "<!-- live -->": live, "<!-- numbers -->": numbers}
+"""What stands in documents for what is made when the site is built."""

@@ -1,5 +1,6 @@
 """The gallery: what is asked of a room, a page and its picture, and the site's page of them."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -41,3 +42,14 @@ def test_a_page_and_its_picture(tmp_path: Path) -> None:
     assert make_gallery.read_list(tmp_path) == [told]
     (tmp_path / "boxes.html").unlink()
     assert make_gallery.read_list(tmp_path) == []
+
+
+def test_a_page_is_made_again_when_the_package_has_changed(tmp_path: Path) -> None:
+    package, page = tmp_path / "package", tmp_path / "page.html"
+    (package / "__pycache__").mkdir(parents=True)
+    for number, file in enumerate((package / "a.py", page, package / "__pycache__/a.pyc"), 1):
+        file.touch()
+        os.utime(file, (number, number))
+    assert not make_gallery.is_older(page, package)
+    os.utime(package / "a.py", (9, 9))
+    assert make_gallery.is_older(page, package)

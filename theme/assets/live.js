@@ -1,0 +1,16 @@
+// A page of megabytes is loaded when somebody asks for it, not before.
+for (const place of document.querySelectorAll(".live")) {
+  const link = place.querySelector("a");
+  const button = document.createElement("button");
+  button.type = "button";
+  button.textContent = place.dataset.start;
+  button.addEventListener("click", () => {
+    const frame = document.createElement("iframe");
+    frame.src = link.href;
+    frame.title = place.dataset.title;
+    frame.allow = "fullscreen";
+    place.querySelector(".poster").replaceWith(frame);
+    frame.focus();
+  });
+  place.querySelector(".poster").append(button);
+}
