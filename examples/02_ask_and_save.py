@@ -14,6 +14,7 @@ import drsplat as ds
 
 def main(folder: str = "drsplat-demo", words: str = "red vase") -> None:
     scene = ds.open_scene(folder)
+    # %% An answer says how well each Gaussian fits; its matches are the places where enough of them fit.
     answer = scene.ask(words)
     matches = scene.locate(answer)
     if not matches:
@@ -22,6 +23,7 @@ def main(folder: str = "drsplat-demo", words: str = "red vase") -> None:
         photos = ", ".join(mask.view_name for mask in match.support)
         print(f"at {match.center.round(2)}, size {match.extent.round(2)}, seen in {photos}")
 
+    # %% The answer as columns of the scene, as a picture over the photo that shows most of it, and as row numbers.
     match_ids = np.full(len(scene.gaussians), -1, np.int32)
     for number, match in enumerate(matches):
         match_ids[match.gaussian_ids] = number

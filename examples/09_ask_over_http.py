@@ -14,6 +14,7 @@ from urllib.parse import quote
 from urllib.request import Request, urlopen
 
 
+# %% A question is a GET, or a POST with JSON
 def fetch(address: str, **query: object) -> bytes:
     body = json.dumps(query).encode() if query else None  # with a body it is a POST
     while True:
@@ -27,6 +28,7 @@ def fetch(address: str, **query: object) -> bytes:
 
 
 def main(folder: str = "drsplat-demo", words: str = "red vase", port: str = "8765") -> None:
+    # %% The service is started, asked where its scene has such a thing, and stopped.
     service = subprocess.Popen([sys.executable, "-m", "drsplat", "serve", folder, "--port", port])
     address, scenes = f"http://127.0.0.1:{port}/scenes", b""
     try:

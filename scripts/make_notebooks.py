@@ -1,27 +1,65 @@
-"""A notebook for each of examples/, in a folder: its docstring as text, its functions, and the call of its main.
+"""A notebook for each of examples/, in a folder: prose, code in cells, and the pictures that it makes.
 
-usage: python make_notebooks.py FOLDER [--run]    --run: execute them there, one after another; outputs are not kept
+usage: python make_notebooks.py FOLDER [--run]    --run: execute them there, one after another, and keep their outputs
 
-A notebook is JSON, so that nothing is needed to make it; to run it needs nbclient and ipykernel.
+A comment `# %% ...` begins a cell and is the prose above it. The arguments of `main` become a cell with their defaults,
+its body the cells after it; a cell that writes a picture shows it. A notebook is JSON, so that nothing is needed to
+make it; to run it needs nbclient and ipykernel.
 """
 
 import ast
 import json
+import re
 import sys
+import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-MARK = 'if __name__ == "__main__":'
+CELL = re.compile(r"^# %% (.+\n(?:# .+\n)*)", re.MULTILINE)
+PICTURE = re.compile(r"(?:save|Path)\(\"(\w+\.png)\"\)")
+SHOW = "from IPython.display import Image as Shown\n\nShown("
 
 
 def cells(source: str) -> list[dict[str, Any]]:
-    """The docstring, then the code, then the call with the defaults of `main`."""
-    tree = ast.parse(source)
-    text = ast.get_docstring(tree) or ""
-    code = "\n".join(source.split("\n")[tree.body[0].end_lineno :]).split(MARK)[0].strip()
-    made = [_cell("markdown", text), _cell("code", code)]
-    return [*made, _cell("code", "main()")] if "def main(" in code else made
+    """Return the docstring, what stands before `main`, its arguments, and its body."""
+    tree, lines = ast.parse(source), source.splitlines(keepends=True)
+    last = next((node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "main"), None)
+    begin = tree.body[0].end_lineno or 0
+    made = [_cell("markdown", ast.get_docstring(tree) or "")]
+    if last is None:
+        return [*made, *_split("".join(lines[begin:]))]
+    body = textwrap.dedent("".join(lines[_first_line(last, lines) : last.end_lineno]))
+    return [*made, *_split("".join(lines[begin : last.lineno - 1])), _cell("code", _arguments(last)), *_split(body)]
+
+
+def _first_line(function: ast.FunctionDef, lines: list[str]) -> int:
+    """Return where the body of a function begins, with the comments above its first statement."""
+    first = function.body[0].lineno - 1
+    while lines[first - 1].lstrip().startswith("#"):
+        first -= 1
+    return first
+
+
+def _arguments(function: ast.FunctionDef) -> str:
+    """Return assignments of the defaults, and of nothing to `*arguments`."""
+    given = function.args
+    pairs = zip(given.args, given.defaults, strict=True)
+    rows = [f"{one.arg} = {json.dumps(ast.literal_eval(value))}" for one, value in pairs]
+    return "\n".join([*rows, *([f"{given.vararg.arg} = ()"] if given.vararg else [])])
+
+
+def _split(code: str) -> Iterator[dict[str, Any]]:
+    """Return cells of code, with the prose that begins each, and the pictures that it writes."""
+    first, *rest = CELL.split(code)
+    for prose, part in zip(["", *rest[::2]], [first, *rest[1::2]], strict=True):
+        if prose:
+            yield _cell("markdown", " ".join(line.removeprefix("# ") for line in prose.splitlines()))
+        if part.strip():
+            yield _cell("code", part.strip())
+        for name in PICTURE.findall(part):
+            yield _cell("code", f'{SHOW}"{name}")')
 
 
 def _cell(kind: str, text: str) -> dict[str, Any]:
@@ -32,7 +70,8 @@ def _cell(kind: str, text: str) -> dict[str, Any]:
 def notebook(path: Path) -> dict[str, Any]:
     """Of the format 4.4, without outputs."""
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
-    body = cells(path.read_text(encoding="utf-8"))
+    title = path.stem.partition("_")[2].replace("_", " ").capitalize()
+    body = [_cell("markdown", f"# {title}"), *cells(path.read_text(encoding="utf-8"))]
     return {"cells": body, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 4}
 
 
@@ -49,11 +88,13 @@ def write(folder: Path) -> list[Path]:
 
 
 def run(place: Path) -> None:
-    """In its folder. Raises: nbclient's CellExecutionError: a cell failed."""
+    """Execute it in its folder and keep the outputs. Raises: nbclient's CellExecutionError: a cell failed."""
     import nbformat
     from nbclient import NotebookClient
 
-    NotebookClient(nbformat.read(place, 4), timeout=600, resources={"metadata": {"path": place.parent}}).execute()
+    made = nbformat.read(place, 4)
+    NotebookClient(made, timeout=600, resources={"metadata": {"path": place.parent}}).execute()
+    nbformat.write(made, place)
     print(f"{place.name} ran", flush=True)
 
 
