@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import drsplat as ds
 from drsplat import WordEncoder, cli
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evaluation import published, report, svg, tables, thresholds
+from drsplat.evaluation import plots, published, report, svg, tables, thresholds
 from drsplat.evaluation.choosers import automatic_choosers
 from drsplat.evaluation.report import Figure, write_report
 from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, relevant
@@ -254,4 +254,44 @@ def test_command_scores_scannet_scenes(protocol: str, tmp_path: Path, capsys) ->
     assert 0 < answer["segmentation"]["scene_macro"]["miou"] < 0.5
     assert answer["label_set"] == "mine"
     page = (tmp_path / "out" / "report.html").read_text()
-    assert ("<svg" in page) == (protocol == "voxel")
+    assert "IoU of each class" in page
+    assert ("mIoU of Gaussians" in page) == (protocol == "voxel")
+
+
+def asked(category: str, iou: float) -> dict:
+    return {"category": category, "iou": {"fixed": 0.0, "automatic": iou}}
+
+
+def test_charts_show_each_word_how_many_are_good_and_thresholds() -> None:
+    queries = [asked("mug", 0.9), asked("mug", 0.7), asked("plate", 0.3)]
+    result = {"method": "ours", "queries": queries, "sweep": {"sweep 0.100": 0.25, "sweep 0.300": 0.5}}
+    words, good, sweep = (ElementTree.fromstring(chart) for chart in plots.charts_of([result]))
+    texts = ["".join(one.itertext()) for one in words.iter() if one.tag.endswith("text")]
+    assert texts[1:] == ["mug", "80 %", "plate", "30 %"]
+    assert "automatic" in texts[0]
+    (line,) = [one for one in good.iter() if one.tag.endswith("polyline")]
+    points = np.array([point.split(",") for point in line.attrib["points"].split()], float)
+    top, bottom = svg.MARGIN, svg.HEIGHT - svg.MARGIN
+    reached = (bottom - points[:, 1]) / (bottom - top)
+    assert_allclose(reached[[0, 12, 13, 28, 29, 36, 37, 40]], [1, 1, 2 / 3, 2 / 3, 1 / 3, 1 / 3, 0, 0], atol=1e-3)
+    (line,) = [one for one in sweep.iter() if one.tag.endswith("polyline")]
+    first, last = (float(point.split(",")[1]) for point in line.attrib["points"].split())
+    assert first == pytest.approx(bottom - 0.25 * (bottom - top), abs=0.1)
+    assert last == pytest.approx(bottom - 0.5 * (bottom - top), abs=0.1)
+
+
+def test_of_many_words_the_worst_are_shown() -> None:
+    queries = [asked(f"word {number}", number / 100) for number in range(50)]
+    (words, _) = plots.charts_of([{"method": "ours", "queries": queries}])
+    assert "the 20 worst of 50" in words
+    assert ">word 19<" in words
+    assert ">word 20<" not in words
+
+
+def test_several_methods_are_curves_of_one_chart() -> None:
+    results = [{"method": name, "queries": [asked("mug", 0.5)]} for name in ("ours", "theirs <b>")]
+    *_, good = plots.charts_of(results)
+    tree = ElementTree.fromstring(good)
+    colors = [one.attrib["stroke"] for one in tree.iter() if one.tag.endswith("polyline")]
+    assert colors == list(svg.LINES[:2])
+    assert "theirs <b>" in "".join(tree.itertext())

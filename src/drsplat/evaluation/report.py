@@ -16,6 +16,7 @@ from PIL import Image
 
 from ..arrays import UInt8
 from ..formats.replacing import replacing
+from .plots import COLUMNS, charts_of
 from .svg import scatter
 from .tables import Table, pictures_note, tables_of
 
@@ -24,17 +25,25 @@ RESULTS, PAGE = "results.json", "report.html"
 JPEG_QUALITY = 85
 _STYLE = """
 :root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1e24; background: #fff; margin: 2rem auto;
-  max-width: 70rem; padding: 0 1rem; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
-table { border-collapse: collapse; margin: .5rem 0; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .7rem; border-bottom: 1px solid #e3e5ea; text-align: right; }
-th:first-child, td:first-child { text-align: left; } th { border-bottom: 2px solid #1c1e24; }
-.scroll { overflow-x: auto; } p.note { color: #5a5e68; font-size: .9rem; max-width: 60rem; }
-figure { display: inline-block; margin: .4rem; vertical-align: top; }
-figcaption { font-size: .85rem; color: #5a5e68; max-width: 22rem; }
-img { max-width: 22rem; height: auto; display: block; }
-pre { background: #f5f6f8; padding: .8rem; overflow-x: auto; font-size: .8rem; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1c1e24; background: #fff; margin: 0 auto; max-width: 72rem;
+  padding: 1.5rem 1rem 4rem; }
+h1 { font-size: 1.9rem; letter-spacing: -.02em; line-height: 1.2; margin: 0 0 1rem; }
+h2 { font-size: 1.25rem; margin: 2.4rem 0 .6rem; } h3 { font-size: 1rem; margin: 1rem 0 .2rem; }
+table { border-collapse: collapse; margin: .5rem 0; font-variant-numeric: tabular-nums; font-size: .92rem; }
+th, td { padding: .3rem .8rem; border-bottom: 1px solid #e3e5ea; text-align: right; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid #1c1e24; }
+tbody tr:hover { background: #f3f4f7; }
+.scroll { overflow-x: auto; } p.note { color: #565b66; font-size: .9rem; max-width: 60rem; margin: .2rem 0; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(11rem, 1fr)); gap: 1rem; margin: 0; }
+.tiles div { border-top: 3px solid #b3126b; background: #f3f4f7; padding: .7rem 1rem; }
+.tiles dt { color: #565b66; font-size: .9rem; } .tiles dd { margin: 0; font-size: 1.7rem; font-weight: 600; }
+.charts, .pictures { display: grid; gap: 1.2rem; align-items: start; }
+.charts { grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); }
+.pictures { grid-template-columns: repeat(auto-fill, minmax(min(20rem, 100%), 1fr)); }
+figure { margin: 0; } .charts figure { border: 1px solid #e3e5ea; padding: .8rem; }
+figcaption { font-size: .88rem; color: #565b66; padding-top: .3rem; }
+img, svg { width: 100%; height: auto; display: block; }
+pre { background: #f3f4f7; padding: .8rem; overflow-x: auto; font-size: .8rem; }
 """
 
 
@@ -68,7 +77,7 @@ def write_report(
         "results": [dict(result) for result in results],
     }
     text = json.dumps(without_nan(document), indent=1, allow_nan=False)
-    page = html_page(results, tables_of(results), figures, [*charts, *_study_charts(results)])
+    page = html_page(results, tables_of(results), figures, [*charts, *charts_of(results), *_study_charts(results)])
     written = []
     for name, content in ((RESULTS, text + "\n"), (PAGE, page)):
         with replacing(folder / name, overwrite) as file:
@@ -97,19 +106,32 @@ def html_page(
 ) -> str:
     title = f"{results[0]['protocol']}: {', '.join(str(r['method']) for r in results)}"
     notes = [note for note in map(pictures_note, results) if note]
-    parts = [f"<h1>{escape(title)}</h1>", *(f'<p class="note">{escape(note)}</p>' for note in notes)]
-    parts += map(_table, tables)
+    parts = [f"<h1>{escape(title)}</h1>", *(f'<p class="note">{escape(note)}</p>' for note in notes), _tiles(results)]
     if charts:
-        parts += ["<h2>Charts</h2>", *(f"<figure>{chart}</figure>" for chart in charts)]
+        drawn = "".join(f"<figure>{chart}</figure>\n" for chart in charts)
+        parts.append(f'<h2>Charts</h2>\n<div class="charts">{drawn}</div>')
     if figures:
-        parts += ["<h2>What was selected</h2>", *map(_figure, figures)]
+        parts.append(f'<h2>What was selected</h2>\n<div class="pictures">{"".join(map(_figure, figures))}</div>')
+    parts += map(_table, tables)
     parts += ["<h2>How thresholds were chosen</h2>", *map(_thresholds, results)]
     parts += ["<h2>Inputs</h2>", *map(_inputs, results)]
     body = "\n".join(parts)
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title>'
         f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
+
+
+def _tiles(results: Sequence[Mapping[str, Any]]) -> str:
+    """Return the means over scenes of the first method, with a threshold that was chosen without the truth."""
+    first = results[0]
+    columns = first.get("columns", {})
+    chosen = next((name for name in COLUMNS if name in columns), None)
+    means = columns[chosen]["scene_macro"] if chosen else first.get("segmentation", {}).get("scene_macro", {})
+    whose = f"{first['method']}, {chosen} threshold" if chosen else str(first["method"])
+    tiles = "".join(f"<div><dt>{escape(key)}</dt><dd>{100 * means[key]:.1f} %</dd></div>" for key in means)
+    return f'<p class="note">{escape(whose)}: means over scenes</p>\n<dl class="tiles">{tiles}</dl>' if tiles else ""
 
 
 def _table(table: Table) -> str:

@@ -1,10 +1,11 @@
-"""Two kinds of chart as inline SVG: a scatter and bars."""
+"""Three kinds of chart as inline SVG: a scatter, bars and curves. Nothing draws them but the browser."""
 
 from collections.abc import Sequence
 from html import escape
 
 WIDTH, HEIGHT, MARGIN = 420, 320, 56
 INK, FAINT, MARK = "#1c1e24", "#c9ccd3", "#2f6fb2"
+LINES = ("#2f6fb2", "#b3126b", "#2a7d46", "#8a5a00", "#5a45a8", "#5b606b")  # of curves, each 4.5 to 1 on white
 FONT = 'font-family="system-ui, sans-serif" font-size="12"'
 
 Number = float | int
@@ -54,6 +55,34 @@ def bars(rows: Sequence[tuple[str, Number]], unit: str, title: str) -> str:
         parts.append(f'<rect x="{left}" y="{y}" width="{max(length, 1):.1f}" height="20" rx="3" fill="{MARK}"/>')
         parts.append(_text(left + length + 6, y + 15, f"{value:.3g} {unit}", "start"))
     return _svg(height, parts)
+
+
+def curves(series: Sequence[tuple[str, Sequence[tuple[Number, Number]]]], x_name: str, y_name: str, title: str) -> str:
+    """Draw named curves of points (x, y), y from 0 to 100 percent, with their names below the chart."""
+    xs = [x for _, points in series for x, _ in points] or [0.0, 1.0]
+    low, high = min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1
+    inner_w, inner_h = WIDTH - 1.5 * MARGIN, HEIGHT - 2 * MARGIN
+
+    def place(x: Number, y: Number) -> tuple[float, float]:
+        return MARGIN + inner_w * (x - low) / (high - low), HEIGHT - MARGIN - inner_h * y / 100
+
+    (x0, y0), (x1, y1) = place(low, 0), place(high, 100)
+    parts = [_line(x0, y0, x1, y0), _line(x0, y0, x0, y1), _text((x0 + x1) / 2, 20, title, "middle", bold=True)]
+    for k in range(5):
+        value = low + (high - low) * k / 4
+        (tx, _), (_, ty) = place(value, 0), place(low, 25 * k)
+        parts += [_text(tx, y0 + 16, f"{value:.2g}", "middle"), _text(x0 - 6, ty + 4, f"{25 * k}", "end")]
+        parts += [_line(x0, ty, x1, ty, FAINT)] if k else []
+    for number, (name, points) in enumerate(series):
+        color, y = LINES[number % len(LINES)], HEIGHT + 18 * number
+        path = " ".join(f"{px:.1f},{py:.1f}" for px, py in (place(*point) for point in points))
+        parts.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
+        parts += [_line(x0, y, x0 + 24, y, color), _text(x0 + 32, y + 4, name, "start")]
+    words = [
+        _text((x0 + x1) / 2, HEIGHT - 20, x_name, "middle"),
+        f'<g transform="translate(14 {(y0 + y1) / 2:.1f}) rotate(-90)">{_text(0, 0, y_name, "middle")}</g>',
+    ]
+    return _svg(HEIGHT + 18 * len(series), [*parts, *words])
 
 
 def _round_up(value: Number) -> float:
