@@ -27,22 +27,23 @@ OVERVIEW = "overview.png"
 
 
 def write_album(folder: Path, story: Story, *, overwrite: bool = False) -> list[Path]:
-    """A PNG per answer in folder/answers and folder/overview.png; returns their paths, the overview first."""
+    """Write a PNG per answer to folder/answers, and folder/overview.png; returns their paths, the overview first."""
     with saying_what_is_full(folder / "answers"):
         (folder / "answers").mkdir(parents=True, exist_ok=True)
     paths, pictures = [folder / OVERVIEW], []
     found = [verdict.gaussian_ids for verdict in story.verdicts]
     views = best_views(story.gaussians, story.held_out + story.views, found)
     for verdict, view in zip(story.verdicts, views, strict=True):
-        pictures.append(_answer_picture(story, verdict, view))
+        picture = _answer_picture(story, verdict, view)
+        pictures.append(titled(picture, f"“{verdict.probe.text}”", note(verdict)))
         paths.append(folder / "answers" / f"{verdict.probe.text.replace(' ', '_')}.png")
-        write_picture(paths[-1], pictures[-1], overwrite)
+        write_picture(paths[-1], picture, overwrite)
     write_picture(paths[0], _overview(story, pictures), overwrite)
     return paths
 
 
 def note(verdict: Verdict) -> str:
-    """What came of a probe, in a few words."""
+    """Return what came of a probe, in a few words."""
     if not verdict.found:
         manner = "rightly" if verdict.is_right else "miss:"
         return f"{manner} no match (best score {verdict.scores[1]:.2f})"
@@ -53,18 +54,17 @@ def note(verdict: Verdict) -> str:
 
 
 def _answer_picture(story: Story, verdict: Verdict, view: View) -> OtherPixels:
-    """The Gaussians from where a photo shows most of it, through a lens that suits the size of the thing."""
+    """Draw the Gaussians from where a photo shows most of it, through a lens that suits the size of the thing."""
     view = view if verdict.found else story.held_out[0]
     view = zoomed(view, visible_share(story.gaussians, view, verdict.gaussian_ids, splats=story.splats))
     chosen = np.zeros((len(story.gaussians), 1), np.float32)
     chosen[verdict.gaussian_ids] = 1
     drawn = render(story.gaussians, view, values=chosen, splats=story.splats)
-    picture = highlighted(as_pixels(drawn.rgb), drawn.channels[..., 0])
-    return titled(picture, f"“{verdict.probe.text}”", note(verdict))
+    return highlighted(as_pixels(drawn.rgb), drawn.channels[..., 0])
 
 
 def _overview(story: Story, pictures: list[OtherPixels]) -> OtherPixels:
-    """Two photos of the room, then the answers in rows of four."""
+    """Join two photos of the room, and the answers in rows of four below them."""
     sheet = contact_sheet(pictures, columns=4)
     views = [story.held_out[0], story.held_out[-1]]
     photos = [Image.fromarray(photo_or_rendering(story.gaussians, view)) for view in views]
