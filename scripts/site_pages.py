@@ -19,6 +19,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from mkdocs.utils.templates import TemplateContext
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT)]
@@ -51,6 +52,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         if file.src_uri.endswith(".json"):
             files.remove(file)
     return files
+
+
+def on_template_context(context: TemplateContext, template_name: str, config: MkDocsConfig) -> TemplateContext:
+    """Let the page for addresses that lead nowhere find its styles in a folder; elsewhere site_url says where they are."""
+    if template_name == "404.html" and not config.site_url:
+        context["base_url"] = "."
+    return context
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
@@ -92,9 +100,11 @@ def live() -> str:
     """Return the demo's page for the front page: its picture, until somebody starts it."""
     one = next(one for one in exhibits() if one["name"] == DEMO)
     asked = ", ".join(f"“{text}”" for text in one["matches"])
+    clearest = min(one["matches"], key=lambda text: one["matches"][text] or len(one["matches"]))
     size = f"{one['page_bytes'] / 1e6:.1f} MB"
     return (
-        f'<div class="live" data-start="Start ({size})" data-title="The demo, to ask, click and turn" markdown>\n'
+        f'<div class="live" data-start="Start ({size})" data-ask="{clearest}" '
+        'data-title="The demo, to ask, click and turn" markdown>\n'
         f'<div class="poster"><img src="gallery/{DEMO}.jpg" alt="A room with boxes around what was found"></div>\n\n'
         f"A room of {one['num_shown']:,} Gaussians, of {one['num_gaussians']:,} in the scene, registered from "
         f"{one['num_photos']} photos by the models that ship, and asked for {asked}. It is one file, which `drsplat "

@@ -124,14 +124,16 @@ def browser() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, page: Path, **settings: Any) -> Iterator[Any]:
-    """A page of the site; whatever asks another host fails the test."""
+    """A page of the site; whatever asks another host, or for what is not there, fails the test."""
     context = browser.new_context(**settings)
-    one, asked = context.new_page(), []
+    one, asked, missing = context.new_page(), [], []
     one.on("request", lambda request: asked.append(request.url))
+    one.on("requestfailed", lambda request: missing.append(request.url))
     one.set_default_timeout(SLOW)
     one.goto(page.as_uri())
     yield one
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
+    assert missing == []
     context.close()
 
 

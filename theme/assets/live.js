@@ -6,7 +6,7 @@ for (const place of document.querySelectorAll(".live")) {
   button.textContent = place.dataset.start;
   button.addEventListener("click", () => {
     const frame = document.createElement("iframe");
-    frame.src = link.href;
+    frame.src = `${link.href}#${new URLSearchParams({ q: place.dataset.ask })}`;
     frame.title = place.dataset.title;
     frame.allow = "fullscreen";
     place.querySelector(".poster").replaceWith(frame);
