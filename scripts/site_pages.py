@@ -55,7 +55,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_template_context(context: TemplateContext, template_name: str, config: MkDocsConfig) -> TemplateContext:
-    """Let the page for addresses that lead nowhere find its styles in a folder; elsewhere site_url says where they are."""
+    """Let 404.html find its styles in a folder; on a server site_url says where they are."""
     if template_name == "404.html" and not config.site_url:
         context["base_url"] = "."
     return context
