@@ -24,6 +24,7 @@ from .playing import placed_now
 from .results import Result, result_of
 from .session import Mode, Session
 
+WORD_SAMPLE, WORD_BLOCK, WORDS_A_ROW = 20_000, 4096, 3
 MOST_MATCHES = 254  # of one query: a byte per Gaussian says which
 
 
@@ -134,9 +135,23 @@ def _owners(result: Result, scene: Scene) -> UInt8[np.ndarray, " n"]:
 
 
 def _words(scene: Scene, given: Sequence[str] | None) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
-    """The words of a click, and each Gaussian's best; none for an encoder that does not know them."""
+    """Return the words of a click, and each Gaussian's best; none for an encoder that does not know them."""
     try:
-        words = tuple(dict.fromkeys(given or words_of(scene)))[:MOST_WORDS]
+        words = _fitting(scene, tuple(dict.fromkeys(given or words_of(scene)))[:MOST_WORDS])
         return words, (scene.segment(words).labels + 1).astype(np.uint16)
     except DrSplatError:
         return (), None
+
+
+def _fitting(scene: Scene, words: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the words that are among the best of any row of a sample; the others would name nothing here."""
+    rows = len(scene.field)
+    if not rows or len(words) <= WORDS_A_ROW:
+        return words
+    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:WORD_SAMPLE])
+    vectors = np.asarray(scene.encoder.encode_texts(words), np.float32)
+    best = np.zeros(len(words), bool)
+    for begin in range(0, len(chosen), WORD_BLOCK):
+        scores = scene.field.feature(chosen[begin : begin + WORD_BLOCK]) @ vectors.T
+        best[np.argpartition(-scores, WORDS_A_ROW - 1, axis=1)[:, :WORDS_A_ROW]] = True
+    return tuple(word for word, fits in zip(words, best, strict=True) if fits)

@@ -74,7 +74,8 @@ def feature_colors(field: LanguageField, rgb: Colors, registered: Bool[np.ndarra
     chosen = np.random.default_rng(seed).permutation(rows)[:FEATURE_SAMPLE]
     sample = field.feature(np.sort(chosen)).astype(np.float64)
     middle = sample.mean(0)
-    axes = np.linalg.svd(sample - middle, full_matrices=False)[2][:3]
+    axes = np.linalg.eigh((sample - middle).T @ (sample - middle))[1][:, :-4:-1].T
+    axes = axes * np.sign(axes[np.arange(3), np.abs(axes).argmax(1)])[:, None]  # a direction has two signs
     low, high = np.quantile((sample - middle) @ axes.T, (0.01, 0.99), axis=0)
     colors, block = np.empty((rows, 3), np.float32), 1 << 16
     for begin in range(0, rows, block):
