@@ -5,10 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..terminal import counted, quoted
 from .options import count, finite, length, whole, words
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..scene.gaussians import Gaussians
 
 AXES = ("x", "y", "z")
 
@@ -117,6 +122,17 @@ def note_left_out(number: int, cure: str = "--edits kept to apply them") -> None
     """Report on stderr that kept edits are left out of what is shown or written."""
     if number:
         _note(f"{counted(number, 'kept edit')} left out ({cure})")
+
+
+def note_own_scene(path: str | Path | None, gaussians: Gaussians | None) -> None:
+    """Report on stderr that what is drawn or written of a scene's own file lacks the edits kept beside it."""
+    from ..formats.scenes import companion
+
+    if path is not None and gaussians is not None and companion(path, "edits").exists():
+        from ..editing import EditFile
+
+        number = EditFile.beside(path).num_done(gaussians)
+        note_left_out(number, "`drsplat edit SCENE --save OUT.ply` writes the scene with them")
 
 
 def _note(text: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import AUTO, NEVER
 from ..terminal import quoted
+from .edit_options import note_own_scene
 from .options import CAPTURE_OPTIONS, add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
@@ -199,6 +200,8 @@ def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
         _ = scene.gaussians  # or the error that says what is missing, before any work
     if drawn:
         scene.best_view()
+    if drawn or arguments.save is not None:
+        note_own_scene(scene.path, scene.gaussians if scene.has_gaussians else None)
     return scene
 
 

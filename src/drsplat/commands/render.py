@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .edit_options import note_left_out
+from .edit_options import note_own_scene
 from .film import SCENE, add_film_options, film
 from .options import (
     add_capture_options,
@@ -109,6 +109,7 @@ def _add_answer_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.moving_scenes import read_scene
     from ..progress import Stopwatch
+    from ..scene.moving import canonical_of
 
     watch = Stopwatch()
     _check(arguments)
@@ -116,7 +117,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     views = [] if arguments.views is None else views_of(arguments, arguments.views)
     opened, answer = _answer(arguments)
     notes = _notes(arguments)
-    _note_edits(arguments, scene)
+    note_own_scene(arguments.scene, canonical_of(scene))
     watch.lap("read")
     if arguments.path is not None:
         answered = film(arguments, scene, views, answer, opened, notes)
@@ -199,18 +200,6 @@ def _notes(arguments: argparse.Namespace) -> list[Mark]:
     from ..formats.annotations import AnnotationFile
 
     return notes_of(AnnotationFile.beside(arguments.scene).read()) if arguments.annotations else []
-
-
-def _note_edits(arguments: argparse.Namespace, scene: Gaussians | Moving) -> None:
-    """Report on stderr that kept edits beside the scene are not drawn."""
-    from ..formats.scenes import companion
-    from ..scene.moving import canonical_of
-
-    if companion(arguments.scene, "edits").exists():
-        from ..editing import EditFile
-
-        number = EditFile.beside(arguments.scene).num_done(canonical_of(scene))
-        note_left_out(number, "`drsplat edit SCENE --save OUT.ply` writes the scene with them")
 
 
 def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:

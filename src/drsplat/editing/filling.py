@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
-from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 
 from ..arrays import Bool, Float64, Int64
-from ..drawing.rendering import render
+from ..drawing.rendering import Picture, render
 from ..errors import DrSplatWarning, InputError
 from ..scene.boxes import HAZE
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View
-from .draft import Draft
+from .draft import OBJECT_ID, Draft
 from .planes import Plane, planes_around
+from .shifts import Surface, best_shift
 
 AROUND = 0.8  # sizes of the object: how far around it planes are looked for, and clones are taken from
 CELLS = 128  # of the longer side of what is looked at
@@ -27,6 +27,9 @@ FOOT = 0.15  # of an object's height, from its lowest on: below that no photo sa
 STANDS = 1.3  # tolerances above a plane from which on something stands on it
 CLEAR = 0.2  # opacity of what stands on a plane up to which it is taken to be bare
 NEEDLE = 6.0  # times longer than wide: no patch of a surface
+FOOT_CELLS = 3  # around what stands on a plane, where its foot may lie in the plane
+LEAST_SHARE = 0.2  # of the Gaussians in a plane, of an object that the plane is part of
+VERSIONS = (1, 2)
 FAR = 40.0  # sizes of a plane that it is looked at from
 Ids = Int64[np.ndarray, " m"]
 Cells = Bool[np.ndarray, "h w"]
@@ -38,7 +41,18 @@ class Fill:
 
     A table goes on below a vase, a floor and a wall behind a shelf; what training left there unseen goes. Nothing is
     made up: no edge, no pattern with a place of its own; shadows and reflections stay, and what no plane holds is open.
+
+    version: 2 clones nothing that lies on the plane or stands out from it, and by the shift with the best seam; 1 is
+    what lists of edits without a version mean, and does neither.
+
+    Raises: InputError: another version.
     """
+
+    version: int = VERSIONS[-1]
+
+    def __post_init__(self) -> None:
+        if self.version not in VERSIONS:
+            raise InputError(f"fill: expected version 1 or 2, got {self.version}: a newer drsplat may know it")
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         """Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
@@ -58,7 +72,8 @@ class Fill:
                 "several sides is around it. The hole stays open"
             )
         for plane in planes:
-            _fill(draft, near, scene, plane, [other for other in planes if other is not plane], thing)
+            others = [other for other in planes if other is not plane]
+            _fill(draft, near, scene, plane, others, thing, is_clean=self.version > 1)
 
 
 def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
@@ -71,7 +86,8 @@ def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np
 
 
 def _fill(
-    draft: Draft, near: Ids, scene: Gaussians, plane: Plane, others: list[Plane], thing: Float64[np.ndarray, "t 3"]
+    draft: Draft, near: Ids, scene: Gaussians, plane: Plane, others: list[Plane], thing: Float64[np.ndarray, "t 3"],
+    *, is_clean: bool,
 ) -> None:  # fmt: skip
     places = scene.means.astype(np.float64)
     heights = plane.heights(places)
@@ -89,18 +105,25 @@ def _fill(
     low = np.flatnonzero(np.abs(heights) <= STANDS * plane.tolerance)
     below = grid.cells(plane.flat(scene.means[low].astype(np.float64)))
     draft.present[near[low[hole[below[:, 0], below[:, 1]]]]] = False
-    missing, good = hole.copy(), (coverage >= COVERED) & ~hole & bare
+    missing, good, colors = hole.copy(), (coverage >= COVERED) & ~hole & bare, None
+    own = np.ones(len(surface), bool)
+    if is_clean:
+        own = _own(scene, surface, grid, plane, cells)
+        known = (grid.coverage(scene.subset(surface[own]), plane) >= COVERED) & ~hole
+        colors = Surface(grid.colors(scene.subset(surface[own]), plane), known)
+        good = known & ndimage.binary_erosion(bare, iterations=FOOT_CELLS, border_value=1)
     for _ in range(ROUNDS if hole.any() else 0):
-        shift, closed = _best_shift(missing, good)
+        shift, closed = best_shift(missing, good, colors)
         if not closed.any():
             break
         source = np.zeros_like(good)
         rows, columns = np.nonzero(closed)
         source[rows + shift[0], columns + shift[1]] = True
-        clones = draft.add(draft.part(near[surface[source[cells[:, 0], cells[:, 1]]]]))
+        clones = draft.add(draft.part(near[surface[own & source[cells[:, 0], cells[:, 1]]]]))
         draft.shift(clones, -grid.step * (np.array(shift, np.float64) @ plane.axes))
         draft.homes[clones] = draft.means[clones]
         missing &= ~closed
+        colors = colors and colors.closed(closed, shift)
     if missing.sum() > (1 - ENOUGH) * hole.sum():
         share = 1 - missing.sum() / hole.sum()
         warnings.warn(f"fill: of one plane {share:.0%} of the hole could be closed", DrSplatWarning, stacklevel=2)
@@ -120,6 +143,20 @@ def _foot(heights: Float64[np.ndarray, " t"]) -> float:
     return float(low + FOOT * (high - low))
 
 
+def _own(
+    scene: Gaussians, surface: Ids, grid: "_Grid", plane: Plane, cells: Int64[np.ndarray, "m 2"]
+) -> Bool[np.ndarray, " m"]:
+    """Return which Gaussians in a plane are its own: of its objects, and of the colour that it has around them."""
+    part = scene.subset(surface)
+    drawn = Surface(grid.colors(part, plane), grid.coverage(part, plane) >= COVERED)
+    own = drawn.holds(0.5 + SH_C0 * part.sh[:, 0].astype(np.float64), cells)
+    owners = part.extra.get(OBJECT_ID)
+    if owners is not None:
+        _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
+        own &= (counts >= LEAST_SHARE * len(surface))[which]
+    return np.asarray(own)
+
+
 def _is_flat(scene: Gaussians, plane: Plane) -> Bool[np.ndarray, " n"]:
     """Those that lie in the plane: needles that stick out of it would do so in the hole."""
     xx, xy, xz, yy, yz, zz = scene.covariances().T
@@ -127,23 +164,6 @@ def _is_flat(scene: Gaussians, plane: Plane) -> Bool[np.ndarray, " n"]:
     flat = np.einsum("i,nij,j->n", plane.normal, full, plane.normal) <= plane.tolerance**2
     sizes = np.sort(scene.scales, axis=1)
     return np.asarray(flat & (sizes[:, 2] <= NEEDLE * sizes[:, 1]))
-
-
-def _best_shift(missing: Cells, good: Cells) -> tuple[tuple[int, int], Cells]:
-    """By how many cells a good one is away from most of what is missing, the nearest of equals; and those cells."""
-    counts = np.round(fftconvolve(good.astype(float), missing[::-1, ::-1].astype(float))).astype(int)
-    rows, columns = (np.arange(length) - (side - 1) for length, side in zip(counts.shape, missing.shape, strict=True))
-    lengths = np.hypot(rows[:, None], columns[None])
-    best = np.lexsort((lengths.ravel(), -counts.ravel()))[0]
-    down, across = np.unravel_index(best, counts.shape)
-    shift = (int(rows[down]), int(columns[across]))
-    at = np.argwhere(missing)
-    there = at + shift
-    inside = ((there >= 0) & (there < missing.shape)).all(axis=1)
-    closed = np.zeros_like(missing)
-    at, there = at[inside], there[inside]
-    closed[at[:, 0], at[:, 1]] = good[there[:, 0], there[:, 1]]
-    return shift, closed
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +197,16 @@ class _Grid:
 
     def coverage(self, gaussians: Gaussians, plane: Plane) -> Float64[np.ndarray, "h w"]:
         """Opacity of all Gaussians together in each cell, as a camera far away sees the plane."""
+        return np.asarray(self._drawn(gaussians, plane).alpha, np.float64)
+
+    def colors(self, gaussians: Gaussians, plane: Plane) -> Float64[np.ndarray, "h w 3"]:
+        """Return the colour of each cell from where the object was, without the harmonics above the constant."""
+        behind = plane.normal @ np.cross(plane.axes[1], plane.axes[0]) > 0  # as `_drawn` looks: then mirrored
+        heights = plane.heights(gaussians.means.astype(np.float64)) if behind else np.zeros(len(gaussians))
+        means = (gaussians.means - 2 * heights[:, None] * plane.normal).astype(np.float32)
+        return np.asarray(self._drawn(replace(gaussians, means=means, sh=gaussians.sh[:, :1]), plane).rgb, np.float64)
+
+    def _drawn(self, gaussians: Gaussians, plane: Plane) -> Picture:
         down, right = plane.axes
         ahead = np.cross(right, down)  # from either side: what is opaque is so from both
         middle = self.low + np.array(self.shape) / 2 * self.step
@@ -187,7 +217,7 @@ class _Grid:
         rows, columns = self.shape
         K = np.array([[focal, 0, columns / 2], [0, focal, rows / 2], [0, 0, 1.0]])
         here = replace(gaussians, origin=np.zeros(3))
-        return np.asarray(render(here, View("plane", K, pose, columns, rows), threads=1).alpha, np.float64)
+        return render(here, View("plane", K, pose, columns, rows), threads=1)
 
     @property
     def distance(self) -> float:

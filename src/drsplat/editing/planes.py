@@ -12,7 +12,7 @@ TOLERANCE = 0.04  # of the size of what stands there: how far from a plane its G
 FEWEST, SHARE = 40, 0.005  # Gaussians of a plane, and of those around
 SPREAD, THINNEST = 4.0, 0.2  # median distances from a plane that its Gaussians lie within; least of what they may
 TOUCHES = 4.0  # tolerances between a plane and what stands on it
-BEHIND = 0.15  # of what stands there may be behind the plane: roots of training, and what is wrong in masks
+LARGEST_SHARE_BEHIND = 0.15  # of what stands there: roots of training, and what is wrong in masks
 SIDES = 4  # of eight directions from its middle in which the plane goes on
 NEAR, BESIDE = 1.6, 0.01  # there: up to so many times its own reach; with such a share of the plane's Gaussians
 ALIKE = 0.9  # cosine of the normals of planes that are one surface, taken twice
@@ -60,6 +60,11 @@ def planes_around(thing: Thing, around: Points) -> list[Plane]:
     return planes[:MOST]
 
 
+def largest_plane(points: Points, thing: Thing) -> Plane | None:
+    """Return the plane that most of some points lie in, its normal to where a thing is; None for points on a line."""
+    return _largest(points, thing, TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0))), np.random.default_rng(0))
+
+
 def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Generator) -> Plane | None:
     """The plane through three of the points that most of them lie in, fitted to these."""
     some = points[:: -(-len(points) // LOOKED_AT)]
@@ -93,12 +98,12 @@ def _are_one(plane: Plane, other: Plane) -> bool:
 def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
     """Whether a thing is before a plane, touches it, and has it on several sides."""
     heights, tolerance = plane.heights(thing), TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
-    before = float((heights < -tolerance).mean()) <= BEHIND
+    before = float((heights < -tolerance).mean()) <= LARGEST_SHARE_BEHIND
     touches = float(np.quantile(heights, 0.02)) <= TOUCHES * tolerance
-    return before and touches and _sides(plane.flat(thing), plane.flat(ground)) >= SIDES
+    return before and touches and num_sides(plane.flat(thing), plane.flat(ground)) >= SIDES
 
 
-def _sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 2"]) -> int:
+def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 2"]) -> int:
     """In how many of eight directions the ground begins where a thing ends."""
     middle = np.median(thing, axis=0)
     (own, reach), (other, distance) = (_polar(points - middle) for points in (thing, ground))

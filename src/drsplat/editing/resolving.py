@@ -10,6 +10,7 @@ from ..query import Query, Scene
 from ..query.objects import match_of, objects_of
 from ..scene.boxes import HAZE
 from ..scene.gaussians import Gaussians
+from .loose_parts import loose_parts
 from .targets import Rows
 
 Ids = Int64[np.ndarray, " m"]
@@ -45,24 +46,31 @@ def query_rows(scene: Scene, query: Query | str, said: str = "") -> Rows:
     if not matches:
         raise InputError(f"no match for “{said}”: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in matches])
-    return Rows.of(_completed(scene.gaussians, ids, _owners(scene, answer.field)), "query", said)
+    return Rows.of(completed(scene.gaussians, ids, *_objects(scene, answer.field)), "query", said)
 
 
 def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
-    """Return rows of a scene with what nobody can tell apart from them; see `_completed`."""
-    return _completed(scene.gaussians, ids, _owners(scene, scene.field))
+    """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
+    return completed(scene.gaussians, ids, *_objects(scene, scene.field))
 
 
-def _owners(scene: Scene, field: LanguageField) -> Int64[np.ndarray, " n"]:
-    """Return per Gaussian the number of its object, -1 for none and where `field`, of an answer, has no objects."""
+def _objects(scene: Scene, field: LanguageField) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " o"]]:
+    """Return per Gaussian the number of its object, -1 for none and where `field`, of an answer, has no objects; and
+    whether photos agree on each object.
+    """
     if field.objects is None:
-        return np.full(len(scene.gaussians), -1, np.int64)
-    return scene.object_ids().astype(np.int64)
+        return np.full(len(scene.gaussians), -1, np.int64), np.zeros(0, bool)
+    return scene.object_ids().astype(np.int64), scene.agreed
 
 
-def _completed(gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Int64[np.ndarray, " n"]) -> Ids:
-    """Rows with what nobody can tell apart from them: the rest of objects that they nearly are, what they enclose, and
-    loose Gaussians that hang on to them.
+def completed(
+    gaussians: Gaussians,
+    ids: Integer[np.ndarray, " k"],
+    owners: Int64[np.ndarray, " n"],
+    agreed: Bool[np.ndarray, " o"],
+) -> Ids:  # fmt: skip
+    """Rows with what nobody can tell apart from them: the rest of objects that they nearly are, what they enclose,
+    loose Gaussians that hang on to them, and in a scene with objects `loose_parts`.
 
     Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is
     inside stays behind only where it is more than half of an object: an apple in a closed box.
@@ -78,6 +86,8 @@ def _completed(gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Int
     inside |= taken & ~(own_things[owners] & owned)
     for _ in range(PASSES):
         inside |= hanging(gaussians, inside, (owners < 0) & ~inside)
+    if len(agreed):
+        inside |= loose_parts(gaussians, inside, owners, agreed)
     return np.flatnonzero(inside)
 
 

@@ -123,7 +123,7 @@ def _edit(entry: object, where: str) -> Edit:
     if not isinstance(kind, str) or kind not in _CHANGES:
         raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {shown(kind)}")
     made, readers = _CHANGES[kind]
-    values = {name: value for name, value in entry.items() if name not in ("of", "do")}
+    values = _EARLIER.get(kind, {}) | {name: value for name, value in entry.items() if name not in ("of", "do")}
     _only(values, readers, where)
     missing = [one.name for one in fields(made) if one.default is MISSING and one.name not in values]
     if missing:
@@ -227,8 +227,9 @@ _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "palette": (Palette, {"colors": _colors}),
     "match photo": (MatchPhoto, {"mean": _point, "covariance": _square(3)}),
     "replace": (Replace, {"scene": _text, "fingerprint": _text, "matrix": _square(4), "spans": spans_of_runs}),
-    "fill": (Fill, {}),
+    "fill": (Fill, {"version": as_count}),
 }
+_EARLIER: dict[str, dict[str, object]] = {"fill": {"version": 1}}  # what lists say by leaving it out
 NAMES = {made: name for name, (made, _) in _CHANGES.items()}
 
 
