@@ -80,11 +80,8 @@ def cut_out(one: Person) -> None:
 def name_three(one: Person) -> None:
     one.tab("objects")
     for number, name in ((9, "grandma's vase"), (8, "my cup"), (12, "the car")):
-        if one.page.locator("#tab-objects").get_attribute("aria-selected") != "true":
-            one.tab("objects")
         one.press(one.page.locator(".thing").nth([thing["number"] for thing in things(one)].index(number)))
         one.sees(f"drsplat.state.chosen?.number === {number}")
-        one.tab("ask")
         one.type(one.page.get_by_label("Name of this object"), name)
         one.sees(f'drsplat.state.chosen?.name.includes("{name}")')
 

@@ -3,9 +3,10 @@
 import type { Match, Result } from "../protocol";
 import type { App, Tab } from "./app";
 import { button, counted, drawer, h } from "./dom";
+import { about } from "./chosen";
 import { photosOf } from "./photos";
 
-const LISTED = 8, STEP = 0.001;
+const LISTED = 8, MOST_OTHERS = 6, STEP = 0.001;
 
 export class AskTab implements Tab {
   readonly name = "ask";
@@ -17,7 +18,7 @@ export class AskTab implements Tab {
     const { results, clicked } = this.app.state;
     return [
       ...(results.length ? results.map((result, k) => this.result(result, k)) : [this.start()]),
-      ...(clicked ? [this.thing()] : []), ...this.classes(), ...photosOf(this.app),
+      ...(clicked ? [this.thing()] : []), ...(results.length ? this.others() : []), ...this.classes(), ...photosOf(this.app),
     ];
   }
 
@@ -27,13 +28,19 @@ export class AskTab implements Tab {
       h("div", { class: "chips", id: "try" }, ...words.map((word) => button(word, ask(word), { class: "chip" }))));
   }
 
+  /** Further words that have answers here. */
+  private others(): Node[] {
+    const asked = new Set(this.app.state.results.map((result) => result.text)), words = this.app.header.words.filter((word) => !asked.has(word)).slice(0, MOST_OTHERS);
+    return words.length ? [h("div", { class: "chips", "aria-label": "Other queries" }, ...words.map((word) => button(word, () => this.app.prompt.ask(word), { class: "chip" })))] : [];
+  }
+
   private result(result: Result, number: number): Node {
     const { matches, accent, text, num_matches, doubt } = result, chosen = this.app.state.chosen;
     const title = h("h2", {}, h("span", { class: "dot", style: `background:rgb(${accent.join(",")})` }), chosen ? chosen.name : text);
     const said = matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”.`;
     const shown = matches.slice(0, LISTED).map((match, k) => this.match(match, k, matches.length));
     const more = matches.slice(LISTED).map((match, k) => this.match(match, k + LISTED, matches.length));
-    return h("section", { class: "result" }, title, chosen ? this.about() : h("p", { class: "faint" }, doubt ? `${said} ${doubt}` : said),
+    return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, doubt ? `${said} ${doubt}` : said),
       h("div", { class: "matches" }, ...shown), more.length ? drawer(`${counted(more.length, "more match", "more matches")} of ${text}`, h("div", { class: "matches" }, ...more)) : null,
       this.app.backend.live && !result.exact ? this.threshold(result, number) : null);
   }
@@ -58,18 +65,6 @@ export class AskTab implements Tab {
     const own = button("as chosen", () => void this.app.act({ act: "threshold", query: number, value: result.automatic }), { class: "quiet" });
     return drawer(`Threshold of ${result.text}`, h("div", { class: "slider" }, input, h("output", {}, result.threshold.toFixed(3))),
       h("p", { class: "faint" }, `${result.measure} above which a Gaussian is selected; ${result.rule} chose ${result.automatic.toFixed(3)}.`), own);
-  }
-
-  /** Of an object: how large it is, its parts, its name. */
-  private about(): Node {
-    const { chosen } = this.app.state, { can } = this.app.header;
-    if (!chosen) return h("p");
-    const facts = [chosen.gaussians ? counted(chosen.gaussians, "Gaussian") : "", chosen.photos ? `seen in ${counted(chosen.photos, "photo")}` : ""].filter(Boolean).join(", ");
-    const act = (what: string) => () => void this.app.act({ act: what });
-    const input = h("input", { type: "text", placeholder: "Name it", "aria-label": "Name of this object", maxlength: 60 });
-    const naming = h("form", { class: "line", onsubmit: (event: Event) => { event.preventDefault(); if (input.value.trim()) void this.app.act({ act: "name", text: input.value.trim() }); } }, input, h("button", {}, "Keep"));
-    return h("div", {}, h("p", { class: "faint" }, facts), this.app.backend.live ? h("div", { class: "chips" },
-      button("Smaller part", act("smaller"), { disabled: !chosen.smaller }), button("Larger group", act("larger"), { disabled: !chosen.larger })) : null, can.name ? naming : null);
   }
 
   private thing(): Node {

@@ -2,6 +2,7 @@
 
 import type { SceneObject } from "../protocol";
 import type { App, Tab } from "./app";
+import { about } from "./chosen";
 import { counted, drawer, h } from "./dom";
 
 export class ObjectsTab implements Tab {
@@ -13,7 +14,9 @@ export class ObjectsTab implements Tab {
   show(): Node[] {
     const { objects } = this.app.header, sure = objects.filter((one) => !one.unsure), unsure = objects.filter((one) => one.unsure);
     const grid = (some: SceneObject[]) => h("div", { class: "things" }, ...some.map((one) => this.thing(one)));
+    const { chosen } = this.app.state;
     return [
+      ...(chosen && this.app.backend.live ? [h("section", { class: "result" }, h("h2", {}, chosen.name), about(this.app))] : []),
       h("p", { class: "faint" }, `${counted(sure.length, "thing")} that the photos agree on.`), grid(sure),
       unsure.length ? drawer(`${unsure.length} more, that photos agree less on`, grid(unsure)) : h("span"),
     ];
