@@ -213,6 +213,6 @@ def test_a_page_to_send_dims_what_it_shows():
     first = shown_of(marked(), 20)
     assert first.antialiased
     assert moved_shown(first, marked()).antialiased
-    for shown, said in ((first, True), (shown_of(random_gaussians(40), 20), False)):
-        middle = np.zeros(3)
-        assert _header(Page("room", shown, (), middle, middle, middle))["antialiased"] is said
+    for gaussians, said in ((marked(), True), (random_gaussians(40), False)):
+        middle, shown = np.zeros(3), shown_of(gaussians, 20)
+        assert _header(Page("room", shown, gaussians, (), middle, middle, middle))["antialiased"] is said

@@ -150,6 +150,19 @@ def test_a_file_that_is_dropped_is_opened(session: Session, room: Path, chromium
         assert page.evaluate("() => drsplat.splats.count") == len(session.scene.gaussians)
 
 
+def test_labels_of_one_place_do_not_cover_each_other(session: Session, chromium: Any) -> None:
+    for word in ("one", "two", "three"):
+        session.edits.annotate(Annotation.at(word, (0.0, 0.0, 0.6)))
+    with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
+        opened(page, address)
+        page.evaluate("() => { const n = drsplat.state.annotations[0]; drsplat.camera.stand(n.eye, n.center); }")
+        settled(page)
+        x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.state.annotations[0].center)")
+        column = "([x, y]) => document.querySelector('#labels').getContext('2d').getImageData(x, 0, 1, y).data.join()"
+        alpha = np.array(page.evaluate(column, [x - 12, y]).split(","), int)[3::4] > 200
+        assert np.count_nonzero(np.diff(alpha.astype(int)) == 1) == 3  # three plates, with room between
+
+
 def test_key_frames_make_a_path_that_is_saved(session: Session, chromium: Any) -> None:
     with served(session) as address, a_page(chromium) as page:
         opened(page, address)

@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+
 from drsplat import open_scene, read_gaussians, write_gaussians
 from drsplat.errors import InputError
 from drsplat.filming.path_files import read_path

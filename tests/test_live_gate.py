@@ -16,6 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+
 from browsing import eventually
 from drsplat.errors import DrSplatError, InputError
 from drsplat.query import Scene

@@ -4,7 +4,6 @@ import { LiveBackend } from "./live_backend";
 import { PageBackend } from "./page_backend";
 import type { Backend } from "./protocol";
 import { App } from "./ui/app";
-import { CatalogueTab } from "./ui/catalogue";
 import { byId } from "./ui/dom";
 import { hands } from "./ui/hands";
 import { Lasso } from "./ui/lasso";
@@ -19,7 +18,6 @@ async function start(): Promise<void> {
   byId("title").textContent = header.title;
   const app = new App(backend, header, state);
   if (backend.live && header.can.edit) app.lasso = new Lasso(app);
-  if (header.can.catalogue) app.tabs.unshift(new CatalogueTab(app));
   tools(app);
   hands(app);
   await app.begin();

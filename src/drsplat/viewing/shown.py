@@ -11,7 +11,8 @@ from ..scene.gaussians import SH_C0, Gaussians
 RADIUS = (
     10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
 )
-WITHIN = 0.9  # of the opacity lies within that radius
+WITHIN = 0.9  # of the solid Gaussians lie within that radius
+MIDDLE = (0.02, 0.98)  # quantiles along each axis whose mean is the middle: few floaters move it little
 MOST_VARIANCE = 6e4  # float16 ends at 65504
 VOLUME_POWER = 0.1
 
@@ -122,9 +123,9 @@ def significance(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
 
 
 def frame_of(gaussians: Gaussians) -> Frame:
-    """Centred on the median; `WITHIN` of the solid Gaussians are inside of `RADIUS`."""
+    """Return a frame in the middle of the solid Gaussians, `WITHIN` of which are inside of `RADIUS`."""
     solid = gaussians.positions[gaussians.opacities >= 0.1]
     points = solid if len(solid) else gaussians.positions
-    center = np.median(points, axis=0)
+    center = np.quantile(points, MIDDLE, axis=0).mean(axis=0)
     reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN))
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)

@@ -8,6 +8,7 @@ import { PageBackend } from "../page_backend";
 import { painted } from "../painting";
 import type { Act, Backend, CameraPlace, Header, Mode, Paint, Place, Splats, State } from "../protocol";
 import { AskTab } from "./ask";
+import { CatalogueTab } from "./catalogue";
 import { byId } from "./dom";
 import { EditTab } from "./edit";
 import { FilmTab } from "./film";
@@ -45,11 +46,14 @@ export class App {
     this.film = new FilmTab(this);
     this.edit = new EditTab(this);
     this.tabs = [
-      ...(header.can.ask ? [new AskTab(this)] : []), ...(header.objects.length ? [new ObjectsTab(this)] : []),
+      ...(header.can.catalogue ? [new CatalogueTab(this)] : []), ...(header.can.ask ? [new AskTab(this)] : []), ...(header.objects.length ? [new ObjectsTab(this)] : []),
       ...(header.can.edit ? [this.edit] : []), this.film,
     ];
-    this.tab = this.tabs[0];
+    this.tab = state.results.length ? this.asking : this.tabs[0];
   }
+
+  /** Where answers are listed; of a scene that cannot be asked, the first tab. */
+  get asking(): Tab { return this.tabs.find((tab) => tab.name === "ask") ?? this.tabs[0]; }
 
   async begin(): Promise<void> {
     this.splats = await this.backend.splats();

@@ -33,7 +33,7 @@ export class EditTab implements Tab {
 
   private selected(): Node {
     const { selection, chosen, results } = this.app.state, name = chosen?.name ?? results.map((result) => result.text).join(", ");
-    const text = selection ? `Selected: ${name || "what you drew around"}, ${counted(selection, "Gaussian")}` : "Nothing is selected: ask, click something, or draw around it.";
+    const text = selection ? `Selected: ${name || "what you drew around"}, ${counted(selection, "Gaussian")}` : this.app.header.can.ask ? "Nothing is selected: ask, click something, or draw around it." : "Nothing is selected: draw around what you mean.";
     return h("div", { class: "selected" }, h("p", {}, text), h("div", { class: "chips" },
       button("Box", () => this.app.lasso?.begin("box"), { title: "Drag a box around what you mean" }), button("Lasso", () => this.app.lasso?.begin("lasso"), { title: "Draw around what you mean" }),
       selection ? button("Let go", () => void this.app.act({ act: "clear" })) : null));

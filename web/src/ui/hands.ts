@@ -36,7 +36,7 @@ export function hands(app: App): void {
     if (!was || moved >= CLICK_PIXELS || touches > 1 || event.type !== "pointerup" || event.button !== 0) return;
     const { left, top } = stage.getBoundingClientRect();
     void app.act({ act: "click", origin: camera.eye, direction: camera.ray(event.clientX - left, event.clientY - top) }).then((done) => {
-      if (done && app.tab.name === "film" && app.state.clicked) app.open(app.tabs[0]);
+      if (done && app.tab.name === "film" && app.state.clicked) app.open(app.asking);
     });
   };
   stage.addEventListener("pointerup", lifted);

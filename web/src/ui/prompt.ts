@@ -109,8 +109,7 @@ export class Prompt {
       this.remember(text);
       const first = this.app.state.results.flatMap((result) => result.matches)[0];
       if (first) this.app.flyTo(first);
-      const asking = this.app.tabs[0];
-      if (this.app.tab !== asking && this.app.tab.name === "objects") this.app.open(asking);
+      if (["objects", "catalogue"].includes(this.app.tab.name)) this.app.open(this.app.asking);
     });
   }
 }
