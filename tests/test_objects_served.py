@@ -87,7 +87,7 @@ def test_one_object(folder: Path) -> None:
     assert (image.format, image.size) == ("JPEG", (640, 480))
     pixels = np.asarray(image).astype(int)
     assert np.abs(pixels[240, 320] - (90, 140, 200)).max() < 30  # lit in the middle
-    assert np.abs(pixels[5, 5] - (27, 42, 60)).max() < 30  # dark around
+    assert pixels[5, 5].min() > 200  # pale around
     ply = reply(folder, "object-ply", {"number": 2})
     (folder / "out.ply").write_bytes(ply.body)
     part = read_gaussians(folder / "out.ply")

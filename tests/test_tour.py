@@ -65,7 +65,10 @@ def test_every_line_runs(place: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
             command += ["--iterations", "30"]
         if command[0] == "train":
             command += ["--iterations", "30"]
-        if command[0] == "capture":  # toy photos have no poses to find (tests/test_capture.py has photos that have)
+        if command[0] in (
+            "capture",
+            "photograph",
+        ):  # the folder is there; and toy photos have no poses to find (tests/test_capture.py has photos that have)
             assert main(command) == 1
             assert (place / "capture" / "images").is_dir(), "a capture that others made stays"
         elif command[0] in LASTING and "--export" not in command:
