@@ -139,6 +139,10 @@ def main() -> None:
             }.items():
                 rates.setdefault(name, []).append(run())
         opened.close()
+    package = ROOT / "tests/foreign/node_modules/@sparkjsdev/spark/dist/spark.module.min.js"
+    own = ROOT / "src/drsplat/viewing/client.js"
+    for file in (package, own):
+        print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB")
     base = median(rates["Spark, WebGL in software"])
     for name, found in rates.items():
         print(f"{name:38} {median(found):6.2f} pictures a second ({median(found) / base:5.1f} times Spark), {found}")

@@ -3,11 +3,14 @@
 import os
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import last_skipped
+from browsing import a_browser
 from drsplat.demo import story as household
 from edited_rooms import write_room
 from furnished.story import Setup, Story, tell
@@ -79,6 +82,13 @@ def household_story(household_folder: Path) -> household.Story:
 def edited_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A red and a blue ball, a field that knows both as objects, the photos' poses."""
     return write_room(tmp_path_factory.mktemp("edited"))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless browser for the tests of a file."""
+    with a_browser() as browser:
+        yield browser
 
 
 @pytest.fixture

@@ -2,25 +2,13 @@
 
 import hashlib
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from browsing import (
-    PANEL,
-    a_browser,
-    a_page,
-    colorfulness,
-    eventually,
-    near,
-    needs_chromium,
-    opened,
-    pixels_of,
-    settled,
-)
+from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat.drawing.rendering import render
 from drsplat.filming.looking import looking_at
 from drsplat.viewing.client import client_file
@@ -45,8 +33,6 @@ def test_the_client_was_built_from_the_sources_that_are_here() -> None:
     for name in (*names, "build.mjs", "package.json"):
         digest.update(f"{name}\n".encode() + (WEB / name).read_bytes())
     assert f"sources: {digest.hexdigest()}" in client_file("client.js"), "run: npm run build --prefix web"
-    for name in ("client.css", "client.html"):
-        assert client_file(name) == (WEB / "src" / name).read_text(encoding="utf-8"), "run: npm run build --prefix web"
 
 
 def luminance(color: str) -> float:
@@ -73,12 +59,6 @@ def test_what_is_read_has_contrast_enough(look: str) -> None:
         for line in ("edge", "mark"):
             assert contrast(colors[line], colors[ground]) >= 3, (line, ground)
     assert contrast(colors["on-mark"], colors["mark"]) >= 4.5
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +97,7 @@ def test_the_client_draws_what_the_renderer_draws(exported: Path, chromium: Any,
     error = np.abs(drawn - own)
     assert own.max() > 0.5
     psnr = -10 * np.log10((error**2).mean())
-    assert psnr > 32, psnr
+    assert psnr > 48, psnr  # 50.2 of both ways of drawing
 
 
 @needs_chromium
@@ -133,8 +113,10 @@ def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported: Path,
         page.locator("#ask").click()
         eventually(lambda: "No match for “elephant”." in page.locator("#content").inner_text())
         settled(page)
-        assert np.median(colorfulness(pixels_of(page, SIZE[0])[:, PANEL:])) >= 0  # nothing goes black
-        assert pixels_of(page, SIZE[0])[:, PANEL:].mean() > 0.08
+        nothing = pixels_of(page, SIZE[0])[:600, PANEL:]
+        page.locator("#colours").select_option("as it is")
+        settled(page)
+        np.testing.assert_array_equal(nothing[:500], pixels_of(page, SIZE[0])[:500, PANEL:])  # nothing is dimmed
         page.locator("#query").fill("zebra")
         page.locator("#ask").click()
         eventually(lambda: "no answer to “zebra”" in page.locator("#said").inner_text())

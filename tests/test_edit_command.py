@@ -337,3 +337,17 @@ def test_a_list_is_printed_and_undone_without_being_applied(
     monkeypatch.setattr(Draft, "of", lambda _: pytest.fail("applied"))
     assert answer_of(capsys, "edit", scene, "--list")["num_gaussians"] is None
     assert answer_of(capsys, "edit", scene, "--undo", 20)["num_undone"] == 20
+
+
+@pytest.mark.parametrize("verb", ["locate", "select", "segment"])
+def test_what_is_saved_of_a_scene_with_kept_edits_says_that_they_are_left_out(
+    verb: str, room: Path, capsys: Capture
+) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    answer_of(capsys, "edit", scene, "--field", field, "--object", 0, "--remove")
+    query = ["--classes", "red mug,blue plate"] if verb == "segment" else ["red mug"]
+    command = [verb, field, *query, "--scene", scene, "--save", room / f"{verb}.ply"]
+    assert main([str(part) for part in command]) == 0
+    said = capsys.readouterr().err
+    assert "1 kept edit left out (`drsplat edit SCENE --save OUT.ply` writes the scene with them)" in said
+    assert len(read_gaussians(room / f"{verb}.ply")) == 2 * PER_THING  # and they are

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from browsing import SLOW, a_browser, eventually, needs_chromium, opened, pixels_of, settled
+from browsing import SLOW, eventually, needs_chromium, opened, pixels_of, settled
 from drsplat.errors import InputError
 from drsplat.filming.path_files import write_path
 from drsplat.filming.paths import CameraPath, KeyFrame
@@ -64,12 +64,6 @@ def test_without_a_path_the_film_is_an_orbit(tmp_path: Path) -> None:
 
 
 # --- in a browser ---
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 @contextmanager

@@ -4,7 +4,6 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from browsing import PANEL, a_browser, a_page, eventually, near, needs_chromium, opened, pixels_of, settled
+from browsing import PANEL, a_page, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat import Scene, export_page
 from drsplat.editing import Edit, Everything, Move
 from drsplat.errors import InputError
@@ -135,12 +134,6 @@ def test_what_comes_and_goes_moves(scene: Scene) -> None:
 
 
 # --- in a browser ---
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with a_browser() as browser:
-        yield browser
 
 
 @needs_chromium

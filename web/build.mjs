@@ -26,4 +26,3 @@ export function sources(top) {
 const hash = createHash("sha256");
 for (const name of [...sources(join(here, "src")), "build.mjs", "package.json"]) hash.update(`${name}\n`).update(readFileSync(join(here, name)));
 writeFileSync(join(folder, "client.js"), `// Built from web/ (sha256 of the sources: ${hash.digest("hex")}); do not edit.\n${client.outputFiles[0].text}`);
-for (const name of ["client.css", "client.html"]) writeFileSync(join(folder, name), readFileSync(join(here, "src", name)));

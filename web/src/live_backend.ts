@@ -6,7 +6,7 @@ const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Arr
 type Arrays = Record<string, Float32Array | Uint16Array | Uint8Array | Uint32Array | undefined>;
 
 const NOTHING: Omit<Header, "can"> = {
-  title: "drsplat", about: "", eye: [8, 8, 6], target: [0, 0, 0], up: [0, 0, 1], fov: 55, heat: [], antialiased: false, words: [], modes: ["as it is"], objects: [], photos: [],
+  title: "drsplat", about: "", eye: [8, 8, 6], target: [0, 0, 0], up: [0, 0, 1], fov: 55, heat: [], look: { dim: 1, floor: 0, greyed: 0, tint: 0 }, antialiased: false, words: [], modes: ["as it is"], objects: [], photos: [],
   times: null, film: null, plays: false,
 };
 

@@ -2,21 +2,20 @@
 // and loses most of its colour, but never goes black. `drsplat.viewing.painting` paints pictures and films alike.
 
 import type { Marks } from "./drawing/raster";
-import type { Color, Header, Paint, Splats, State } from "./protocol";
+import type { Color, Header, Look, Paint, Splats, State } from "./protocol";
 
-export const GREYED = 0.72; // share of its colour that the rest loses
-export const REST_DARK = [0.08, 0.52], REST_LIGHT = [0.34, 0.52]; // floor, and share of its light that it keeps
-const TINT = 0.35; // share of the query's colour in an answer, where several are told apart
+const LIGHT_FLOOR = 0.34; // of the rest, on light paper
 const OBJECT_TINT = 0.42, WHITE = 255, TURN = 0.618034;
 
 export interface Painted { rgba: Uint8Array; marks: Marks[] }
 
 /** Return the colours of all rows, and the rows that are outlined. */
 export function painted(header: Header, state: State, splats: Splats, paint: Paint, colors: Uint8Array | null, light: boolean): Painted {
+  const look = light ? { ...header.look, floor: LIGHT_FLOOR } : header.look;
   const rgba = new Uint8Array(4 * splats.count), set = setter(splats, rgba), mode = modeOf(state, colors);
-  if (mode === "answer") answers(state, splats, paint, light, set);
+  if (mode === "answer") answers(state, splats, paint, look, set);
   else if (mode === "heat map") heats(header, paint, set);
-  else if (mode === "objects") objects(splats, paint, light, set);
+  else if (mode === "objects") objects(splats, paint, look, set);
   else if (mode !== "as it is" && colors) for (let i = 0; i < splats.count; i++) set(i, colors[3 * i], colors[3 * i + 1], colors[3 * i + 2]);
   else for (let i = 0; i < splats.count; i++) set(i, splats.rgb[3 * i], splats.rgb[3 * i + 1], splats.rgb[3 * i + 2]);
   return { rgba, marks: marks(state, paint, splats.count) };
@@ -40,17 +39,17 @@ function setter(splats: Splats, rgba: Uint8Array): Set {
   };
 }
 
-function rest(splats: Splats, i: number, light: boolean, set: Set): void {
-  const [floor, share] = light ? REST_LIGHT : REST_DARK, { rgb } = splats, r = rgb[3 * i], g = rgb[3 * i + 1], b = rgb[3 * i + 2];
-  const grey = 0.299 * r + 0.587 * g + 0.114 * b, own = share * (1 - GREYED), base = WHITE * floor + share * GREYED * grey;
+function rest(splats: Splats, i: number, { dim, floor, greyed }: Look, set: Set): void {
+  const { rgb } = splats, r = rgb[3 * i], g = rgb[3 * i + 1], b = rgb[3 * i + 2];
+  const grey = 0.299 * r + 0.587 * g + 0.114 * b, own = dim * (1 - greyed), base = WHITE * floor + dim * greyed * grey;
   set(i, base + own * r, base + own * g, base + own * b);
 }
 
-function answers(state: State, splats: Splats, paint: Paint, light: boolean, set: Set): void {
-  const tint = state.results.length > 1 ? TINT : 0, { rgb } = splats;
+function answers(state: State, splats: Splats, paint: Paint, look: Look, set: Set): void {
+  const tint = state.results.length > 1 ? look.tint : 0, { rgb } = splats;
   for (let i = 0; i < splats.count; i++) {
     const owner = paint.owner[i];
-    if (!owner) { rest(splats, i, light, set); continue; }
+    if (!owner) { rest(splats, i, look, set); continue; }
     const accent = state.results[owner - 1]?.accent ?? [WHITE, WHITE, WHITE], r = rgb[3 * i], g = rgb[3 * i + 1], b = rgb[3 * i + 2];
     const shade = 0.45 + (0.55 * (0.299 * r + 0.587 * g + 0.114 * b)) / WHITE, mixed = (own: number, k: number) => own * (1 - tint) + accent[k] * shade * tint;
     set(i, mixed(r, 0), mixed(g, 1), mixed(b, 2));
@@ -66,11 +65,11 @@ function heats(header: Header, paint: Paint, set: Set): void {
   for (let i = 0; i < paint.heat.length; i++) { const [r, g, b] = table[paint.heat[i]]; set(i, r, g, b); }
 }
 
-function objects(splats: Splats, paint: Paint, light: boolean, set: Set): void {
+function objects(splats: Splats, paint: Paint, look: Look, set: Set): void {
   const { rgb } = splats;
   for (let i = 0; i < splats.count; i++) {
     const number = paint.object ? paint.object[i] : 0;
-    if (!number) { rest(splats, i, light, set); continue; }
+    if (!number) { rest(splats, i, look, set); continue; }
     const [red, green, blue] = objectColor(number - 1), r = rgb[3 * i], g = rgb[3 * i + 1], b = rgb[3 * i + 2];
     const shade = 0.35 + (0.65 * (0.299 * r + 0.587 * g + 0.114 * b)) / WHITE;
     set(i, r * (1 - OBJECT_TINT) + red * shade * OBJECT_TINT, g * (1 - OBJECT_TINT) + green * shade * OBJECT_TINT, b * (1 - OBJECT_TINT) + blue * shade * OBJECT_TINT);

@@ -23,13 +23,16 @@ export interface Annotation { text: string; center: Vec; eye: Vec; axes?: [Vec, 
 
 export interface Photo { name: string; eye: Vec; target: Vec; up: Vec; fov: number; width: number; height: number }
 
+/** How answers are painted: light and floor that the rest keeps, colour that it loses, share of a query's colour. */
+export interface Look { dim: number; floor: number; greyed: number; tint: number }
+
 export interface Can {
   ask: boolean; ask_picture: boolean; objects: boolean; name: boolean; edit: boolean; time: boolean; photos: boolean;
   save_dir: boolean; catalogue: boolean; open: boolean; film_formats: string[];
 }
 
 export interface Header {
-  title: string; about: string; eye: Vec; target: Vec; up: Vec; fov: number; heat: Color[]; antialiased: boolean;
+  title: string; about: string; eye: Vec; target: Vec; up: Vec; fov: number; heat: Color[]; look: Look; antialiased: boolean;
   words: string[]; modes: Mode[]; can: Can; objects: SceneObject[]; photos: Photo[];
   times: { first: number; last: number; count: number; seconds: number } | null;
   film: Film | null; plays: boolean;

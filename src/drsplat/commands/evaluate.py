@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_classes(parser: argparse.ArgumentParser) -> None:
-    """Of ScanNet, and how their volumes are counted."""
+    """Add the options of ScanNet's classes, and of how their volumes are counted."""
     parser.add_argument(
         "--label-set", type=words, default="scannet19", metavar="SET",
         help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "

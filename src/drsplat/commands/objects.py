@@ -128,7 +128,7 @@ def _listed(objects: list[dict[str, Any]], every: bool) -> list[dict[str, Any]]:
 
 
 def _drifting(scene: Scene) -> dict[str, Any] | None:
-    """Of a scene that moves: Gaussians that change what they belong to, and between which objects most do."""
+    """Count the Gaussians of a moving scene that change their object, and between which objects most do."""
     from collections import Counter
 
     from ..objects.drifting import drifting

@@ -49,7 +49,7 @@ FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its
 
 
 def add_query_options(parser: argparse.ArgumentParser) -> None:
-    """What is looked for, who embeds it, and where its scores are cut."""
+    """Add the options that say what is looked for, who embeds it, and where its scores are cut."""
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument(
         "text", nargs="?", type=words, metavar="WORDS",
@@ -61,7 +61,7 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_query_kinds(parser: argparse._ActionsContainer) -> None:
-    """What can be looked for but for a text."""
+    """Add the options of queries that are no text."""
     parser.add_argument(
         "--exclude", type=words, action="append", default=[], metavar="WORDS",
         help="words to exclude, as ', not WORDS' in the text does; may be repeated",
@@ -83,7 +83,7 @@ def add_query_kinds(parser: argparse._ActionsContainer) -> None:
 
 
 def add_measure_options(parser: argparse.ArgumentParser) -> None:
-    """What is measured and where it is cut."""
+    """Add the options that say what is measured and where it is cut."""
     cut = parser.add_mutually_exclusive_group()
     cut.add_argument(
         "--threshold", type=threshold, metavar="T|auto",
@@ -206,7 +206,7 @@ def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
 
 
 def query_of(arguments: argparse.Namespace) -> Query:
-    """What the options of `add_query_options` say."""
+    """Return the query that the options of `add_query_options` describe."""
     from ..query import Query
 
     given: dict[str, Any] = {
@@ -219,7 +219,7 @@ def query_of(arguments: argparse.Namespace) -> Query:
 
 
 def cut_of(arguments: argparse.Namespace) -> Cut:
-    """What the options of `add_measure_options` say."""
+    """Return the values of the options of `add_measure_options`."""
     from ..query import Cut
 
     return Cut(
@@ -240,7 +240,7 @@ def query_said(arguments: argparse.Namespace) -> str:
 
 
 def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]:
-    """What every answer says of its values; their range without what was left out by a "not"."""
+    """Return what every answer tells of its values; their range is without what a "not" left out."""
     import numpy as np
 
     values = answer.values[answer.values > answer.lowest]

@@ -99,7 +99,7 @@ def size_of(match: Match, gaussians: Gaussians) -> float:
 
 
 def size_in(extent: Vector, radius: float) -> float:
-    """As `size_of`, of the lengths of a box and the radius of its scene."""
+    """Return the size of a box in a scene of some radius; see `size_of`."""
     return max(float(extent.max()), LEAST_SIZE * radius, 1e-6)
 
 

@@ -26,7 +26,7 @@ from ..scene.gaussians import Gaussians
 from . import painting
 from .client import page_html
 from .page_times import PageTimes, arrays_of, header_of
-from .places import match_document
+from .places import match_document, rounded
 from .shown import Frame, Shown, significance
 from .texts import printable
 
@@ -141,12 +141,13 @@ def _header(page: Page) -> dict[str, Any]:
     return {
         "title": printable(page.title),
         "about": _about(page),
-        "eye": frame.shown(page.eye).tolist(),
-        "target": frame.shown(page.target).tolist(),
+        "eye": rounded(frame.shown(page.eye)),
+        "target": rounded(frame.shown(page.target)),
         "up": page.up.tolist(),
         "fov": FOV_DEGREES,
         "frame": {"center": (frame.center - page.gaussians.origin).tolist(), "scale": frame.scale},
         "heat": HEAT.tolist(),
+        "look": painting.LOOK,
         "antialiased": page.shown.antialiased,
         "words": [printable(answer.text) for answer in page.answers],
         "modes": _modes(page),

@@ -21,6 +21,8 @@ LUMA = palette.LUMA.astype(np.float32)
 DIM, DIM_FLOOR = 0.52, 0.08  # what a Gaussian keeps of its light where another is meant: dimmed, never black
 GREYED = 0.72  # share of its colour that it loses
 TINT = 0.35  # share of the query's colour in what was found, where several are told apart
+LOOK = {"dim": DIM, "floor": DIM_FLOOR, "greyed": GREYED, "tint": TINT}
+"""The numbers above, as the client is told them: it paints answers as `highlighted` does."""
 FEATURE_SAMPLE = 20_000
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float64
+from ..arrays import Float64, Shaped
 from ..query import Match
 from .shown import Frame
 from .texts import printable
@@ -17,20 +17,25 @@ def box_document(
     extent: Float64[np.ndarray, " 3"],
 ) -> dict[str, Any]:  # fmt: skip
     """Return an oriented box: centre, axes as rows, lengths along them."""
-    shown = frame.shown(center).tolist()
-    return {"center": shown, "axes": axes.tolist(), "extent": (extent * frame.scale).tolist()}
+    return {"center": rounded(frame.shown(center)), "axes": rounded(axes), "extent": rounded(extent * frame.scale)}
 
 
 def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], name: str = "") -> dict[str, Any]:
     """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
     return box_document(frame, match.center, match.axes, match.extent) | {
-        "eye": frame.shown(eye).tolist(),
+        "eye": rounded(frame.shown(eye)),
         "score": round(float(match.score), 4),
         "size": size_text(match.extent),
         "place": place_text(match.center),
         "gaussians": len(match.gaussian_ids),
         "name": printable(name, MAX_NAME_LENGTH),
     }
+
+
+def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
+    """Return numbers as lists, to five places: a browser's unit is a twentieth of the scene."""
+    lists: list[Any] = np.round(values.astype(np.float64), 5).tolist()
+    return lists
 
 
 def size_text(extent: Float64[np.ndarray, " 3"]) -> str:

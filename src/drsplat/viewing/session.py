@@ -345,7 +345,7 @@ class Session:
             return painting.class_painted(self.edits.colors, self.segmentation.labels, palette)
         if mode is Mode.OBJECTS and self.has_objects:
             palette = class_colors(len(objects_of(self.scene.field)))
-            return painting.class_painted(self.edits.colors, self._object_ids, palette)
+            return painting.class_painted(self.edits.colors, self.object_ids, palette)
         if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
             heat = results.heat(self.results, count)
             if mode is Mode.HEAT:
@@ -377,7 +377,7 @@ class Session:
         return painting.feature_colors(self.scene.field, self.edits.colors, registered)
 
     @cached_property
-    def _object_ids(self) -> Int32[np.ndarray, " n"]:
+    def object_ids(self) -> Int32[np.ndarray, " n"]:
         return self.scene.object_ids()
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:

@@ -35,9 +35,9 @@ export class Raster {
     return out;
   }
 
-  /** Draw the outlines of some rows, as they are without what is before them; transparent elsewhere. */
-  outlines(held: Held, lens: Lens, marks: Marks[], radius: number): Uint8ClampedArray<ArrayBuffer> {
-    const { width, height } = lens, out = new Uint8ClampedArray(4 * width * height);
+  /** Draw the outlines of some rows over a picture, as they are without what is before them. */
+  outline(picture: Uint8ClampedArray, held: Held, lens: Lens, marks: Marks[], radius: number): void {
+    const { width, height } = lens;
     for (const { rows, color } of marks) {
       const sums = this.cleared(width * height);
       for (const i of rows) this.splat(held, i, lens, 0, 0, 0);
@@ -45,11 +45,10 @@ export class Raster {
       for (let y = 0; y < height; y++) {
         for (let x = 0; x < width; x++) {
           if (inside(x, y) || !(inside(x - radius, y) || inside(x + radius, y) || inside(x, y - radius) || inside(x, y + radius))) continue;
-          out.set([255 * color[0], 255 * color[1], 255 * color[2], 255], 4 * (y * width + x));
+          picture.set([255 * color[0], 255 * color[1], 255 * color[2], 255], 4 * (y * width + x));
         }
       }
     }
-    return out;
   }
 
   private cleared(pixels: number): Float32Array {

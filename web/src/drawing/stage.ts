@@ -178,7 +178,6 @@ export class Stage {
     const { width, height } = reply.lens;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     this.pen?.putImageData(new ImageData(reply.picture, width, height), 0, 0);
-    if (reply.outlines) void createImageBitmap(new ImageData(reply.outlines, width, height)).then((image) => this.pen?.drawImage(image, 0, 0));
     if (was === "full") this.share = clamp(Math.sqrt(WANTED_MS / reply.ms), 0.02, 1); // so that the next movement starts smoothly
     else this.pace(reply.ms);
     if (this.drawn) this.over(this.drawn);

@@ -13,7 +13,7 @@ export type Order =
 
 export type Reply =
   | { done: "sort"; rows: Uint32Array }
-  | { done: "draw"; picture: Uint8ClampedArray<ArrayBuffer>; outlines: Uint8ClampedArray<ArrayBuffer> | null; lens: Lens; ms: number };
+  | { done: "draw"; picture: Uint8ClampedArray<ArrayBuffer>; lens: Lens; ms: number };
 
 const scope = self as unknown as { onmessage: (event: MessageEvent<Order>) => void; postMessage(message: Reply, transfer: Transferable[]): void };
 const sorter = new Sorter(), raster = new Raster();
@@ -34,8 +34,8 @@ async function draw(held: Held, { lens, limit, background }: Extract<Order, { do
     await pause();
     if (own !== latest) return;
   }
-  const radius = Math.max(1, Math.round(lens.height / 350)), outlines = marks.length ? raster.outlines(held, lens, marks, radius) : null;
-  scope.postMessage({ done: "draw", picture: step.value, outlines, lens, ms: performance.now() - begin }, outlines ? [step.value.buffer, outlines.buffer] : [step.value.buffer]);
+  raster.outline(step.value, held, lens, marks, Math.max(1, Math.round(lens.height / 350)));
+  scope.postMessage({ done: "draw", picture: step.value, lens, ms: performance.now() - begin }, [step.value.buffer]);
 }
 
 scope.onmessage = ({ data: order }) => {

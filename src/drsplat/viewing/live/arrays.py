@@ -48,7 +48,7 @@ def paint(stage: Stage) -> Packed:
         "match": _numbered(results.match_ids(found, count)),
     }
     if session.has_objects:
-        arrays["object"] = _numbered(session._object_ids)
+        arrays["object"] = _numbered(session.object_ids)
     return _packed(**{name: _drawn(stage, values) for name, values in arrays.items()})
 
 

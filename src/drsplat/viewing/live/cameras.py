@@ -42,7 +42,7 @@ class Key(Body):
 
 
 class Camera(Key):
-    """What a browser sees. width, height: of its picture in pixels."""
+    """The camera of a browser. width, height: of its picture in pixels."""
 
     width: Side
     height: Side

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import Float64, Shaped
+from ...arrays import Float64
 from ...drawing.heat import HEAT
 from ...drawing.palette import class_colors
 from ...editing.stored import NAMES
@@ -22,7 +22,7 @@ from ...scene.views import View
 from .. import painting
 from ..bare import NO_FIELD
 from ..naming import This, best_photo
-from ..places import place_text, size_text
+from ..places import box_document, match_document, place_text, rounded, size_text
 from ..results import Result
 from ..session import Session
 from ..texts import printable
@@ -50,12 +50,12 @@ def header_of(stage: Stage) -> Document:
     return {
         "title": printable(session.scene.name, 60),
         "about": about(session),
-        "eye": _numbers(frame.shown(eye)),
-        "target": _numbers(frame.shown(target)),
-        "up": _numbers(stage.up),
-        "scene_up": _numbers(stage.up),
+        "eye": rounded(frame.shown(eye)),
+        "target": rounded(frame.shown(target)),
+        "up": rounded(stage.up),
         "fov": FOV_DEGREES,
-        "heat": _numbers(HEAT),
+        "heat": rounded(HEAT),
+        "look": painting.LOOK,
         "antialiased": session.shown.antialiased,
         "scale": frame.scale,
         "words": _words(stage),
@@ -104,9 +104,9 @@ def _photo(stage: Stage, view: View) -> Document:
     eye = frame.shown(view.center)
     return {
         "name": view.name,
-        "eye": _numbers(eye),
-        "target": _numbers(eye + ahead),
-        "up": _numbers(-view.cam_from_world[1, :3]),
+        "eye": rounded(eye),
+        "target": rounded(eye + ahead),
+        "up": rounded(-view.cam_from_world[1, :3]),
         "fov": float(np.degrees(2 * np.arctan(view.height / (2 * view.K[1, 1])))),
         "width": view.width,
         "height": view.height,
@@ -159,13 +159,8 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
 
 def _match(stage: Stage, result: Result, match: Match) -> Document:
     now = stage.placed(match)
-    return _box(stage, now.center, now.axes, now.extent) | {
-        "name": printable(match.label or result.label, 60),
-        "score": round(match.score, 4),
-        "size": size_text(now.extent),
-        "place": place_text(now.center),
-        "gaussians": len(match),
-    }
+    eye = stage.eye_before(now.center, now.extent)
+    return match_document(stage.session.shown.frame, now, eye, match.label or result.label)
 
 
 def _clicked(session: Session, this: This) -> Document:
@@ -176,7 +171,7 @@ def _clicked(session: Session, this: This) -> Document:
         "name": printable(this.name, 60),
         "words": [{"text": printable(word.text, 60), "score": round(word.score, 4)} for word in this.words],
         "place": place_text(this.point),
-        "center": _numbers(session.shown.frame.shown(this.point)),
+        "center": rounded(session.shown.frame.shown(this.point)),
         "evidence": evidence,
         "photo": best_photo(session.scene, this) is not None,
     }
@@ -232,7 +227,7 @@ def _annotation(stage: Stage, one: Annotation) -> Document:
         return text | _box(stage, one.center, one.outline.axes, one.outline.extent)
     frame = stage.session.shown.frame
     eye = stage.eye_before(one.center, np.full(3, POINT / frame.scale))
-    return text | {"center": _numbers(frame.shown(one.center)), "eye": _numbers(frame.shown(eye))}
+    return text | {"center": rounded(frame.shown(one.center)), "eye": rounded(frame.shown(eye))}
 
 
 # --- numbers and words ---
@@ -240,17 +235,7 @@ def _annotation(stage: Stage, one: Annotation) -> Document:
 
 def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
     frame = stage.session.shown.frame
-    return {
-        "center": _numbers(frame.shown(center)),
-        "axes": _numbers(axes),
-        "extent": _numbers(extent * frame.scale),
-        "eye": _numbers(frame.shown(stage.eye_before(center, extent))),
-    }
-
-
-def _numbers(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
-    rounded: list[Any] = np.round(values.astype(np.float64), 5).tolist()
-    return rounded
+    return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}
 
 
 def _evenly(views: Sequence[View], most: int) -> Sequence[View]:

@@ -40,7 +40,7 @@ class Turns:
         return await asyncio.wrap_future(self.submit(act))
 
     async def take_latest(self, key: Hashable, act: Callable[[], T], overtaken: Callable[[], T]) -> T:
-        """As `take`; where another act of the same key came before its turn, `overtaken` is done instead."""
+        """Wait for a turn as `take` does, but do `overtaken` where another act of the same key came before it."""
         mark = self._latest[key] = object()
         return await self.take(lambda: act() if self._latest[key] is mark else overtaken())
 
