@@ -1,0 +1,62 @@
+"""A scene together with what was found in it: what an exported file carries besides Gaussians."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Float32, Float64, Int32
+from ..errors import InputError
+from .annotations import Annotation
+from .gaussians import Gaussians
+
+PLY_UP = (0.0, -1.0, 0.0)  # a scene of COLMAP's poses, whose y points down where nothing else is known
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """A named box of the world: an object, a group of objects, or a match of a query.
+
+    name: a label, the word that the encoder is sure of, or "object 7". score: how far photos agree on an object, from 0
+    to 1, or the relevancy of a match. center, extent: scene units; axes: rows are the box's unit directions, and
+    extent[a] is its full length along axes[a]. parent: the group that it is in, as a number of `LabelledScene.groups`,
+    -1 for none. embedding: unit vector of the scene's encoder, where it goes along.
+    """
+
+    name: str
+    score: float
+    center: Float64[np.ndarray, " 3"]
+    axes: Float64[np.ndarray, "3 3"]
+    extent: Float64[np.ndarray, " 3"]
+    parent: int = -1
+    embedding: Float32[np.ndarray, " d"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledScene:
+    """Gaussians with their objects, the answer to a query, and annotations, ready to be written in any format.
+
+    object_of: number of each Gaussian's object in `things`, -1 for none; None where no objects are known. relevancy: of
+    each Gaussian to `query`; None without a query. up: unit direction that is up, in the world. encoder: name of the
+    encoder of the embeddings.
+
+    Raises: InputError: lengths that disagree, or an object of a number that there is not.
+    """
+
+    gaussians: Gaussians
+    title: str = "scene"
+    things: tuple[Thing, ...] = ()
+    groups: tuple[Thing, ...] = ()
+    object_of: Int32[np.ndarray, " n"] | None = None
+    query: str = ""
+    relevancy: Float32[np.ndarray, " n"] | None = None
+    matches: tuple[Thing, ...] = ()
+    annotations: tuple[Annotation, ...] = ()
+    up: tuple[float, float, float] = PLY_UP
+    encoder: str = ""
+
+    def __post_init__(self) -> None:
+        for name, column in (("object_of", self.object_of), ("relevancy", self.relevancy)):
+            if column is not None and column.shape != (len(self.gaussians),):
+                raise InputError(f"{name}: expected {len(self.gaussians):,} numbers, got an array {column.shape}")
+        if self.object_of is not None and not ((self.object_of >= -1) & (self.object_of < len(self.things))).all():
+            raise InputError(f"object_of: expected numbers from -1 to {len(self.things) - 1}, which things there are")
