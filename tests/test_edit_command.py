@@ -11,6 +11,7 @@ from PIL import Image
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Query, open_scene, read_gaussians
 from drsplat.cli import main
+from drsplat.commands.edit_options import note_own_scenes
 from drsplat.editing import Duplicate, Edit, EditFile, EditList, Everything
 from drsplat.editing.draft import Draft
 from drsplat.field.labels import Label, LabelFile
@@ -303,14 +304,37 @@ def test_a_page_and_a_rendering_say_which_edits_are_in_them(room: Path, capsys: 
     assert notes_of(capsys, *page, room / "none.html", "--edits", "none") == ""
     assert answer_of(capsys, *page, room / "a.html", "--edits", "kept")["num_edits"] == 1
     drawn = ["render", scene, "--views", room / "capture", "--view", "photo_0", "--overwrite"]
-    said = notes_of(capsys, *drawn, "-o", room / "own")
-    assert said == "drsplat: 1 kept edit left out (`drsplat edit SCENE --save OUT.ply` writes the scene with them)\n"
+    assert notes_of(capsys, *drawn, "-o", room / "own", "--edits", "none") == LEFT_OUT
+    assert notes_of(capsys, *drawn, "-o", room / "shown") == APPLIED
+    assert notes_of(capsys, "edit", scene, "--save", room / "saved.ply") == APPLIED
+    saved = ["render", room / "saved.ply", *drawn[2:]]
+    assert notes_of(capsys, *saved, "-o", room / "saved") == ""
     (room / "scene.edits.json").unlink()
     assert notes_of(capsys, *page, room / "bare.html") == ""
     pages = [(room / f"{name}.html").read_bytes() for name in ("edited", "none", "bare")]
     assert pages[1] == pages[2] != pages[0]
     assert notes_of(capsys, *drawn, "-o", room / "bare") == ""
-    assert (room / "own" / "photo_0.png").read_bytes() == (room / "bare" / "photo_0.png").read_bytes()
+    own, shown, saved, bare = ((room / name / "photo_0.png").read_bytes() for name in ("own", "shown", "saved", "bare"))
+    assert own == bare != shown == saved
+
+
+def test_an_answer_is_drawn_where_edits_have_put_it(room: Path, capsys: Capture) -> None:
+    scene, field = room / "scene.ply", room / "room.field"
+    drawn = ["render", scene, "--views", room / "capture", "--view", "photo_0", "--field", field, "--query", "red mug"]
+    where = ["edit", scene, "--field", field, "--query", "red mug"]
+    assert answer_of(capsys, *drawn, "-o", room / "before")["num_matches"] == 1
+    answer_of(capsys, *where, "--move", 0, 0, 0.4)
+    moved = answer_of(capsys, *drawn, "--boxes", "-o", room / "moved")
+    assert (moved["num_matches"], moved["num_selected"]) == (1, PER_THING)
+    answer_of(capsys, *where, "--duplicate", 0, 0, 0.4)
+    assert answer_of(capsys, *drawn, "-o", room / "twice")["num_selected"] == PER_THING
+    answer_of(capsys, *where, "--remove")
+    gone = answer_of(capsys, *drawn, "-o", room / "gone")
+    assert (gone["num_matches"], gone["num_selected"]) == (0, 0)
+    assert answer_of(capsys, *drawn, "-o", room / "own", "--edits", "none")["num_matches"] == 1
+    pictures = [(room / name / "photo_0.png").read_bytes() for name in ("before", "moved", "gone", "own")]
+    assert pictures[0] == pictures[3]
+    assert len(set(pictures)) == 3
 
 
 @pytest.mark.parametrize(
@@ -339,15 +363,39 @@ def test_a_list_is_printed_and_undone_without_being_applied(
     assert answer_of(capsys, "edit", scene, "--undo", 20)["num_undone"] == 20
 
 
-@pytest.mark.parametrize("verb", ["locate", "select", "segment"])
+@pytest.mark.parametrize("verb", ["locate", "select", "segment", "objects", "photograph"])
 def test_what_is_saved_of_a_scene_with_kept_edits_says_that_they_are_left_out(
     verb: str, room: Path, capsys: Capture
 ) -> None:
     scene, field = room / "scene.ply", room / "room.field"
     answer_of(capsys, "edit", scene, "--field", field, "--object", 0, "--remove")
-    query = ["--classes", "red mug,blue plate"] if verb == "segment" else ["red mug"]
-    command = [verb, field, *query, "--scene", scene, "--save", room / f"{verb}.ply"]
-    assert main([str(part) for part in command]) == 0
-    said = capsys.readouterr().err
+    more = {"segment": ["--classes", "red mug,blue plate"], "objects": []}.get(verb, ["red mug"])
+    command = [verb, field, *more, "--scene", scene, "--save", room / "out.ply"]
+    if verb == "photograph":
+        command = [verb, scene, "--number", 4, "--size", "64x48", "--output", room / "renderings"]
+    said = notes_of(capsys, *command)
     assert "1 kept edit left out (`drsplat edit SCENE --save OUT.ply` writes the scene with them)" in said
-    assert len(read_gaussians(room / f"{verb}.ply")) == 2 * PER_THING  # and they are
+    if verb != "photograph":
+        assert len(read_gaussians(room / "out.ply")) == 2 * PER_THING  # and they are
+
+
+def test_a_service_names_the_scenes_whose_kept_edits_its_answers_lack(room: Path, capsys: Capture) -> None:
+    (room / "broken").mkdir()
+    (room / "broken" / "x.field").mkdir()
+    note_own_scenes([room, room / "broken"])
+    assert capsys.readouterr().err == ""
+    answer_of(capsys, "edit", room / "scene.ply", "--everything", "--opacity", 0.5)
+    note_own_scenes([room, room / "broken"])
+    assert capsys.readouterr().err == (
+        "drsplat: kept edits of 1 scene left out (`drsplat edit SCENE --save OUT.ply` writes the scene with them): "
+        f"{room.name}\n"
+    )
+    answer_of(capsys, "edit", room / "scene.ply", "--undo")
+    note_own_scenes([room])
+    assert capsys.readouterr().err == ""
+
+
+def test_inspect_counts_the_kept_edits(room: Path, capsys: Capture) -> None:
+    assert answer_of(capsys, "inspect", room / "scene.ply")["num_kept_edits"] == 0
+    answer_of(capsys, "edit", room / "scene.ply", "--everything", "--opacity", 0.5)
+    assert [answer_of(capsys, "inspect", path)["num_kept_edits"] for path in (room / "scene.ply", room)] == [1, 1]

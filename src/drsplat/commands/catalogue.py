@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .catalogue_inputs import area, box, moment
+from .edit_options import note_own_scenes
 from .options import add_overwrite, add_query_encoders, new_output, tracker, up_to, words
 from .query_inputs import read_picture, read_vector
 from .query_options import threshold
@@ -102,6 +104,7 @@ def _check(arguments: argparse.Namespace) -> None:
 def _add(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     from ..query.opening import scene_files
 
+    note_own_scenes(map(Path, arguments.given))
     listed = [
         catalogue.add(scene_files(path, views=arguments.views), name=arguments.name, track=tracker(arguments))
         for path in arguments.given

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..terminal import counted, quoted
@@ -13,7 +13,9 @@ from .options import count, finite, length, whole, words
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ..editing.kept import KeptEdits
     from ..scene.gaussians import Gaussians
+    from ..scene.moving import Moving
 
 AXES = ("x", "y", "z")
 
@@ -124,6 +126,9 @@ def note_left_out(number: int, cure: str = "--edits kept to apply them") -> None
         _note(f"{counted(number, 'kept edit')} left out ({cure})")
 
 
+SAVES_THEM = "`drsplat edit SCENE --save OUT.ply` writes the scene with them"
+
+
 def note_own_scene(path: str | Path | None, gaussians: Gaussians | None) -> None:
     """Report on stderr that what is drawn or written of a scene's own file lacks the edits kept beside it."""
     from ..formats.scenes import companion
@@ -132,7 +137,49 @@ def note_own_scene(path: str | Path | None, gaussians: Gaussians | None) -> None
         from ..editing import EditFile
 
         number = EditFile.beside(path).num_done(gaussians)
-        note_left_out(number, "`drsplat edit SCENE --save OUT.ply` writes the scene with them")
+        note_left_out(number, SAVES_THEM)
+
+
+def note_own_scenes(folders: Iterable[Path]) -> None:
+    """Report on stderr which scenes have kept edits that answers on their own files lack."""
+    from ..editing import EditFile
+    from ..errors import DrSplatError
+    from ..formats.photo_files import listed
+    from ..query.opening import scene_files
+
+    edited = []
+    for folder in folders:
+        try:
+            files = scene_files(folder)
+        except DrSplatError:
+            continue  # it is reported when somebody asks for this scene
+        if any(EditFile.beside(scene).num_done() for scene in files.scenes):
+            edited.append(files.name)
+    if edited:
+        _note(f"kept edits of {counted(len(edited), 'scene')} left out ({SAVES_THEM}): {listed(edited)}")
+
+
+def as_edited(path: str, scene: Gaussians | Moving, choice: KeptEdits | None) -> Gaussians | Moving:
+    """Return a scene with the edits kept beside it, all rows under their numbers, and report these on stderr.
+
+    A scene that moves, or one that nobody edited, is returned as it is, and so is any with the choice "none".
+
+    Raises: FormatError, MismatchError: the list of edits is damaged, or of another scene.
+    """
+    from ..editing import EditFile
+    from ..editing.edits import drafted
+    from ..editing.kept import without_kept
+    from ..scene.moving import Moving
+
+    if isinstance(scene, Moving):
+        return scene
+    edits = EditFile.beside(path)
+    if without_kept(choice, changes=False, saves=False):
+        note_left_out(edits.num_done(scene))
+        return scene
+    listed = edits.read(scene)
+    note_applied(listed.done)
+    return drafted(scene, listed.active, edits.other).everything() if listed.active else scene
 
 
 def _note(text: str) -> None:

@@ -6,6 +6,7 @@ import argparse
 import re
 from typing import TYPE_CHECKING, Any
 
+from .edit_options import as_edited
 from .options import finite, length, new_output, tracker, whole
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def film(
     output = new_output(arguments.output_dir, arguments.overwrite)
     check_film(output, plan.size, plan.fps)
     other = arguments.side_by_side
-    beside = scene if other == SAME else None if other is None else read_scene(other)
+    beside = scene if other == SAME else None if other is None else as_edited(other, read_scene(other), arguments.edits)
     filmed = Film(
         scene, plan.views, plan.fps, answer, beside, BACKGROUNDS[arguments.background], arguments.near,
         arguments.threads, notes,

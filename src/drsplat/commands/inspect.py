@@ -60,6 +60,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..editing import EditFile
     from ..formats.moving_scenes import read_scene
     from ..scene.moving import Moving, canonical_of
 
@@ -77,6 +78,7 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         "opacity": _percentiles(scene.opacities),
         "scale": _percentiles(scene.scales.max(1)),
         "extra_columns": sorted(scene.extra),
+        "num_kept_edits": EditFile.beside(arguments.path).num_done(scene),
         "fingerprint": scene.fingerprint,
     }
 
@@ -202,6 +204,7 @@ def _catalogue(arguments: argparse.Namespace) -> dict[str, Any]:
 def _scene_folder(arguments: argparse.Namespace) -> dict[str, Any]:
     """Describe the parts of a folder as `drsplat view` opens it: its field, scene and capture."""
     from .. import load_field
+    from ..editing import EditFile
     from ..query.opening import find_scene, registered_scene
     from ..scene.moving import canonical_of
 
@@ -214,6 +217,7 @@ def _scene_folder(arguments: argparse.Namespace) -> dict[str, Any]:
         "capture": None if files.capture is None else str(files.capture),
         "num_gaussians": len(canonical_of(scene)),
         "num_registered": len(field),
+        "num_kept_edits": EditFile.beside(path).num_done(canonical_of(scene)),
         "encoder": field.encoder.name,
         "num_objects": None if field.objects is None else len(field.objects),
         "details": f"drsplat inspect {files.field}",

@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from .edit_options import note_own_scenes
 from .listening import add_computing, add_listening, checked_key, own_names
 from .options import add_query_encoders
 
@@ -53,6 +54,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
     scene_folder.check_sources()
     scene_folder.check_catalogue()
+    note_own_scenes(scene_folder.folders().values())
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
     bench = Workbench(Workplace(arguments.folder, sources, limits, arguments.catalogue), Metrics())
     server = make_server(scene_folder, bench, limits)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from .edit_options import note_own_scene
 from .object_outputs import check, listing, save
 from .options import add_capture_options, add_overwrite, add_query_encoders, whole, words
 from .query_options import FIELD_HELP, open_scene
@@ -69,6 +70,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.label is not None:
         scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
     every = listing(scene)
+    if arguments.save or arguments.picture:
+        note_own_scene(scene.path, scene.gaussians if scene.has_gaussians else None)
     with together():
         if arguments.save:
             save(arguments.save, scene, every, arguments.overwrite)

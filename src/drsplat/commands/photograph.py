@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .edit_options import note_own_scene
 from .film import size
 from .options import add_overwrite, finite, tracker, up_to
 from .render import BACKGROUNDS
@@ -87,10 +88,12 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.moving_scenes import read_scene
     from ..photographing.taking import photograph
     from ..progress import Stopwatch
+    from ..scene.moving import canonical_of
     from ..system import peak_memory_bytes
 
     watch = Stopwatch()
     scene = read_scene(arguments.scene)
+    note_own_scene(arguments.scene, canonical_of(scene))
     path = _path(arguments, scene)
     settings = _settings(arguments, path)
     watch.lap("read")

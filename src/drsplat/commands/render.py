@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .edit_options import note_own_scene
+from .edit_options import add_kept_edits, as_edited, note_own_scene
 from .film import SCENE, add_film_options, film
 from .options import (
     add_capture_options,
@@ -81,6 +81,7 @@ def _add_picture_options(parser: argparse.ArgumentParser) -> None:
         "--alpha", action="store_true", help="write NAME.alpha.png as well: opacity, 255 where nothing shines through"
     )
     add_near(parser)
+    add_kept_edits(parser, "kept")
 
 
 def _add_answer_options(parser: argparse.ArgumentParser) -> None:
@@ -113,11 +114,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     watch = Stopwatch()
     _check(arguments)
-    scene = read_scene(arguments.scene)
+    own = read_scene(arguments.scene)
     views = [] if arguments.views is None else views_of(arguments, arguments.views)
     opened, answer = _answer(arguments)
     notes = _notes(arguments)
-    note_own_scene(arguments.scene, canonical_of(scene))
+    scene = _edited(arguments, own)
+    if answer is not None and scene is not own:
+        answer = answer.after_edits(canonical_of(scene))
     watch.lap("read")
     if arguments.path is not None:
         answered = film(arguments, scene, views, answer, opened, notes)
@@ -180,6 +183,16 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError("--field FIELD and --query WORDS: pass both, or none")
     if arguments.query is None and (row or arguments.boxes or arguments.heat_map):
         raise InputError("attributes, boxes and heat maps are of an answer: give --query WORDS")
+
+
+def _edited(arguments: argparse.Namespace, scene: Gaussians | Moving) -> Gaussians | Moving:
+    """Return the scene with the edits kept beside it; attributes are asked of the scene that was registered."""
+    from ..scene.moving import canonical_of
+
+    if arguments.attributes is not None:
+        note_own_scene(arguments.scene, canonical_of(scene))
+        return scene
+    return as_edited(arguments.scene, scene, arguments.edits)
 
 
 def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highlight | None]:

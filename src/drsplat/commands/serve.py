@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from .edit_options import note_own_scenes
 from .listening import add_computing, add_listening, checked_key, own_names
 from .options import add_query_encoders
 
@@ -58,7 +59,9 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     names, origins = own_names(arguments), tuple(arguments.allow_origin)
     settings = Settings(arguments.folder, sources, limits, key, names, origins, arguments.catalogue)
     catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
-    number = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue).checked()
+    scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
+    number = scene_folder.checked()
+    note_own_scenes(scene_folder.folders().values())
     with bound_socket(arguments.host, arguments.port) as listening:
         if not arguments.json:
             print(f"{counted(number, 'scene')} at {address_of(listening, arguments.host)}/scenes", flush=True)

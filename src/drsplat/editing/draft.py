@@ -62,6 +62,12 @@ class Draft:
         """What is there now, removed rows left out."""
         return self.part(np.flatnonzero(self.present))
 
+    def everything(self) -> Gaussians:
+        """Return all rows under their numbers, removed ones with opacity 0."""
+        opacities = np.where(self.present, self.opacities, np.float32(0))
+        columns = (self.means, self.quats, self.scales, opacities, self.sh, self.extra, self.origin)
+        return Gaussians(*columns, self.antialiased)
+
     def part(self, ids: Ids) -> Gaussians:
         """Some rows, removed ones as well."""
         extra = {name: column[ids] for name, column in self.extra.items()}

@@ -45,9 +45,9 @@ class EditFile:
 
         Raises: FormatError: the file is damaged, or written by a newer version. MismatchError: it is of another scene.
         """
-        if not self.path.exists():
+        listed = self._listed()
+        if listed is None:
             return EditList(scene.fingerprint)
-        listed = edits_of(read_json(self.path), str(self.path))
         if listed.scene != scene.fingerprint:
             raise MismatchError(
                 f"{self.path}: these edits are of another scene, {shown(listed.scene)}; this one is "
@@ -55,12 +55,16 @@ class EditFile:
             )
         return listed
 
-    def num_done(self, scene: Gaussians) -> int:
-        """Return how many edits of a scene are kept and done; 0 where the list is damaged or of another scene."""
+    def _listed(self) -> EditList | None:
+        return edits_of(read_json(self.path), str(self.path)) if self.path.exists() else None
+
+    def num_done(self, scene: Gaussians | None = None) -> int:
+        """Return how many edits are kept and done, of a scene or of whichever is there; 0 where the list is damaged."""
         try:
-            return self.read(scene).done
+            listed = self._listed() if scene is None else self.read(scene)
         except DrSplatError:
             return 0
+        return 0 if listed is None else listed.done
 
     def change(self, scene: Gaussians, change: Callable[[EditList], EditList]) -> EditList:
         """Another list in place of that which is there; returns it. What `change` raises leaves the file as it was.

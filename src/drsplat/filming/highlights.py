@@ -1,7 +1,7 @@
 """An answer over the pictures of a scene: in colour or as heat, with boxes and names."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,22 @@ class Highlight:
             for match in matches:
                 values[match.gaussian_ids] = 1
         return cls(matches, values, heat, marks_of(matches, query.text or "") if boxes else (), scene.up)
+
+    def after_edits(self, everything: Gaussians) -> "Highlight":
+        """Return the answer where edits have put it: rows that they added answer nothing, and removed ones are gone.
+
+        everything: of `Draft.everything`, all rows under their numbers, removed ones with opacity 0.
+        """
+        values = np.zeros((len(everything), 1), np.float32)
+        values[: len(self.values)] = self.values
+        matches, marks = [], []
+        for number, match in enumerate(self.matches):
+            ids = match.gaussian_ids[everything.opacities[match.gaussian_ids] > 0]
+            if len(ids):
+                center, axes, extent = box_of(everything, ids, self.up)
+                matches.append(replace(match, center=center, axes=axes, extent=extent, gaussian_ids=ids))
+                marks += [box_mark(mark.text, matches[-1]) for mark in self.marks[number : number + 1]]
+        return replace(self, matches=matches, values=values, marks=marks)
 
     @property
     def num_selected(self) -> int:

@@ -35,9 +35,7 @@ class _State:
         if not listed.active:
             return cls(listed, gaussians, np.ones(len(gaussians), bool))
         draft = drafted(gaussians, listed.active, read_gaussians if file is None else file.other)
-        opacities = np.where(draft.present, draft.opacities, np.float32(0))
-        columns = (draft.means, draft.quats, draft.scales, opacities, draft.sh, draft.extra, draft.origin)
-        return cls(listed, Gaussians(*columns, draft.antialiased), draft.present)
+        return cls(listed, draft.everything(), draft.present)
 
     @cached_property
     def colors(self) -> Float32[np.ndarray, "d 3"]:
