@@ -82,6 +82,7 @@ ORDER = (
     "drawing",
     "query",
     "editing",
+    "exporting",
     "filming",
     "exchange",
     "catalogue",

@@ -7,15 +7,19 @@ import tracemalloc
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import zstandard
 
+import glb_files
 import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
+from drsplat.formats.exports import write_scene
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.labelled import LabelledScene, Thing
 from mutations import bounded_allocations, mutants, quota, seeded
 from scene_files import random_gaussians
 
@@ -52,11 +56,27 @@ def seeds(family: str) -> list[tuple[bytes, str]]:
         case "sog":
             made = [scene_files.sog_files(g, v) for g in scenes[:2] for v in (1, 2)]
             return [(scene_files.zip_bytes(files), ".sog") for files in made]
+        case "glb":
+            files = [glb_files.glb_bytes(g) for g in scenes[::3]]
+            files += [glb_files.small_glb_bytes(scenes[1])]
+            files += [glb_files.spz_glb_bytes(g, scene_files.spz_bytes(g, 3)) for g in scenes[:2]]
+            files += [labelled_glb(scenes[1])]
+            return [(data, ".glb") for data in files]
         case _:
             files = [scene_files.spz_bytes(g, v) for g in scenes[::3] for v in (2, 3, 4)]
             extension = struct.pack("<III", 0xADBE0003, 4, 6)
             files += [scene_files.spz_bytes(scenes[1], v, 2, extension) for v in (3, 4)]
     return [(data, ".spz" if family == "spz" else ".ply") for data in files]
+
+
+def labelled_glb(g: Gaussians) -> bytes:
+    """With objects, a table of their names and nodes, as it is written."""
+    thing = Thing("red mug", 0.5, np.zeros(3), np.eye(3), np.ones(3), 0)
+    owners = (np.arange(len(g)) % 3 - 1).astype(np.int32)
+    scene = LabelledScene(g, "room", (thing, thing), (thing,), owners, "mug", g.opacities, (thing,))
+    with TemporaryDirectory() as folder:
+        write_scene(Path(folder) / "scene.glb", scene)
+        return (Path(folder) / "scene.glb").read_bytes()
 
 
 def outcome(data: bytes, suffix: str) -> Gaussians | DrSplatError:
@@ -75,7 +95,7 @@ def assert_sound(g: Gaussians, size: int) -> None:
     assert (np.abs(np.linalg.norm(g.quats, axis=1) - 1) < 1e-5).all()
 
 
-@pytest.mark.parametrize("family", ["ply", "compressed", "splat", "spz", "sog", "ksplat"])
+@pytest.mark.parametrize("family", ["ply", "compressed", "splat", "spz", "sog", "ksplat", "glb"])
 @pytest.mark.usefixtures("bounded_memory")
 def test_mutants(family: str) -> None:
     rng = seeded(1, *family.encode())

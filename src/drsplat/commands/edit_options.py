@@ -193,5 +193,5 @@ def only_one(arguments: argparse.Namespace, names: Sequence[str]) -> str | None:
     given = [name for name in names if getattr(arguments, name) is not None and getattr(arguments, name) is not False]
     if len(given) > 1:
         named = " and ".join(arguments.flags.get(name) or name for name in given)
-        raise InputError(f"{named} each name what is edited: keep one of them")
+        raise InputError(f"{named} each name what is meant: keep one of them")
     return given[0] if given else None

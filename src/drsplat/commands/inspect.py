@@ -54,6 +54,8 @@ def show(answer: dict[str, Any]) -> None:
     from .tables import show_facts
 
     facts = {name: value for name, value in answer.items() if name not in ("path", "kind", "views", "photos")}
+    if "objects" in facts:
+        facts["objects"] = [f"{one['id']} {one['name']}" for one in facts["objects"]]
     if "verified" in facts:
         facts["verified"] = counted(len(facts["verified"]), "file")
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
@@ -79,8 +81,19 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         "scale": _percentiles(scene.scales.max(1)),
         "extra_columns": sorted(scene.extra),
         "num_kept_edits": EditFile.beside(arguments.path).num_done(scene),
+        **_named_objects(Path(arguments.path)),
         "fingerprint": scene.fingerprint,
     }
+
+
+def _named_objects(path: Path) -> dict[str, Any]:
+    """Describe the objects that a glTF has with their names; nothing of other files."""
+    from ..formats.glb import names_in_glb
+
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        return {}
+    names = names_in_glb(path)
+    return {"num_objects": len(names), "objects": [{"id": one.number, "name": one.name} for one in names]}
 
 
 def _capture(arguments: argparse.Namespace) -> dict[str, Any]:

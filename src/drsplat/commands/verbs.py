@@ -4,7 +4,7 @@ GROUPS = {
     "make a scene": ("scan", "capture", "train", "photograph", "tile", "motion"),
     "make it searchable": ("embed", "codebook", "register", "add", "remove", "field", "objects"),
     "ask": ("locate", "select", "segment", "when", "catalogue"),
-    "look and change": ("view", "render", "edit"),
+    "look and change": ("view", "render", "edit", "export"),
     "serve": ("serve", "mcp"),
     "try, check and measure": ("demo", "inspect", "doctor", "evaluate"),
 }
@@ -30,6 +30,7 @@ SUMMARIES = {
     "view": "show a scene in the browser and search it there, or write a page of it that needs no server",
     "render": "render a scene as pictures or as a film, optionally with the matches of a query highlighted",
     "edit": "edit objects of a scene: remove, recolour, move, copy, replace, undo; its file stays as it is",
+    "export": "write a scene, its objects with names and the answer to a query as a file for other programs",
     "serve": "answer queries on the scenes of a folder over HTTP",
     "mcp": "let language models query the scenes of a folder (Model Context Protocol)",
     "demo": "search a small scene that ships: mask its photos, embed, register, query, check against the truth",

@@ -9,35 +9,96 @@ import numpy as np
 
 from ..errors import InputError, did_you_mean
 from ..scene.labelled import LabelledScene
+from .glb_writing import write_glb
 from .replacing import replacing
 from .scenes import write_gaussians
 from .spz_writing import spz_bytes
 
+BLOCK = 1 << 14  # rows that are looked at together
+ASPECTS: Mapping[str, str] = MappingProxyType(
+    {
+        "numbers": "object of each Gaussian",
+        "names": "names and boxes of objects",
+        "relevancy": "relevancy of each Gaussian",
+        "matches": "boxes of matches",
+        "annotations": "annotations",
+        "embeddings": "embeddings of objects",
+        "columns": "further columns of the scene",
+    }
+)
 Writer = Callable[[Path, LabelledScene, bool], None]
 
 
 def write_scene(path: str | PathLike[str], scene: LabelledScene, overwrite: bool = False) -> None:
     """Write a scene as the suffix of `path` says; it appears whole or not at all.
 
-    Raises: InputError: a suffix that nothing is written as, a scene that the format cannot hold, or `path` exists and
-    not `overwrite`.
+    Raises: InputError: a suffix that nothing is written as, a scene without Gaussians or with numbers that are not
+    finite, one that the format cannot hold, or `path` exists and not `overwrite`.
     """
     path = Path(path)
+    writer = writer_of(path)
+    require_writable(scene)
+    writer(path, scene, overwrite)
+
+
+def writer_of(path: Path) -> Writer:
+    """Return the writer of a file of this name. Raises: InputError: there is none."""
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         near = did_you_mean(path.suffix.lower(), WRITERS)
         raise InputError(f"{path.name}: expected a name that ends in {', '.join(WRITERS)}.{near}")
-    writer(path, scene, overwrite)
+    return writer
+
+
+def require_writable(scene: LabelledScene) -> None:
+    """Raises: InputError: no Gaussians, or rows that no program can draw; says the first."""
+    g = scene.gaussians
+    if not len(g):
+        raise InputError("there are no Gaussians to write: choose something that is there")
+    columns = {
+        "positions": g.means,
+        "rotations": g.quats,
+        "scales": g.scales,
+        "opacities": g.opacities,
+        "colours": g.sh,
+    }
+    if scene.relevancy is not None:
+        columns["relevancies"] = scene.relevancy
+    for name, column in columns.items():
+        for begin in range(0, len(column), BLOCK):
+            finite = np.isfinite(column[begin : begin + BLOCK]).reshape(-1, column[0].size).all(axis=1)
+            if not finite.all():
+                row = begin + int(np.flatnonzero(~finite)[0])
+                raise InputError(f"{name}: row {row} has numbers that are not finite: leave it out, see `subset`")
+
+
+def lacks(path: Path, scene: LabelledScene) -> tuple[str, ...]:
+    """Return what of a scene a file of this name cannot hold, in sentences."""
+    suffix = path.suffix.lower()
+    there = {
+        "numbers": scene.object_of is not None,
+        "names": bool(scene.things),
+        "relevancy": scene.relevancy is not None,
+        "matches": bool(scene.matches),
+        "annotations": bool(scene.annotations),
+        "embeddings": any(thing.embedding is not None for thing in scene.things),
+        "columns": bool(scene.gaussians.extra),
+    }
+    held = HELD.get(suffix, frozenset(ASPECTS))
+    return tuple(f"{suffix} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
 
 
 def columns_of(scene: LabelledScene) -> dict[str, np.ndarray]:
     """Return the columns of a PLY that say each Gaussian's object and relevancy."""
-    columns = {"object_id": scene.object_of, "relevancy": scene.relevancy}
-    return {name: column for name, column in columns.items() if column is not None}
+    columns = {} if scene.relevancy is None else {"relevancy": scene.relevancy}
+    if scene.object_of is None:
+        return columns
+    numbers = [place if thing.number < 0 else thing.number for place, thing in enumerate(scene.things)]
+    return {"object_id": np.array([*numbers, -1], np.int32)[scene.object_of], **columns}
 
 
 def _write_ply(path: Path, scene: LabelledScene, overwrite: bool) -> None:
-    write_gaussians(path, scene.gaussians, columns_of(scene), overwrite)
+    write_gaussians(path, scene.gaussians, columns_of(scene), overwrite, is_edited=scene.num_edits > 0)
 
 
 def _write_spz(path: Path, scene: LabelledScene, overwrite: bool) -> None:
@@ -46,4 +107,12 @@ def _write_spz(path: Path, scene: LabelledScene, overwrite: bool) -> None:
         file.write(content)
 
 
-WRITERS: Mapping[str, Writer] = MappingProxyType({".ply": _write_ply, ".spz": _write_spz})
+WRITERS: Mapping[str, Writer] = MappingProxyType({".glb": write_glb, ".ply": _write_ply, ".spz": _write_spz})
+HELD: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        ".glb": frozenset(ASPECTS) - {"columns"},
+        ".ply": frozenset({"numbers", "relevancy", "columns"}),
+        ".spz": frozenset(),
+    }
+)
+"""What each format keeps, of `ASPECTS`; a format that is not in it keeps all."""

@@ -16,9 +16,10 @@ from .field_folder import MANIFEST
 from .photo_files import PHOTO_SUFFIXES
 
 TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS = "transforms.json", "transforms_train.json", "cameras.json"
-SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat")
+SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf")
 FIELD_SUFFIX = ".field"
 _HEAD_BYTES = 4096  # the properties of a PLY are named in them
+_SPLATS, _MOST_NAMES_BYTES = b"KHR_gaussian_splatting", 1 << 20  # of a glTF, whose names may stand anywhere in it
 _MOST_ENTRIES = 2000  # of a folder that are looked at
 _TUTORIAL = "docs/tutorials/from_a_phone.md has the steps"
 
@@ -82,14 +83,14 @@ _SUFFIXES = {
     **dict.fromkeys(_VIDEOS, Kind.VIDEO),
     **dict.fromkeys(_UNREAD, Kind.UNREAD_PHOTOS),
     **dict.fromkeys((".zip", ".tar", ".tgz", ".gz", ".7z", ".rar"), Kind.ARCHIVE),
-    **dict.fromkeys((".obj", ".glb", ".gltf", ".fbx", ".stl", ".dae", ".usdz", ".blend"), Kind.MESH),
+    **dict.fromkeys((".obj", ".fbx", ".stl", ".dae", ".usdz", ".blend"), Kind.MESH),
     **dict.fromkeys((".las", ".laz", ".e57", ".pcd", ".xyz"), Kind.POINTS),
     **dict.fromkeys((COMPACT, EMBEDDINGS), Kind.FEATURES),
     ".db": Kind.DATABASE,
 }
 _HEADS = {
     b"\xff\xd8\xff": Kind.PHOTO, b"\x89PNG": Kind.PHOTO, b"NGSP": Kind.SCENE, b"\x1aE\xdf\xa3": Kind.VIDEO,
-    b"7z\xbc\xaf": Kind.ARCHIVE, b"Rar!": Kind.ARCHIVE, b"glTF": Kind.MESH, b"LASF": Kind.POINTS,
+    b"7z\xbc\xaf": Kind.ARCHIVE, b"Rar!": Kind.ARCHIVE, b"LASF": Kind.POINTS,
     b"SQLite format 3": Kind.DATABASE,
 }  # fmt: skip
 _STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif")
@@ -143,6 +144,8 @@ def _nearby(path: Path) -> Iterator[Path]:
 def _file_kind(path: Path) -> Kind:
     with open_file(path) as file:
         head = file.read(_HEAD_BYTES)
+        if head[:4] == b"glTF" or path.name.lower().endswith(".gltf"):
+            return Kind.SCENE if _SPLATS in head + file.read(_MOST_NAMES_BYTES) else Kind.MESH
     by_suffix = next((kind for suffix, kind in _SUFFIXES.items() if path.name.lower().endswith(suffix)), Kind.OTHER)
     if head[4:8] == b"ftyp":
         return Kind.UNREAD_PHOTOS if head[8:12] in _STILL_BRANDS else Kind.VIDEO

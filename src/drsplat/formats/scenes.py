@@ -16,6 +16,8 @@ from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated, filled
 from ..scene.units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import ANTIALIASED, NORMALS, parse_gaussian_ply, vertex_columns
+from .glb import parse_glb, read_glb
+from .glb_layout import MAGIC as GLB_MAGIC
 from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
 from .ply import write_vertices
@@ -29,12 +31,13 @@ from .spz import parse_spz
 from .streamed_sog import LOD_META, finest_chunks
 from .tiles import TILES, read_tiles
 
+GLTF = ".gltf"  # a document of JSON, which has no mark
 GZIP_DEFLATE = b"\x1f\x8b\x08"
 EDITED, HEADER_BEGIN_BYTES = "edited by drsplat", 256
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, tiles, or a trained model's folder.
+    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, tiles, or a trained model's folder.
 
     The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
     In a folder, its tiles, its SOG (meta.json; lod-meta.json of a streamed one, the finest level; they may be named
@@ -55,6 +58,8 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
             return local(concatenated(chunks), str(path))
         if path.name == TILES:
             return read_tiles(path.parent).gaussians()
+        if path.suffix.lower() == GLTF:
+            return local(read_glb(path), str(path))
         content = file_bytes(path)
         if not content.size:
             raise FormatError("the file is empty")
@@ -86,13 +91,15 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
         return parse_spz(buffer)
     if start == ZIP_MAGIC:
         return parse_sog(buffer)
+    if start == GLB_MAGIC or suffix.lower() == GLTF:
+        return parse_glb(buffer)
     if start == KSPLAT_MAGIC or suffix.lower() == ".ksplat":
         return parse_ksplat(buffer)
     if suffix.lower() == ".splat":
         return parse_splat(buffer)
     raise FormatError(
-        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG, KSPLAT and .splat can be "
-        "read. Convert others first, e.g. `splat-transform scene.lcc scene.ply`"
+        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG, KSPLAT, .splat and GLB "
+        "can be read. Convert others first, e.g. `splat-transform scene.lcc scene.ply`"
     )
 
 

@@ -12,7 +12,7 @@ from ..field.labels import LabelFile
 from ..formats.field_folder import MANIFEST
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
-from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken
+from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken, recognised
 from ..formats.scan_record import MODEL, read_scan_record
 from ..formats.scenes import was_edited
 from ..formats.tiles import TILES
@@ -24,6 +24,7 @@ from .encoding import Load, encoder_for
 from .scene import Scene
 
 EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
+COPIES = (".glb", ".gltf")  # with the same rows, as `drsplat export` writes them; what people trained is another file
 CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
 
@@ -65,18 +66,23 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
             name, fields[0], (folder / MODEL,), capture if capture.is_dir() else None,
             encoder if encoder == DEFAULT_ENCODER else None,  # no other model is fetched because a folder names it
         )  # fmt: skip
-    scenes = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
+    files = [path for path in entries if path.suffix.lower() in SCENE_SUFFIXES and path.is_file()]
+    scenes = [path for path in files if recognised(path) is not Kind.MESH]
     scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
     edited = {path.name.removesuffix(EDITS) for path in entries if path.name.endswith(EDITS)}
     # what was saved of a scene lies beside it with the same rows
-    scenes.sort(key=lambda path: (path.stem not in edited, path.is_file() and was_edited(path)))
+    scenes.sort(key=lambda path: (path.stem not in edited, path.suffix.lower() in COPIES, _is_edited(path)))
     if not scenes:
         kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
         raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")
     has_capture = any((folder / camera).exists() for camera in CAMERAS)
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
+
+
+def _is_edited(path: Path) -> bool:
+    return path.is_file() and was_edited(path)
 
 
 def _is_folder_of_a_scene(path: Path) -> bool:

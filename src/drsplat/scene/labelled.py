@@ -19,7 +19,10 @@ class Thing:
     name: a label, the word that the encoder is sure of, or "object 7". score: how far photos agree on an object, from 0
     to 1, or the relevancy of a match. center, extent: scene units; axes: rows are the box's unit directions, and
     extent[a] is its full length along axes[a]. parent: the group that it is in, as a number of `LabelledScene.groups`,
-    -1 for none. embedding: unit vector of the scene's encoder, where it goes along.
+    -1 for none. embedding: unit vector of the scene's encoder, where it goes along. number: of the object in the field,
+    as `drsplat objects` counts; -1 where it is none.
+
+    Raises: InputError: a box or a score that is not finite, or of another shape.
     """
 
     name: str
@@ -29,6 +32,15 @@ class Thing:
     extent: Float64[np.ndarray, " 3"]
     parent: int = -1
     embedding: Float32[np.ndarray, " d"] | None = None
+    number: int = -1
+
+    def __post_init__(self) -> None:
+        for name, shape in (("center", (3,)), ("axes", (3, 3)), ("extent", (3,))):
+            value = getattr(self, name)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise InputError(f"'{self.name}': {name}: expected finite numbers of shape {shape}, got {value}")
+        if not np.isfinite(self.score):
+            raise InputError(f"'{self.name}': score: expected a finite number, got {self.score}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +49,7 @@ class LabelledScene:
 
     object_of: number of each Gaussian's object in `things`, -1 for none; None where no objects are known. relevancy: of
     each Gaussian to `query`; None without a query. up: unit direction that is up, in the world. encoder: name of the
-    encoder of the embeddings.
+    encoder of the embeddings. num_edits: edits of the scene's own file that are done in it.
 
     Raises: InputError: lengths that disagree, or an object of a number that there is not.
     """
@@ -53,6 +65,7 @@ class LabelledScene:
     annotations: tuple[Annotation, ...] = ()
     up: tuple[float, float, float] = PLY_UP
     encoder: str = ""
+    num_edits: int = 0
 
     def __post_init__(self) -> None:
         for name, column in (("object_of", self.object_of), ("relevancy", self.relevancy)):

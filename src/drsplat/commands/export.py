@@ -1,0 +1,193 @@
+"""drsplat export: a scene, its objects and the answer to a query -> a file for other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .edit_options import add_kept_edits, note_applied, note_left_out, only_one
+from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, whole, words
+from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_said
+
+if TYPE_CHECKING:
+    from ..exporting.labelling import Only
+    from ..query import Query, Scene
+    from ..scene.gaussians import Gaussians
+    from ..scene.labelled import LabelledScene
+
+EXAMPLES = """\
+  drsplat export drsplat-demo --output room.glb
+  drsplat export scene.ply --output scene.spz
+  drsplat export scene.ply --field room.field --output room.glb
+  drsplat export room.field --scene scene.ply --query "red mug" --output answer.glb
+  drsplat export drsplat-demo --query "red vase" --only --output vase.glb
+  drsplat export drsplat-demo --object 4 --output thing.ply
+  drsplat export film.field --scene film.motion --at 1.5 --output moment.glb
+
+A .glb has a table of the objects (number, name, score, box, group), and of each Gaussian which one it belongs to; with
+--query also its relevancy, and the matches as named nodes. Other formats keep what they can, and the answer says what
+they left out. Objects are those of `drsplat objects`: run it first where the field has none. Edits that are kept beside
+the scene are applied; annotations go along."""
+DAILY = ("output", "field", "scene", "text", "only", "object", "label", "edits", "overwrite")
+QUERIES = ("text", "vector", "image", "click", "point")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "source", metavar="SCENE", help="scene, a field, or a folder with a field, its scene and photos"
+    )
+    parser.add_argument("--output", "-o", required=True, metavar="FILE", help=f"file to write: {_suffixes()}")
+    parser.add_argument("--field", help="field of the scene, for objects with names and for queries")
+    parser.add_argument("--scene", help="scene that was registered, where SCENE is a field")
+    parser.add_argument("--at", dest="time", type=finite, metavar="TIME", help="time of a scene that moves")
+    what = parser.add_argument_group("what is written (default: all of it)")
+    what.add_argument("--query", dest="text", type=words, metavar="WORDS", help="query whose answer goes along")
+    what.add_argument("--only", action="store_true", help="write only what matches the query")
+    what.add_argument("--object", type=whole, metavar="NUMBER", help="write only this object of `drsplat objects`")
+    what.add_argument("--label", type=words, metavar="NAME", help="write only what people gave this name")
+    what.add_argument(
+        "--embeddings", action="store_true", help="keep the embedding of each object, where the format can hold it"
+    )
+    add_kept_edits(what, "kept")
+    add_overwrite(parser)
+    add_query_kinds(parser.add_argument_group("other queries"))
+    parser.add_argument("--views", metavar="CAPTURE", help="photos and their poses, for --click and to know what is up")
+    add_query_encoders(parser)
+    add_measure_options(parser)
+    add_capture_options(parser)
+
+
+def _suffixes() -> str:
+    return ".glb, .ply, .spz"
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..exporting.writing import written
+
+    output = _output(arguments)
+    scene = _labelled(arguments)
+    note_applied(scene.num_edits)
+    done = written(output, scene, arguments.overwrite)
+    return {
+        "scene": arguments.source,
+        "saved": arguments.output,
+        "format": done.format,
+        "bytes": done.bytes,
+        "query": scene.query or None,
+        "num_gaussians": done.num_gaussians,
+        "num_objects": None if scene.object_of is None else done.num_objects,
+        "num_in_objects": None if scene.object_of is None else int((scene.object_of >= 0).sum()),
+        "num_matches": done.num_matches if scene.query else None,
+        "num_annotations": done.num_annotations,
+        "num_edits": done.num_edits,
+        "lacks": list(done.lacks),
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ..terminal import counted
+
+    parts = [counted(answer["num_gaussians"], "Gaussian")]
+    parts += [] if answer["num_objects"] is None else [counted(answer["num_objects"], "object")]
+    if answer["query"] is not None:
+        parts.append(f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}'")
+    if answer["num_annotations"]:
+        parts.append(counted(answer["num_annotations"], "annotation"))
+    print(f"{answer['saved']}: {', '.join(parts)}, {answer['bytes'] / 1e6:.1f} MB")
+    for sentence in answer["lacks"]:
+        print(sentence)
+    if answer["num_objects"] is None:
+        print(
+            "It has no objects: `drsplat objects FIELD --scene SCENE` finds them, then --field FIELD takes them along."
+        )
+
+
+def _output(arguments: argparse.Namespace) -> Path:
+    """Raises: InputError: a name that cannot be written, or options that do not go together."""
+    from ..errors import InputError
+    from ..formats.exports import writer_of
+
+    output = new_output(arguments.output, arguments.overwrite)
+    writer_of(output)
+    if not output.parent.is_dir():
+        raise InputError(f"there is no folder {output.parent} to write {output.name} into: make it first")
+    chosen = only_one(arguments, ("only", "object", "label"))
+    if chosen == "only" and only_one(arguments, QUERIES) is None:
+        raise InputError("only: what matches is that of a query: give --query WORDS")
+    return output
+
+
+def _labelled(arguments: argparse.Namespace) -> LabelledScene:
+    from ..exporting.labelling import labelled
+
+    scene = _opened(arguments)
+    if scene is None:
+        return _alone(arguments)
+    query = _query(arguments)
+    _note_none(arguments, scene.path, scene.gaussians)
+    return labelled(
+        scene,
+        query,
+        only=_only(arguments, scene),
+        time=arguments.time,
+        edits=arguments.edits or "kept",
+        embeddings=arguments.embeddings,
+        said="" if query is None else query_said(arguments),
+    )
+
+
+def _opened(arguments: argparse.Namespace) -> Scene | None:
+    """Return the scene with its field, None for one that has none. Raises: InputError: options that need a field."""
+    from ..errors import InputError
+    from ..formats.recognising import Kind, recognised
+
+    source = Path(arguments.source)
+    has_field = recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field")))
+    if has_field:
+        if arguments.field is not None:
+            raise InputError(f"{arguments.source} has a field already: drop --field, or name the scene's file")
+        arguments.field = arguments.source
+    elif arguments.scene is not None:
+        raise InputError("--scene is the scene of a field: name the field first, or pass the scene and --field FIELD")
+    else:
+        arguments.scene = arguments.source if arguments.field is not None else None
+    if arguments.field is not None:
+        return open_scene(arguments)
+    named = only_one(arguments, QUERIES) or only_one(arguments, ("object", "label"))
+    if named is not None or arguments.embeddings:
+        raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
+    return None
+
+
+def _alone(arguments: argparse.Namespace) -> LabelledScene:
+    from ..exporting.labelling import labelled_alone
+    from ..formats.moving_scenes import read_scene
+    from ..scene.moving import canonical_of
+
+    source = Path(arguments.source)
+    gaussians = read_scene(source)
+    _note_none(arguments, source, canonical_of(gaussians))
+    return labelled_alone(gaussians, source, time=arguments.time, edits=arguments.edits or "kept")
+
+
+def _query(arguments: argparse.Namespace) -> Query | None:
+    return None if only_one(arguments, QUERIES) is None else query_of(arguments)
+
+
+def _only(arguments: argparse.Namespace, scene: Scene) -> Only:
+    from ..editing.resolving import label_rows, object_rows
+
+    if arguments.object is not None:
+        return object_rows(scene, arguments.object)
+    if arguments.label is not None:
+        return label_rows(scene, arguments.label)
+    return "matches" if arguments.only else None
+
+
+def _note_none(arguments: argparse.Namespace, path: Path | None, gaussians: Gaussians) -> None:
+    """Report the kept edits that --edits none leaves out."""
+    from ..editing import EditFile
+
+    if arguments.edits == "none" and path is not None:
+        note_left_out(EditFile.beside(path).num_done(gaussians))

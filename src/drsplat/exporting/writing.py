@@ -1,0 +1,71 @@
+"""Writing a scene in a format of other programs, and what the format could not hold."""
+
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
+
+from ..editing.kept import KeptEdits
+from ..errors import InputError
+from ..formats.exports import lacks, write_scene
+from ..query import Query, Scene
+from ..scene.gaussians import Gaussians
+from ..scene.labelled import LabelledScene
+from ..scene.moving import Moving
+from .labelling import Only, labelled, labelled_alone
+
+
+class Exported(NamedTuple):
+    """What was written. format: as the suffix says. lacks: what the format could not hold, in sentences."""
+
+    path: Path
+    format: str
+    bytes: int
+    num_gaussians: int
+    num_objects: int
+    num_matches: int
+    num_annotations: int
+    num_edits: int
+    lacks: tuple[str, ...]
+
+
+def export(
+    path: str | PathLike[str],
+    scene: Scene | Gaussians | Moving | LabelledScene,
+    query: Query | str | None = None,
+    *,
+    only: Only = None,
+    time: float | None = None,
+    edits: KeptEdits = "kept",
+    embeddings: bool = False,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a scene as the suffix of `path` says, with its objects and the answer to a query.
+
+    Args:
+        path: NAME.glb, .ply, .spz or another that `formats.exports.WRITERS` has.
+        scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
+        query, only, time, edits, embeddings: as of `labelled`.
+        overwrite: replaces what is at `path`.
+
+    Raises: InputError: a suffix that nothing is written as, more than the format can hold, `path` exists and not
+    `overwrite`; as `labelled`.
+    """
+    if isinstance(scene, Scene):
+        carried = labelled(scene, query, only=only, time=time, edits=edits, embeddings=embeddings)
+    elif query is not None or only is not None:
+        raise InputError("a query is answered by a field: open the scene together with its field")
+    else:
+        carried = scene if isinstance(scene, LabelledScene) else labelled_alone(scene, time=time)
+    return written(Path(path), carried, overwrite)
+
+
+def written(path: Path, scene: LabelledScene, overwrite: bool = False) -> Exported:
+    """Write a labelled scene; returns what is in the file. Raises: as `write_scene`."""
+    write_scene(path, scene, overwrite)
+    return described(path, scene)
+
+
+def described(path: Path, scene: LabelledScene) -> Exported:
+    """Return what a file that was written of a scene has in it."""
+    counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.annotations))
+    return Exported(path, path.suffix.lower()[1:], path.stat().st_size, *counts, scene.num_edits, lacks(path, scene))

@@ -1,0 +1,262 @@
+"""Writing GLB (binary glTF 2.0): Gaussians with their objects, names, boxes and the answer to a query.
+
+Splats are points with the extension KHR_gaussian_splatting, all numbers as floats; objects are features of
+EXT_mesh_features with rows of a property table of EXT_structural_metadata; relevancy is a property attribute. Rows are
+converted block by block on their way to the disk. Written by hand: a library for glTF (pygltflib) would hold the whole
+binary chunk in memory, and knows none of these extensions.
+
+Source: as of `glb_layout`; README of each extension for the layout of tables and features.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..arrays import Float32, UInt8
+from ..errors import InputError
+from ..scene.gaussians import SH_C0, Gaussians
+from ..scene.labelled import LabelledScene
+from .glb_boxes import named_nodes
+from .glb_layout import (
+    BINARY_CHUNK,
+    CHUNK,
+    COLOR,
+    COLOR_SPACE,
+    COMPONENTS,
+    FEATURE_ID,
+    FEATURES,
+    FLOAT,
+    HARMONICS,
+    HEADER,
+    JSON_CHUNK,
+    KERNEL,
+    MAGIC,
+    METADATA,
+    MOST_BYTES,
+    OPACITY,
+    OURS,
+    POINTS,
+    POSITION,
+    RELEVANCY,
+    ROTATION,
+    SCALE,
+    SPLATTING,
+    UNSIGNED_BYTE,
+    UNSIGNED_SHORT,
+    VERSION,
+    WIDTHS,
+    rotation_xyzw,
+    standing_up,
+)
+from .glb_tables import Table, tables_of
+from .replacing import replacing
+
+BLOCK = 1 << 14  # rows that are converted at once
+ARRAY_BUFFER = 34962
+NO_OBJECT_SHORT, NO_OBJECT_FLOAT = 2**16 - 1, 2**24 - 1  # the last numbers that both can hold
+ALIGNMENT = 8  # of parts of the file, so that tables of 64-bit numbers may follow
+Rows = Callable[[slice], np.ndarray]
+
+
+class Part(NamedTuple):
+    """Rows of bytes that are made when they are written."""
+
+    num_rows: int
+    row_bytes: int
+    rows: Rows
+
+    @property
+    def size(self) -> int:
+        return self.num_rows * self.row_bytes
+
+    def blocks(self) -> Iterator[bytes]:
+        for begin in range(0, self.num_rows, BLOCK):
+            yield np.ascontiguousarray(self.rows(slice(begin, begin + BLOCK))).tobytes()
+
+
+@dataclass
+class Binary:
+    """The binary chunk while it is laid out: its parts, and the views and accessors of the document into them."""
+
+    parts: list[Part] = field(default_factory=list)
+    views: list[dict[str, Any]] = field(default_factory=list)
+    accessors: list[dict[str, Any]] = field(default_factory=list)
+    size: int = 0
+
+    def view(self, part: Part, **more: Any) -> int:
+        """Append a part; returns the number of its view."""
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": part.size, **more})
+        self.parts.append(part)
+        self.size += -(-part.size // ALIGNMENT) * ALIGNMENT
+        return len(self.views) - 1
+
+    def attribute(self, count: int, kind: str, component: int, rows: Rows, **more: Any) -> int:
+        """Append a value per Gaussian, padded to whole words; returns the number of its accessor."""
+        dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[kind]
+        words = -(-width * dtype.itemsize // 4) * (4 // dtype.itemsize)
+
+        def padded(block: slice) -> np.ndarray:
+            values = rows(block).reshape(-1, width)
+            whole = values if words == width else np.pad(values, ((0, 0), (0, words - width)))
+            return np.asarray(whole.astype(dtype, copy=False))
+
+        row_bytes = words * dtype.itemsize
+        view = self.view(Part(count, row_bytes, padded), byteStride=row_bytes, target=ARRAY_BUFFER)
+        accessor = {"bufferView": view, "componentType": component, "count": count, "type": kind, **more}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def column(self, values: np.ndarray) -> int:
+        """Append a column of a table; returns the number of its view."""
+        raw = np.frombuffer(values.tobytes() or b"\0", np.uint8)  # a view has a byte at least
+        return self.view(Part(len(raw), 1, lambda rows: raw[rows]))
+
+
+def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
+    """Write a scene with its objects as GLB; it appears whole or not at all.
+
+    Raises: InputError: more than a GLB can hold, or `path` exists and not `overwrite`.
+    """
+    binary = Binary()
+    document = _document(scene, binary)
+    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(errors="replace")
+    text += b" " * (-(HEADER.size + 2 * CHUNK.size + len(text)) % ALIGNMENT)
+    size = HEADER.size + 2 * CHUNK.size + len(text) + binary.size
+    if size > MOST_BYTES:
+        raise InputError(
+            f"{path.name} would have {size / 1e9:.1f} GB, and a GLB holds up to {MOST_BYTES / 1e9:.2f}: write it as "
+            "PLY, SPZ or SOG, cut it into 3D Tiles, or export a part of it"
+        )
+    with replacing(path, overwrite) as file:
+        file.write(HEADER.pack(MAGIC, VERSION, size))
+        file.write(CHUNK.pack(len(text), JSON_CHUNK) + text)
+        file.write(CHUNK.pack(binary.size, BINARY_CHUNK))
+        for part in binary.parts:
+            for block in part.blocks():
+                file.write(block)
+            file.write(bytes(-part.size % ALIGNMENT))
+
+
+def _document(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
+    from .. import __version__
+
+    primitive = _primitive(scene, binary)
+    metadata = _metadata(scene, binary)
+    extensions = [SPLATTING, *([FEATURES] if scene.things else []), *([METADATA] if metadata else [])]
+    return {
+        "asset": {"version": "2.0", "generator": f"drsplat {__version__}"},
+        "extensionsUsed": extensions,
+        **({"extensions": {METADATA: metadata}} if metadata else {}),
+        "scene": 0,
+        "scenes": [{"name": scene.title, "nodes": [0]}],
+        "nodes": _nodes(scene),
+        "meshes": [{"name": scene.title, "primitives": [primitive]}],
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "buffers": [{"byteLength": binary.size}],
+    }
+
+
+def _primitive(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
+    extensions: dict[str, Any] = {
+        SPLATTING: {
+            "kernel": KERNEL,
+            "colorSpace": COLOR_SPACE,
+            "sortingMethod": "cameraDistance",
+            "projection": "perspective",
+        }
+    }
+    attributes = _splat_attributes(scene.gaussians, binary)
+    if scene.things and scene.object_of is not None:
+        attributes[FEATURE_ID], extensions[FEATURES] = _features(scene, binary)
+    if scene.relevancy is not None:
+        relevancy, count = scene.relevancy, len(scene.gaussians)
+        attributes[RELEVANCY] = binary.attribute(count, "SCALAR", FLOAT, lambda rows: relevancy[rows])
+        extensions[METADATA] = {"propertyAttributes": [0]}
+    return {"attributes": attributes, "mode": POINTS, "extensions": extensions}
+
+
+def _splat_attributes(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
+    """Lay out what KHR_gaussian_splatting asks for, and the colours of points for programs that do not know it."""
+    g, count = gaussians, len(gaussians)
+    bounds = {"min": g.means.min(axis=0).tolist(), "max": g.means.max(axis=0).tolist()}
+    attributes = {
+        POSITION: binary.attribute(count, "VEC3", FLOAT, lambda rows: g.means[rows], **bounds),
+        COLOR: binary.attribute(count, "VEC4", UNSIGNED_BYTE, lambda rows: _point_colors(g, rows), normalized=True),
+        ROTATION: binary.attribute(count, "VEC4", FLOAT, lambda rows: g.quats[rows][:, [1, 2, 3, 0]]),
+        SCALE: binary.attribute(count, "VEC3", FLOAT, lambda rows: g.scales[rows]),
+        OPACITY: binary.attribute(count, "SCALAR", FLOAT, lambda rows: g.opacities[rows]),
+    }
+    for number, name in enumerate(HARMONICS[: g.sh.shape[1]]):
+        attributes[name] = binary.attribute(count, "VEC3", FLOAT, _coefficient(g.sh, number))
+    return attributes
+
+
+def _coefficient(sh: Float32[np.ndarray, "n k 3"], number: int) -> Rows:
+    return lambda rows: sh[rows, number]
+
+
+def _point_colors(gaussians: Gaussians, rows: slice) -> UInt8[np.ndarray, "b 4"]:
+    """Return the constant colours in linear light, as glTF has colours of vertices, and the opacities."""
+    shown = np.clip(0.5 + SH_C0 * gaussians.sh[rows, 0].astype(np.float64), 0, 1)
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(255 * np.column_stack([linear, gaussians.opacities[rows]])), np.uint8)
+
+
+def _features(scene: LabelledScene, binary: Binary) -> tuple[int, dict[str, Any]]:
+    """Lay out the number of each Gaussian's object; returns its accessor, and what EXT_mesh_features says of it."""
+    objects, count = scene.object_of, len(scene.things)
+    assert objects is not None
+    is_short = count <= NO_OBJECT_SHORT
+    none = NO_OBJECT_SHORT if is_short else NO_OBJECT_FLOAT
+    if count > none:
+        raise InputError(f"a GLB holds up to {none:,} objects, got {count:,}: export a part of the scene")
+
+    def ids(rows: slice) -> np.ndarray:
+        return np.asarray(np.where(objects[rows] < 0, none, objects[rows]))
+
+    accessor = binary.attribute(len(objects), "SCALAR", UNSIGNED_SHORT if is_short else FLOAT, ids)
+    described = {"featureCount": count, "nullFeatureId": none, "attribute": 0, "propertyTable": 0, "label": "objects"}
+    return accessor, {"featureIds": [described]}
+
+
+def _metadata(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
+    """Return the extension's object of the document, {} where there is nothing to say."""
+    tables = tables_of(scene)
+    classes = {table.kind: {"properties": table.properties} for table in tables}
+    metadata: dict[str, Any] = {}
+    if tables:
+        metadata["propertyTables"] = [_table(table, binary) for table in tables]
+    if scene.relevancy is not None:
+        query = f" to “{scene.query}”" if scene.query else ""
+        relevancy = {"type": "SCALAR", "componentType": "FLOAT32", "required": True}
+        classes["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
+        metadata["propertyAttributes"] = [{"class": "splat", "properties": {"relevancy": {"attribute": RELEVANCY}}}]
+    return {"schema": {"id": "drsplat", "classes": classes}, **metadata} if metadata else {}
+
+
+def _table(table: Table, binary: Binary) -> dict[str, Any]:
+    properties = {
+        name: {"values": binary.column(column.values)}
+        | ({} if column.offsets is None else {"stringOffsets": binary.column(column.offsets)})
+        for name, column in table.columns.items()
+    }
+    return {"name": table.name, "class": table.kind, "count": table.num_rows, "properties": properties}
+
+
+def _nodes(scene: LabelledScene) -> list[dict[str, Any]]:
+    """Return the root, which stands up as glTF does and in which all else is in the world, the splats and the boxes."""
+    own: dict[str, Any] = {"frame": "world", "up": list(scene.up), "fingerprint": scene.gaussians.fingerprint}
+    own |= {"antialiased": True} if scene.gaussians.antialiased else {}
+    own |= {"encoder": scene.encoder} if scene.encoder else {}
+    splats: dict[str, Any] = {"name": "splats", "mesh": 0}
+    if scene.gaussians.origin.any():
+        splats["translation"] = scene.gaussians.origin.tolist()
+    boxes = named_nodes(scene, first=2)
+    rotation = rotation_xyzw(standing_up(np.array(scene.up, np.float64)))
+    root = {"name": scene.title, "rotation": rotation, "children": [1, *boxes.roots], "extras": {OURS: own}}
+    return [root, splats, *boxes.nodes]

@@ -1,0 +1,211 @@
+"""glTF 2.0 as a container: the document, its buffers, and numbers out of them; nothing in it is trusted.
+
+A GLB has its document and one buffer in one file; a `.gltf` is the document alone, whose buffers are base64 in it or
+files beside it. Source: glTF 2.0 specification, sections 3.6 (buffers, accessors) and 4 (GLB).
+"""
+
+import base64
+import binascii
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from ..contents import file_bytes
+from ..errors import FormatError
+from .glb_layout import BINARY_CHUNK, CHUNK, COMPONENTS, HEADER, JSON_CHUNK, MAGIC, VERSION, WIDTHS
+from .json_files import document_in, shown
+from .photo_files import safe_name
+
+DATA_URI = "data:"
+MOST_STRIDE = 252
+Entry = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Gltf:
+    """A document and where its buffers come from.
+
+    document: as JSON had it; anything may be in it. binary: of a GLB, None where there is none. folder: that files of
+    buffers lie in, None where nothing beside the document may be read.
+    """
+
+    document: Entry
+    binary: memoryview | None = None
+    folder: Path | None = None
+    _buffers: dict[int, memoryview] = field(default_factory=dict)
+
+    def entries(self, name: str) -> list[Any]:
+        """Return a list of the document, [] where there is none. Raises: FormatError: it is no list."""
+        return listed(self.document, name, "glTF")
+
+    def entry(self, name: str, number: object) -> Entry:
+        """Return one object of such a list. Raises: FormatError: there is no object of that number."""
+        entries = self.entries(name)
+        place = whole(number, f"a number of {name}", len(entries))
+        entry = entries[place]
+        if not isinstance(entry, dict):
+            raise FormatError(f"{name}[{place}]: expected an object, got {shown(entry)}")
+        return entry
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all buffers. Raises: FormatError: one is not there, or shorter than it says."""
+        return sum(len(self._buffer(place)) for place in range(len(self.entries("buffers"))))
+
+    def view(self, number: object) -> memoryview:
+        """Return the bytes of a buffer view. Raises: FormatError: they are not all there."""
+        entry = self.entry("bufferViews", number)
+        buffer = self._buffer(entry.get("buffer"))
+        begin = whole(entry.get("byteOffset", 0), "byteOffset")
+        end = begin + whole(entry.get("byteLength"), "byteLength")
+        if end > len(buffer):
+            raise FormatError(f"bufferViews[{number}] ends at byte {end} of a buffer of {len(buffer)}: truncated")
+        return buffer[begin:end]
+
+    def accessor(
+        self, number: object, kind: str, what: str, components: tuple[int, ...] = tuple(COMPONENTS)
+    ) -> np.ndarray:
+        """Return the numbers of an accessor as they are stored, (count, width), without a copy.
+
+        kind: "SCALAR", "VEC3", ... components: kinds of numbers that `what` may have.
+
+        Raises: FormatError: another kind, more than there is in the file, sparse values.
+        """
+        entry = self.entry("accessors", number)
+        component = entry.get("componentType")
+        if entry.get("type") != kind or component not in components:
+            raise FormatError(
+                f"{what}: expected {kind} of the types {', '.join(map(str, components))}, got "
+                f"{shown(entry.get('type'))} of {shown(component)}"
+            )
+        if "sparse" in entry or "bufferView" not in entry:
+            raise FormatError(f"{what}: sparse accessors and those without data cannot be read: write it whole")
+        dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[kind]
+        count, offset = whole(entry.get("count"), f"{what}: count"), whole(entry.get("byteOffset", 0), "byteOffset")
+        return self._strided(entry, count, offset, dtype, width, what)
+
+    def _strided(self, entry: Entry, count: int, offset: int, dtype: np.dtype, width: int, what: str) -> np.ndarray:
+        view, row_bytes = self.view(entry["bufferView"]), width * dtype.itemsize
+        stride = self.entry("bufferViews", entry["bufferView"]).get("byteStride", row_bytes)
+        stride = whole(stride, f"{what}: byteStride", MOST_STRIDE + 1)
+        if stride < row_bytes:
+            raise FormatError(f"{what}: rows of {row_bytes} bytes in steps of {stride}")
+        if count and offset + (count - 1) * stride + row_bytes > len(view):
+            raise FormatError(f"{what}: {count} rows do not fit into {len(view)} bytes: truncated or damaged")
+        shape, strides = (count, width), (stride, dtype.itemsize)
+        return np.ndarray(shape, dtype, view, offset if count else 0, strides)
+
+    def values(
+        self, number: object, kind: str, what: str, components: tuple[int, ...] = tuple(COMPONENTS)
+    ) -> np.ndarray:
+        """Return the numbers of an accessor as float32, a copy: integers that are normalised as shares of 1.
+
+        Raises: FormatError: as `accessor`.
+        """
+        stored = self.accessor(number, kind, what, components)
+        result = stored.astype(np.float32)
+        if self.entry("accessors", number).get("normalized") is True and stored.dtype.kind != "f":
+            np.maximum(result / np.float32(np.iinfo(stored.dtype).max), np.float32(-1), out=result)
+        return result
+
+    def _buffer(self, number: object) -> memoryview:
+        place = whole(number, "buffer", len(self.entries("buffers")))
+        if place not in self._buffers:
+            entry = self.entry("buffers", place)
+            content = self._content(entry.get("uri"), place)
+            length = whole(entry.get("byteLength"), f"buffers[{place}]: byteLength")
+            if length > len(content):
+                raise FormatError(f"buffers[{place}]: expected {length} bytes, got {len(content)}: truncated")
+            self._buffers[place] = content[:length]
+        return self._buffers[place]
+
+    def _content(self, uri: object, place: int) -> memoryview:
+        if uri is None and place == 0 and self.binary is not None:
+            return self.binary
+        if not isinstance(uri, str):
+            raise FormatError(f"buffers[{place}]: expected the binary chunk of a GLB or a uri, got {shown(uri)}")
+        if uri.startswith(DATA_URI):
+            return _base64(uri, place)
+        name = unquote(uri)
+        if self.folder is None or ":" in name or "/" in name or "\\" in name:
+            raise FormatError(
+                f"buffers[{place}]: {shown(uri)}: only files right beside the document are read: put it there, or pack "
+                "both into one .glb"
+            )
+        path = self.folder / safe_name(name, f"buffers[{place}]")
+        return file_bytes(path).data
+
+
+def gltf_in(buffer: memoryview, folder: Path | None = None) -> Gltf:
+    """Return the document of a GLB or a `.gltf`, and its buffers.
+
+    folder: that files beside it may be read from, None for none.
+
+    Raises: FormatError: neither, truncated, damaged, or of another version.
+    """
+    if bytes(buffer[:4]) == MAGIC:
+        text, binary = _chunks(buffer)
+    else:
+        text, binary = buffer, None
+    document = document_in(bytes(text), "glTF")
+    if not isinstance(document, dict) or not isinstance(document.get("asset"), dict):
+        raise FormatError("glTF: expected an object with 'asset'")
+    version = document["asset"].get("version")
+    if not isinstance(version, str) or not version.startswith("2."):
+        raise FormatError(f"glTF of version {shown(version)}; version 2.0 can be read: export it again")
+    return Gltf(document, binary, folder)
+
+
+def _chunks(buffer: memoryview) -> tuple[memoryview, memoryview | None]:
+    if len(buffer) < HEADER.size + CHUNK.size:
+        raise FormatError("GLB is truncated in its header")
+    _, version, size = HEADER.unpack_from(buffer)
+    if version != VERSION or size != len(buffer):
+        raise FormatError(f"GLB says version {version} and {size} bytes; expected 2 and {len(buffer)}: truncated?")
+    found: dict[bytes, memoryview] = {}
+    offset = HEADER.size
+    while offset + CHUNK.size <= size:
+        length, kind = CHUNK.unpack_from(buffer, offset)
+        offset += CHUNK.size
+        if offset + length > size:
+            raise FormatError(f"GLB: a chunk of {length} bytes ends beyond the file: truncated or damaged")
+        found.setdefault(kind, buffer[offset : offset + length])
+        offset += length
+    if JSON_CHUNK not in found:
+        raise FormatError("GLB has no chunk of JSON: it is damaged")
+    return found[JSON_CHUNK], found.get(BINARY_CHUNK)
+
+
+def _base64(uri: str, place: int) -> memoryview:
+    head, _, body = uri.partition(",")
+    if not head.endswith(";base64"):
+        raise FormatError(f"buffers[{place}]: expected a data uri in base64, got {shown(head)}")
+    try:
+        return memoryview(base64.b64decode(body, validate=True))
+    except (binascii.Error, ValueError) as error:
+        raise FormatError(f"buffers[{place}]: base64 is damaged: {error}") from None
+
+
+def listed(entry: object, name: str, where: str) -> list[Any]:
+    """Return a list of an object, [] where there is none. Raises: FormatError: it is no list."""
+    value = entry.get(name, []) if isinstance(entry, dict) else []
+    if not isinstance(value, list):
+        raise FormatError(f"{where}: {name}: expected a list, got {shown(value)}")
+    return value
+
+
+def inner(entry: object, *names: str) -> Entry:
+    """Return what lies below some names of an object, {} where there is nothing, or something else."""
+    for name in names:
+        entry = entry.get(name) if isinstance(entry, dict) else None
+    return entry if isinstance(entry, dict) else {}
+
+
+def whole(value: object, where: str, below: int = 1 << 62) -> int:
+    """Return a whole number of 0 or more. Raises: FormatError: it is none, or not below `below`."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < below:
+        raise FormatError(f"glTF: {where}: expected a whole number from 0 to {below - 1}, got {shown(value)}")
+    return value
