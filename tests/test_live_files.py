@@ -23,6 +23,7 @@ from drsplat.viewing import saving
 from drsplat.viewing.live import files
 from drsplat.viewing.live.uploads import root_of
 from drsplat.viewing.session import Session
+from glb_files import Read
 from live_clients import Viewer, a_viewer, camera, error_of
 from scenes import random_gaussians
 from test_film_paths import nerfstudio_file
@@ -334,3 +335,25 @@ def test_a_flight_passes_the_key_frames_as_the_film_does(viewer: Viewer) -> None
     ahead = np.array(flight["targets"][0]) - flight["eyes"][0]
     meant = np.array(keys[0]["target"]) - keys[0]["eye"]
     np.testing.assert_allclose(ahead / np.linalg.norm(ahead), meant / np.linalg.norm(meant), atol=1e-3)
+
+
+def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished: Viewer, tmp_path: Path) -> None:
+    furnished.do("ask", text="red mug")
+    answer = furnished.post("/view/save", {"what": "scene", "format": ".glb"})
+    assert answer.status_code == 200, answer.text
+    glb = Read.of(answer.content)
+    assert glb.table(0)["number"] == [0, 1]
+    (number,) = next(node for node in glb.document["nodes"] if node["name"] == "matches")["children"]
+    before = glb.document["nodes"][number]
+    assert before["extras"]["query"] == "red mug"
+    furnished.do("edit", change="move", by=[0.0, 0.0, 2.0])
+    moved = Read.of(furnished.post("/view/save", {"what": "scene", "format": ".glb"}).content)
+    np.testing.assert_allclose(
+        np.array(moved.document["nodes"][number]["translation"]) - before["translation"], [0, 0, 2], atol=1e-4
+    )
+    part = Read.of(furnished.post("/view/save", {"what": "selection", "format": ".glb"}).content)
+    assert len(part.table(0)["number"]) == 1
+    assert len(part.attribute("POSITION")) < len(glb.attribute("POSITION"))
+    (tmp_path / "a.spz").write_bytes(furnished.post("/view/save", {"what": "scene", "format": ".spz"}).content)
+    assert len(read_gaussians(tmp_path / "a.spz")) == len(glb.attribute("POSITION"))
+    error_of(furnished.post("/view/save", {"what": "scene", "format": ".obj"}), 422)

@@ -15,6 +15,7 @@ from drsplat import read_gaussians, write_gaussians
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.query import open_scene
+from glb_files import Read
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
 from scenes import look_at_view
 
@@ -22,7 +23,10 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 
 from drsplat.commands.object_outputs import listing
 from drsplat.serving.conversation import Conversation
+from drsplat.serving.files import exported
+from drsplat.serving.limits import Limits
 from drsplat.serving.replies import Reply
+from drsplat.serving.requests import Export
 from drsplat.serving.scene_folder import SceneFolder
 from drsplat.serving.worker import Workplace, reply_to
 
@@ -170,3 +174,34 @@ def test_what_photos_agree_less_on_is_listed_when_it_is_asked_for(folder: Path) 
     assert [one.id for one in talk.list_objects(20).objects] == [1, 2]
     assert talk.list_objects(1).advice.startswith("the 1 largest of 2. 1 more that photos agree less on")
     assert [one.id for one in talk.list_objects(20, unsure=True).objects] == [0, 1, 2]
+
+
+def test_a_scene_is_sent_as_a_file_with_its_names(folder: Path) -> None:
+    sent = reply(folder, "export", {})
+    assert sent.media_type == "model/gltf-binary"
+    assert sent.field == open_scene(folder).field.fingerprint
+    assert Read.of(sent.body).table(0)["number"] == [0, 1, 2]
+    one = Read.of(reply(folder, "export", {"object": 2}).body)
+    assert one.table(0)["number"] == [2]
+    ply = reply(folder, "export", {"format": "ply"})
+    assert ply.body.startswith(b"ply\n")
+    assert ply.media_type == "application/octet-stream"
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"only": True}, "what matches is that of a query"),
+        ({"object": 3}, "there are 0 to 2"),
+        ({"time": 1.0}, "this scene stands still"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused(asked: dict[str, object], message: str, folder: Path) -> None:
+    refused = reply(folder, "export", asked)
+    assert refused.status == 422
+    assert message in json.loads(refused.body)["error"]
+
+
+def test_a_scene_that_is_too_large_is_not_sent(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"up to 0 are sent: `drsplat export` writes it"):
+        exported(open_scene(folder), Export(), Limits(file_bytes=100))

@@ -62,6 +62,7 @@ ROUTES = [
     ("GET", "/scenes/{scene}/objects/{number}/picture"), ("GET", "/scenes/{scene}/objects/{number}/ply"),
     ("POST", "/scenes/{scene}/select"), ("POST", "/scenes/{scene}/locate"), ("POST", "/scenes/{scene}/when"),
     ("POST", "/scenes/{scene}/segment"), ("POST", "/scenes/{scene}/what-is"), ("POST", "/scenes/{scene}/picture"),
+    ("POST", "/scenes/{scene}/export"),
     ("POST", "/catalogue/ask"), ("GET", "/catalogue/picture"),
 ]  # fmt: skip
 SOUND: dict[str, dict[str, Any]] = {
@@ -71,6 +72,7 @@ SOUND: dict[str, dict[str, Any]] = {
     "/scenes/{scene}/segment": {"body": {"classes": ["mug", "table"], "labels": True}},
     "/scenes/{scene}/what-is": {"body": {"point": [0.0, 0.0, 0.0], "names": ["mug", "table"]}},
     "/scenes/{scene}/picture": {"body": {"text": "mug", "max_side": 64}},
+    "/scenes/{scene}/export": {"body": {"text": "mug", "format": "glb"}},
     "/catalogue/ask": {"body": {"text": "mug", "scenes": ["room"]}},
     "/catalogue/picture": {"query": {"scene": "room", "object_id": 0}},
 }

@@ -15,6 +15,7 @@ from ..query.objects import match_of, objects_of
 from ..query.sheets import object_picture
 from . import models
 from .conversation import told
+from .files import exported
 from .limits import Limits
 from .models import (
     ClassCount,
@@ -40,6 +41,7 @@ from .pictures import jpeg, png
 from .replies import JPEG, PLY, PNG, Reply
 from .requests import (
     Details,
+    Export,
     Locate,
     Objects,
     OneObject,
@@ -64,7 +66,7 @@ class Answering(NamedTuple):
     """How a request is read and answered. words: whether its answers need who embeds words. media_type: of bytes."""
 
     asked: type[Request]
-    answer: Callable[[Scene, Any, Limits], BaseModel | bytes]
+    answer: Callable[[Scene, Any, Limits], BaseModel | bytes | Reply]
     words: bool = True
     media_type: str = PNG
 
@@ -199,6 +201,7 @@ ANSWERS: Mapping[str, Answering] = {
     "segment": Answering(Segment, segmented),
     "what-is": Answering(WhatIs, named),
     "picture": Answering(Picture, picture),
+    "export": Answering(Export, exported),
     "tool": Answering(Tool, told),
 }
 
@@ -208,6 +211,8 @@ def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) 
     way = ANSWERS[what]
     answer = way.answer(scene, way.asked(**asked), limits)
     field = scene.field.fingerprint
+    if isinstance(answer, Reply):
+        return answer._replace(field=field)
     if isinstance(answer, bytes):
         return Reply(answer, way.media_type, field=field)
     return Reply(answer.model_dump_json().encode(), field=field)

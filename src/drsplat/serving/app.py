@@ -24,8 +24,8 @@ from .limits import Limits
 from .metrics import Metrics
 from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
 from .refusals import faults_of
-from .replies import BUG, JPEG, NO_JSON, PLY, PNG, Reply, is_json, problem, refusal
-from .requests import Locate, Picture, Segment, Select, WhatIs, When
+from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, is_json, problem, refusal
+from .requests import Export, Locate, Picture, Segment, Select, WhatIs, When
 from .scene_folder import SceneFolder, Sources, without_paths
 from .workbench import Job, Workbench
 from .worker import Workplace
@@ -248,6 +248,13 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
     async def picture(scene: Scene, asked: Picture) -> Response:
         """A rendering as PNG, optionally with the matches of a query kept in colour."""
         return await computed("picture", scene, asked)
+
+    files = binary(GLB)[200]["content"] | binary(PLY)[200]["content"]
+
+    @app.post("/scenes/{scene}/export", tags=["queries"], response_class=Response, responses={200: {"content": files}})
+    async def export(scene: Scene, asked: Export) -> Response:
+        """The scene as a file for other programs: GLB with named objects, PLY or SPZ."""
+        return await computed("export", scene, asked)
 
 
 def _add_catalogue(app: FastAPI, bench: Workbench) -> None:

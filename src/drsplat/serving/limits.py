@@ -9,7 +9,8 @@ class Limits:
 
     body_bytes: of a request. large_bodies: requests of more than 64 KiB that are received and answered at once. text:
     characters of one text. classes: of one request. pixels: of a picture
-    that is sent, by its header. side: of a picture that is rendered, in pixels. workers: processes, which compute one
+    that is sent, by its header. side: of a picture that is rendered, in pixels. file_bytes: of a scene that
+    is sent as a file, of which twice as many are held. workers: processes, which compute one
     request at a time. waiting: more
     that may wait for them; others are told to come again. seconds: from the first byte to the answer.
     """
@@ -21,6 +22,7 @@ class Limits:
     pixels: int = 16_000_000
     side: int = 1600
     matches: int = 100
+    file_bytes: int = 512 << 20
     workers: int = 2
     waiting: int = 128
     seconds: float = 30.0

@@ -9,6 +9,7 @@ from .scene_folder import SceneFaultError, UnknownSceneError
 BUG = "this is a fault of the service, not of the request; its log has the details"
 NO_JSON = "expected JSON and the header Content-Type: application/json (curl: -H 'content-type: application/json')"
 JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
+GLB = "model/gltf-binary"
 
 
 class BusyError(DrSplatError):

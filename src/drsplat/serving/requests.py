@@ -156,6 +156,19 @@ class Picture(Query):
     model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]})
 
 
+class Export(Query):
+    """The scene as a file, with the answer to a query where there is one."""
+
+    format: Literal["glb", "ply", "spz"] = Field("glb", description="a .glb has names, boxes and matches")
+    only: bool = Field(False, description="whether to leave out all that does not match the query")
+    object: Annotated[int, Field(ge=0, le=2**31 - 1)] | None = Field(None, description="an object to write alone")
+    time: Finite | None = Field(None, description="the time of a scene that moves")
+    edits: Literal["none", "kept"] = Field("none", description="kept: as edited, with the edits beside the scene")
+    embeddings: bool = Field(False, description="whether objects take their embeddings along")
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "only": True}, {"format": "ply"}]})
+
+
 class WhatIs(Request):
     """Exactly one of point and click."""
 

@@ -89,8 +89,9 @@ export class EditTab implements Tab {
   }
 
   private saving(): Node[] {
-    const camera = this.app.place, save = (what: string) => () => void this.save("/view/save", { what, camera });
+    const camera = this.app.place, save = (what: string, format = ".ply") => () => void this.save("/view/save", { what, format, camera });
     return [h("div", { class: "grid" }, button("Scene (PLY)", save("scene")), button("Selection (PLY)", save("selection"), { disabled: !this.app.state.selection }),
+      button("Scene (GLB)", save("scene", ".glb")), button("Selection (GLB)", save("selection", ".glb"), { disabled: !this.app.state.selection }),
       button("Picture (PNG)", () => void this.save("/view/picture", { camera: this.app.place })), button("Swing (GIF)", save("swing")), button("Page (HTML)", () => void this.save("/view/page", {})))];
   }
 

@@ -16,9 +16,11 @@ from ...errors import InputError
 from ...filming.path_files import path_of, write_path
 from ...filming.paths import frame_count
 from ...filming.writing import write_film
+from ...formats.exports import write_scene
 from ...formats.json_files import document_in
 from ...query.sheets import AT_ONCE
 from ...serving.pictures import jpeg, png
+from ..carrying import carried
 from ..exporting import export_page
 from ..naming import photo_of
 from ..object_list import pictures_of
@@ -41,9 +43,10 @@ class Saved(NamedTuple):
 
 
 class Save(Body):
-    """camera: of a swing, for where nothing is found."""
+    """camera: of a swing, for where nothing is found. format: of a scene or a selection."""
 
     what: Literal["scene", "selection", "swing"]
+    format: Literal[".ply", ".glb", ".spz"] = ".ply"
     camera: Camera | None = None
 
 
@@ -126,7 +129,10 @@ def saved(shared: Shared, asked: Save) -> Saved:
         data = _swing(stage, asked.camera)
         return _save(shared, "found", ".gif", lambda path: write_bytes(path, data))
     only, stem = (True, "selection") if asked.what == "selection" else (False, "found")
-    return _save(shared, stem, ".ply", lambda path: save_scene(path, stage.session, selected_only=only))
+    if asked.format == ".ply":
+        return _save(shared, stem, ".ply", lambda path: save_scene(path, stage.session, selected_only=only))
+    scene = carried(stage.session, selected_only=only)
+    return _save(shared, stem, asked.format, lambda path: write_scene(path, scene))
 
 
 def film(shared: Shared, asked: Film, is_gone: Event) -> Saved:
