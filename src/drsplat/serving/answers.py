@@ -85,6 +85,7 @@ def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
         high=rounded(high, digits),
         up=None if scene.up is None else rounded(scene.up, 4),
         times=span_of(scene),
+        scene=scene.gaussians.fingerprint,
         field=scene.field.fingerprint,
     )
 

@@ -67,6 +67,7 @@ class SceneDetails(SceneSummary):
     up: Vector | None = Field(None, description="unit direction, told by the photos")
     times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
     units: str = UNITS
+    scene: str = Field("", description="fingerprint of the Gaussians: of their count, positions and order")
     field: Fingerprint = ""
 
 
