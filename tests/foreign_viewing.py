@@ -66,11 +66,16 @@ def zoomed(photo: ds.View) -> ds.View:
 
 
 def pictured(
-    browser: Any, viewer: str, scene: Path, view: ds.View, turn: Float64[np.ndarray, "3 3"] = WORLD
+    browser: Any,
+    viewer: str,
+    scene: Path,
+    view: ds.View,
+    turn: Float64[np.ndarray, "3 3"] = WORLD,
+    antialiased: bool = False,
 ) -> np.ndarray:
     """Return what the viewer shows from the place of a view, once it has stopped changing.
 
-    turn: from the world of the view to that of the viewer.
+    turn: from the world of the view to that of the viewer. antialiased: how it draws, where its page knows of both.
     """
     viewer_from_world = np.eye(4)
     viewer_from_world[:3, :3] = turn
@@ -81,6 +86,7 @@ def pictured(
         "world_from_cam": (viewer_from_world @ np.linalg.inv(view.cam_from_world) @ np.diag([1.0, -1, -1, 1]))
         .ravel()
         .tolist(),
+        "antialiased": antialiased,
     }
     shots = [np.zeros((view.height, view.width, 3))]
 

@@ -7,6 +7,7 @@ bytes and cut-offs of alpha leave.
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +46,15 @@ def saved(edited_room: Path, tmp_path: Path, capsys: Capture) -> Path:
     return room / "out.ply"
 
 
-@pytest.mark.parametrize("viewer", ["spark", "mkkellogg"])
-def test_viewers_of_the_web_draw_what_we_save(viewer: str, saved: Path, chromium: Any, edited_room: Path) -> None:
-    """Judged where the scene is; the rest is black for all."""
-    scene = ds.read_gaussians(saved)
+@pytest.mark.parametrize(("viewer", "antialiased"), [("spark", False), ("spark", True), ("mkkellogg", False)])
+def test_viewers_of_the_web_draw_what_we_save(
+    viewer: str, antialiased: bool, saved: Path, chromium: Any, edited_room: Path
+) -> None:
+    """Judged where the scene is; the rest is black for all. Spark draws scenes antialiased unless made otherwise."""
+    scene = replace(ds.read_gaussians(saved), antialiased=antialiased)
     assert {"match_id", "relevancy"} <= set(scene.extra)
     view = zoomed(ds.read_views(edited_room / "capture")[0])
-    shown = pictured(chromium, viewer, saved, view)
+    shown = pictured(chromium, viewer, saved, view, antialiased=antialiased)
     drawn = ds.render(with_colors_in_bytes(scene, view), view)
     there = drawn.alpha > 0.01
     assert there.mean() > 0.1

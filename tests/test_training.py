@@ -22,6 +22,7 @@ from drsplat.formats.captures import SparsePoints, read_sparse_points
 from drsplat.formats.ply import write_vertices
 from drsplat.formats.replacing import replacing
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.training import everyday
 from drsplat.training.devices import chosen_device
 from furnished.capture import write_model
@@ -40,7 +41,8 @@ BUSY = ds.TrainingSettings(
 CHAIN = replace(BUSY, strategy="mcmc", max_gaussians=400)
 FINE = replace(BUSY, antialiased=True)
 COARSE = replace(BUSY, full_size_from=80, opacity_penalty=0.01)
-KINDS = {"default": BUSY, "mcmc": CHAIN, "coarse": COARSE, "antialiased": FINE}
+LIMITED = replace(BUSY, colors_in_bytes=True, sh_rate=0.1)
+KINDS = {"default": BUSY, "mcmc": CHAIN, "coarse": COARSE, "antialiased": FINE, "colours in bytes": LIMITED}
 both = pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
 
 
@@ -150,6 +152,12 @@ def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, 
     measured = next(view.psnr for view in training.evaluation.views if view.name == "photo_08.png")
     assert psnr(scene) == pytest.approx(measured, abs=0.01)
     assert abs(psnr(replace(scene, antialiased=False)) - measured) > 0.05  # so much does the mark say
+
+
+def test_colors_that_stay_in_bytes_are_what_viewers_of_the_web_show(views, points):
+    free = ds.train(views, replace(LIMITED, colors_in_bytes=False), points=points, device="cpu").gaussians
+    assert clamped_in_bytes(free).mean() > 0.01
+    assert not clamped_in_bytes(ds.train(views, LIMITED, points=points, device="cpu").gaussians).any()
 
 
 # --- the same bits ---
@@ -393,6 +401,7 @@ def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
         "10",
         "--sh-degree",
         "1",
+        "--colors-in-bytes",
     )
     assert answer.keys() >= {"psnr_test", "ssim_test", "num_gaussians", "iterations", "seconds"}
     assert (answer["iterations"], answer["num_gaussians"], answer["num_views"]) == (30, 300, 8)
@@ -416,7 +425,8 @@ def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
     results = json.loads((folder / "results.json").read_text())
     assert results["psnr_test"] == answer["psnr_test"]
     assert [entry["iteration"] for entry in results["history"]] == [10, 20]
-    assert json.loads((folder / "settings.json").read_text())["iterations"] == 30
+    settings = json.loads((folder / "settings.json").read_text())
+    assert (settings["iterations"], settings["colors_in_bytes"]) == (30, True)
     arguments = (folder / "cfg_args").read_text()
     assert arguments.startswith("Namespace(")
     assert f"source_path='{capture}'" in arguments

@@ -19,6 +19,7 @@ from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
 from drsplat.formats.captures import SparsePoints
 from drsplat.kernels.training import Gradients, SceneParameters
+from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.rotations import rotation_matrices
 from drsplat.training.density import AdaptiveDensity, reset_opacity, split
 from drsplat.training.everyday import budget_of, everyday
@@ -192,8 +193,24 @@ def test_the_fingerprint_is_of_what_changes_the_result():
     assert replace(DEFAULT, antialiased=True).fingerprint != DEFAULT.fingerprint
 
 
-def test_checkpoints_of_runs_before_antialiasing_can_be_gone_on_with():
-    assert "antialiased" not in json.loads(DEFAULT.fingerprint)
+@pytest.mark.parametrize("name", ["antialiased", "colors_in_bytes"])
+def test_checkpoints_of_runs_before_a_setting_can_be_gone_on_with(name):
+    assert name not in json.loads(DEFAULT.fingerprint)
+    assert name in json.loads(replace(DEFAULT, **{name: True}).fingerprint)
+
+
+def test_limited_colors_are_from_black_to_white_and_nothing_else_changes():
+    optimizer = Optimizer(parameters(50))
+    optimizer.parameters.sh[:] *= 3
+    before = [array.copy() for array in optimizer.parameters]
+    optimizer.limit_colors()
+    colors = 0.5 + SH_C0 * before[4][:, 0].astype(np.float64)
+    assert not ((colors > 0) & (colors < 1)).all()
+    after = 0.5 + SH_C0 * optimizer.parameters.sh[:, 0].astype(np.float64)
+    np.testing.assert_allclose(after, np.clip(colors, 0, 1), atol=1e-7)
+    np.testing.assert_array_equal(optimizer.parameters.sh[:, 1:], before[4][:, 1:])
+    for array, unchanged in zip(optimizer.parameters[:4], before[:4], strict=True):
+        np.testing.assert_array_equal(array, unchanged)
 
 
 def test_harmonics_come_every_thousand_iterations():

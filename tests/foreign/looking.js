@@ -1,6 +1,6 @@
 // A renderer and a camera of three.js as the address asks: ?look={width, height, fov, world_from_cam (rows, OpenGL)}.
 
-const look = JSON.parse(new URLSearchParams(location.search).get("look"));
+export const look = JSON.parse(new URLSearchParams(location.search).get("look"));
 
 export function rendererOf(THREE) {
   const renderer = new THREE.WebGLRenderer({ antialias: false });

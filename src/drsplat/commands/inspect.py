@@ -56,6 +56,9 @@ def show(answer: dict[str, Any]) -> None:
     facts = {name: value for name, value in answer.items() if name not in ("path", "kind", "views", "photos")}
     if "objects" in facts:
         facts["objects"] = [f"{one['id']} {one['name']}" for one in facts["objects"]]
+    if "clamped_colors" in facts:
+        share = f"{facts['clamped_colors']:.1%}"
+        facts["clamped_colors"] = f"{share} of Gaussians, in viewers that keep constant colours in bytes"
     if "verified" in facts:
         facts["verified"] = counted(len(facts["verified"]), "file")
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
@@ -64,6 +67,7 @@ def show(answer: dict[str, Any]) -> None:
 def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..editing import EditFile
     from ..formats.moving_scenes import read_scene
+    from ..scene.eight_bits import clamped_in_bytes
     from ..scene.moving import Moving, canonical_of
 
     given = read_scene(arguments.path)
@@ -74,6 +78,7 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_gaussians": len(scene),
         "sh_degree": scene.sh_degree,
         "antialiased": scene.antialiased,
+        "clamped_colors": float(clamped_in_bytes(scene).mean()) if len(scene) else 0.0,
         "lowest": scene.positions.min(0) if len(scene) else None,
         "highest": scene.positions.max(0) if len(scene) else None,
         "near": scene.near,

@@ -97,6 +97,10 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         "--antialiased", action="store_true",
         help="train opacities for viewers that draw antialiased (mip): the scene keeps its look from farther away",
     )  # fmt: skip
+    method.add_argument(
+        "--colors-in-bytes", action="store_true",
+        help="keep constant colours from 0 to 1, all that viewers with 8-bit colours show (default: any, as in 3DGS)",
+    )  # fmt: skip
     method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
     method.add_argument(
         "--test-every", type=whole, default=8, metavar="N",
@@ -195,7 +199,7 @@ def _settings(arguments: argparse.Namespace, views: Sequence[View]) -> TrainingS
         "seed": arguments.seed, "background": arguments.background, "strategy": arguments.strategy,
         "max_gaussians": arguments.max_gaussians, "sh_degree": arguments.sh_degree,
         "test_every": arguments.test_every, "evaluate_every": arguments.eval_every,
-        "antialiased": arguments.antialiased,
+        "antialiased": arguments.antialiased, "colors_in_bytes": arguments.colors_in_bytes,
     }  # fmt: skip
     if arguments.schedule == "everyday":
         return everyday(views, planned_iterations(arguments), **chosen)

@@ -126,6 +126,8 @@ class DeviceRun(Run):
     def _learnt(self, seen: dict[str, Any]) -> None:
         rates = self._rates()
         self.scene.step(rates)
+        if self.settings.colors_in_bytes:
+            self.scene.limit_colors()
         self._lap("optimizer")
         self.control.after_step(seen, self.iteration, rates.means)
         self._lap("density")

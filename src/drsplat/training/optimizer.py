@@ -9,6 +9,7 @@ from ..arrays import Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.training import Gradients, SceneParameters, adam_step
+from ..scene.eight_bits import MAX_CONSTANT
 from ..scene.gaussians import Gaussians
 
 FLOATING = SceneParameters._fields
@@ -52,6 +53,11 @@ class Optimizer:
             if name == "sh":
                 rate, constant = rates.sh_rest, rates.sh
             adam_step(parameter, gradient, first, second, rate, step, constant_rate=constant, threads=threads)
+
+    def limit_colors(self) -> None:
+        """Bring constant colours back into what viewers with 8-bit colours show (`scene.eight_bits`)."""
+        constants = self.parameters.sh[:, 0]
+        np.clip(constants, -MAX_CONSTANT, MAX_CONSTANT, out=constants)
 
     def keep(self, rows: Rows) -> None:
         """Only these Gaussians remain, in this order."""

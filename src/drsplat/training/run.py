@@ -124,6 +124,8 @@ class Run:
         self.density.penalize(self.optimizer, gradients)
         self._lap("density")
         self.optimizer.step(gradients, rates, self.iteration, threads)
+        if self.settings.colors_in_bytes:
+            self.optimizer.limit_colors()
         self._lap("optimizer")
         with np.errstate(over="ignore", invalid="ignore"):  # looked for below
             self.density.after_step(self.optimizer, self.iteration, self.rng, rates.means)

@@ -17,6 +17,8 @@ STRATEGIES = ("default", "mcmc")
 BACKGROUNDS = ("black", "white", "random")
 NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # `iterations` alone may grow
 
+SINCE = ("antialiased", "colors_in_bytes")  # settings that older runs did not have; off means as they were
+
 
 @dataclass(frozen=True)
 class TrainingSettings:
@@ -38,6 +40,7 @@ class TrainingSettings:
     sh_degree_every: int = 1000  # A: one more band every 1000 iterations
     dssim_weight: float = 0.2  # A: lambda
     antialiased: bool = False  # D: splats are dimmed as they are widened (Yu et al., "Mip-Splatting", 2024)
+    colors_in_bytes: bool = False  # D: constant colours stay within 0 and 1, as viewers hold them in bytes
     test_every: int = 8  # A: every 8th photo is held out; 0: none
     full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before a quarter of it
     evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
@@ -147,6 +150,7 @@ class TrainingSettings:
     def fingerprint(self) -> str:
         """JSON of what decides the result of an iteration: a run may go on only with the same."""
         named = {k: v for k, v in asdict(self).items() if k not in NOT_OF_AN_ITERATION}
-        if not self.antialiased:
-            del named["antialiased"]  # checkpoints of runs before there was a choice
+        for name in SINCE:
+            if not named[name]:
+                del named[name]  # checkpoints of runs before there was a choice
         return json.dumps(named, sort_keys=True)

@@ -11,6 +11,7 @@ from torch.optim import Adam
 
 from ..arrays import Float32
 from ..kernels.training import SceneParameters
+from ..scene.eight_bits import MAX_CONSTANT
 from .optimizer import Optimizer, Rates
 
 NAMES = {"means": "means", "log_scales": "scales", "quats": "quats", "logits": "opacities"}
@@ -55,6 +56,11 @@ class DeviceParameters:
             adam.param_groups[0]["lr"] = by_name[name]
             adam.step()
             self.tensors[name].grad = None
+
+    def limit_colors(self) -> None:
+        """Bring constant colours back into what viewers with 8-bit colours show, as `Optimizer.limit_colors`."""
+        with torch.no_grad():
+            self.tensors["sh0"].clamp_(-MAX_CONSTANT, MAX_CONSTANT)
 
     def reset_opacity(self, ceiling: float) -> None:
         """As `density.reset_opacity`."""

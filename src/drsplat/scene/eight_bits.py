@@ -1,0 +1,75 @@
+"""Colours in viewers that keep a Gaussian's constant colour in a byte for each channel.
+
+Spark and GaussianSplats3D round 0.5 + SH_C0 * sh[:, 0] to bytes, add the harmonics and clamp again. A constant colour
+above 1 or below 0 is shown there as 1 or 0.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import Bool, Float32, Float64
+from .gaussians import SH_C0, Gaussians
+from .similarity import sh_basis
+
+NUM_DIRECTIONS, ROUNDS, CHUNK_ROWS = 128, 30, 4096
+MAX_CONSTANT = 0.5 / SH_C0  # largest size of a coefficient sh[:, 0] whose colour is between 0 and 1
+ROUNDED_AWAY = 0.5 / 255  # change of a colour that rounding to a byte makes anyway
+
+
+def clamped_in_bytes(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+    """Return which Gaussians have a constant colour that a byte for each channel does not hold."""
+    return np.asarray((np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + ROUNDED_AWAY).any(axis=1))
+
+
+def in_bytes(gaussians: Gaussians) -> Gaussians:
+    """Return the scene with constant colours as such a viewer holds them: from 0 to 1, in steps of 1/255."""
+    steps = np.rint(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1) * 255)
+    sh = gaussians.sh.copy()
+    sh[:, 0] = (steps / 255 - 0.5) / SH_C0
+    return replace(gaussians, sh=sh)
+
+
+def colors_in_bytes(gaussians: Gaussians, eye: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "n 3"]:
+    """Return the colours that such a viewer gives the Gaussians as seen from a place in the world."""
+    from ..kernels import sh_colors
+
+    colors = sh_colors(in_bytes(gaussians).sh, gaussians.means, eye - gaussians.origin)
+    return np.asarray(np.minimum(colors, 1))
+
+
+def fitted_to_8_bits(gaussians: Gaussians) -> Gaussians:
+    """Return the scene with constant colours from 0 to 1, and harmonics that change least what is seen of it.
+
+    The colours of a Gaussian in all directions, between 0 and 1, are fitted in least squares by those that such a
+    viewer shows of it. Gaussians whose constant colours fit into bytes stay as they are, to the bit.
+    """
+    rows = np.flatnonzero(clamped_in_bytes(gaussians))
+    sh = gaussians.sh.copy()
+    basis = sh_basis(_directions(NUM_DIRECTIONS))[:, : sh.shape[1]]
+    for at in range(0, len(rows), CHUNK_ROWS):
+        some = rows[at : at + CHUNK_ROWS]
+        sh[some] = _fitted(sh[some].astype(np.float64), basis)
+    return replace(gaussians, sh=sh)
+
+
+def _directions(count: int) -> Float64[np.ndarray, "n 3"]:
+    """Return unit vectors that are spread evenly over a sphere (Fibonacci's lattice)."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+
+
+def _fitted(sh: Float64[np.ndarray, "n k 3"], basis: Float64[np.ndarray, "d k"]) -> Float32[np.ndarray, "n k 3"]:
+    """Fit harmonics of limited constants to the clamped colours of `sh`, by projected steps that never fit worse."""
+    wanted = np.clip(0.5 + basis @ sh, 0, 1)
+    fitted, inverse = _within(sh.copy()), np.linalg.pinv(basis)
+    for _ in range(ROUNDS):
+        fitted = _within(fitted + inverse @ (wanted - np.clip(0.5 + basis @ fitted, 0, 1)))
+    return fitted.astype(np.float32)
+
+
+def _within(sh: Float64[np.ndarray, "n k 3"]) -> Float64[np.ndarray, "n k 3"]:
+    sh[:, 0] = np.clip(sh[:, 0], -MAX_CONSTANT, MAX_CONSTANT)
+    return sh
