@@ -263,7 +263,7 @@ def test_keypoints_are_in_pixels_of_the_view(views):
 def test_several_processes_find_what_one_finds(views, monkeypatch):
     stored = [as_stored(view) for view in views[:2]]
     one = detect_all(stored, threads=2)
-    monkeypatch.setattr(detecting, "LEAST_PHOTOS", 1)
+    monkeypatch.setattr(detecting, "MIN_PHOTOS_PER_PROCESS", 1)
     monkeypatch.setattr(detecting, "detect", lambda view: one[0])  # what this process finds itself
     for found, again in zip(one, detect_all(stored, threads=2), strict=True):
         for column, other in zip(found, again, strict=True):
@@ -271,7 +271,7 @@ def test_several_processes_find_what_one_finds(views, monkeypatch):
 
 
 def test_what_another_process_cannot_find_fails_in_this_one(views, monkeypatch, tmp_path):
-    monkeypatch.setattr(detecting, "LEAST_PHOTOS", 1)
+    monkeypatch.setattr(detecting, "MIN_PHOTOS_PER_PROCESS", 1)
     gone = replace(as_stored(views[1]), image_path=tmp_path / "gone.png")
     with pytest.raises(InputError, match="gone"):
         detect_all([as_stored(views[0]), gone], threads=2)

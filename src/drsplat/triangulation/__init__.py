@@ -1,4 +1,4 @@
-"""Posed photos -> points: what stands where several of them show the same thing.
+"""Points triangulated from posed photos: where several photos show the same place.
 
 A capture of a phone has poses and no points. SIFT finds places that look alike, the poses say which of them can
 be one place, and rays through the same place meet in a point.

@@ -1,4 +1,4 @@
-"""SIFT on many photos: its loops hold Python's lock, so that each core needs a process of its own.
+"""SIFT on many photos. Its loops hold Python's lock, so each core needs a process of its own.
 
 echo '[["photo.jpg", 640, 480]]' | python -m drsplat.triangulation.detecting > found.npz
 """
@@ -18,34 +18,34 @@ from ..scene.views import View
 from ..system import end_with
 from .keypoints import Detection, detect
 
-LEAST_PHOTOS = 8  # of a process: to start it takes as long as a few of them
+MIN_PHOTOS_PER_PROCESS = 8  # starting a process takes as long as a few photos
 
 
 def detect_all(stored: Sequence[View], *, threads: int = 0) -> list[Detection]:
-    """`detect` on each of them, in at most `threads` processes (0: one for each core), of which this is one.
+    """Run `detect` on each view, in at most `threads` processes including this one (0: one per core).
 
-    Raises: as `detect`: what another process does not answer is found, or fails, in this one.
+    Raises: as `detect`. Photos of a process that fails are detected in this one.
     """
-    count = max(1, min(threads or os.cpu_count() or 1, len(stored) // LEAST_PHOTOS))
+    count = max(1, min(threads or os.cpu_count() or 1, len(stored) // MIN_PHOTOS_PER_PROCESS))
     shares = [stored[begin::count] for begin in range(count)]
     with ExitStack() as stack:
         others = [stack.enter_context(_started(share)) for share in shares[1:]]
-        found = [[detect(view) for view in shares[0]]]
-        found += [_answer(other, share) for other, share in zip(others, shares[1:], strict=True)]
-    return [found[index % count][index // count] for index in range(len(stored))]
+        shares_detected = [[detect(view) for view in shares[0]]]
+        shares_detected += [_answer(other, share) for other, share in zip(others, shares[1:], strict=True)]
+    return [shares_detected[index % count][index // count] for index in range(len(stored))]
 
 
 @contextmanager
 def _started(share: Sequence[View]) -> Iterator["subprocess.Popen[bytes]"]:
-    """Another process at work on its share; it is ended with the context."""
+    """Start a process that detects in its share; it is killed when the context ends."""
     command = [sys.executable, "-P", "-c", f"from {__name__} import main; main({os.getpid()})"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL) as process:
         try:
-            asked = [(str(view.image_path), view.width, view.height) for view in share]
+            photos = [(str(view.image_path), view.width, view.height) for view in share]
             assert process.stdin is not None
-            with suppress(OSError):  # one that has ended is found out when it is to answer
-                process.stdin.write(json.dumps(asked).encode())
+            with suppress(OSError):  # `_answer` notices a process that has ended
+                process.stdin.write(json.dumps(photos).encode())
                 process.stdin.close()
             yield process
         finally:
@@ -53,38 +53,41 @@ def _started(share: Sequence[View]) -> Iterator["subprocess.Popen[bytes]"]:
 
 
 def _answer(process: "subprocess.Popen[bytes]", share: Sequence[View]) -> list[Detection]:
+    """Return the detections of a process; detect here if it failed."""
     assert process.stdout is not None
-    said = process.stdout.read()
+    output = process.stdout.read()
     if process.wait() != 0:
         return [detect(view) for view in share]
-    return _unpacked(said)
+    return _unpacked(output)
 
 
-def _packed(found: Sequence[Detection]) -> bytes:
+def _packed(detections: Sequence[Detection]) -> bytes:
+    """Pack detections as the bytes of an .npz file: the counts, then each column of all photos."""
     buffer = io.BytesIO()
-    counts = [len(one.sigmas) for one in found]
-    np.savez(buffer, counts, *(np.concatenate(columns) for columns in zip(*found, strict=True)))
+    counts = [len(detection.sigmas) for detection in detections]
+    np.savez(buffer, counts, *(np.concatenate(columns) for columns in zip(*detections, strict=True)))
     return buffer.getvalue()
 
 
-def _unpacked(said: bytes) -> list[Detection]:
-    with np.load(io.BytesIO(said), allow_pickle=False) as arrays:
+def _unpacked(packed: bytes) -> list[Detection]:
+    """Return the detections that `_packed` packed."""
+    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
         counts, *columns = arrays.values()
     ends = np.cumsum(counts)[:-1]
-    return [Detection(*one) for one in zip(*(np.split(column, ends) for column in columns), strict=True)]
+    return [Detection(*photo) for photo in zip(*(np.split(column, ends) for column in columns), strict=True)]
 
 
 def _view(path: str, width: int, height: int) -> View:
-    """Of a photo, from anywhere."""
+    """Return a view of the photo with an identity pose; detection needs no other."""
     return View(path, np.eye(3), np.eye(4), width, height, image_path=Path(path))
 
 
 def main(parent: int | None = None) -> None:
-    """Detect in the photos that come in as JSON, [path, width, height] each, and write their detections to stdout.
+    """Read photos as JSON, [path, width, height] each, and write their detections to stdout.
 
-    parent: the process to end with, if there is one.
+    parent: id of the process to end with, or None.
     """
     if parent is not None:
         end_with(parent)
-    asked = json.load(sys.stdin)
-    sys.stdout.buffer.write(_packed([detect(_view(*photo)) for photo in asked]))
+    photos = json.load(sys.stdin)
+    sys.stdout.buffer.write(_packed([detect(_view(*photo)) for photo in photos]))

@@ -1,4 +1,4 @@
-"""Places of a photo that can be found again in another one."""
+"""Places of a photo that can be recognised in another one."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -14,14 +14,14 @@ from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_size
 from ..scene.views import View
 
-LONGER_SIDE = 640  # pixels; more cost more and triangulate no better what 3DGS starts from
+MAX_SIDE_PX = 640  # more cost more, and 3DGS starts no better from them
 MOST = 1000  # of a photo, those of the largest scale first
-LEAST_SIDE = 24  # pixels; SIFT has no octave on less
-CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
+MIN_SIDE_PX = 24  # SIFT has no octave on less
+MIN_CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
 
 
 class Keypoints(NamedTuple):
-    """pixels: on the view's pinhole, lens undone, at the view's own size. descriptors: of SIFT."""
+    """Keypoints of a view: pixels on its pinhole (lens undone) at its own size, and SIFT descriptors."""
 
     pixels: Float64[np.ndarray, "n 2"]
     colors: UInt8[np.ndarray, "n 3"]
@@ -29,7 +29,7 @@ class Keypoints(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """What SIFT found on a photo. pixels: x and y on its raster, as scaled for SIFT; sigmas: in pixels of it."""
+    """Keypoints that SIFT detected. pixels: x and y on the raster that SIFT saw; sigmas: in its pixels."""
 
     pixels: Float64[np.ndarray, "n 2"]
     sigmas: Float32[np.ndarray, " n"]
@@ -41,7 +41,7 @@ NOTHING = Detection(np.empty((0, 2)), np.empty(0, np.float32), np.empty((0, 3), 
 
 
 def keypoints(view: View) -> Keypoints:
-    """SIFT on the photo as stored: undoing the lens first would add the photo's border as an edge.
+    """Detect keypoints on the photo as stored: undoing the lens first would add the photo's border as an edge.
 
     Raises: InputError, FormatError: as `load_image`.
     Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints" (2004).
@@ -50,26 +50,26 @@ def keypoints(view: View) -> Keypoints:
     return located(view, stored, detect(stored))
 
 
-def located(view: View, stored: View, found: Detection) -> Keypoints:
-    """What was found on the photo of a view, on its pinhole. stored: `as_stored` of it."""
+def located(view: View, stored: View, detection: Detection) -> Keypoints:
+    """Return the detected keypoints on the pinhole of a view. stored: `as_stored(view)`."""
     scale = (view.width / stored.width, view.height / stored.height)
-    pixels = undistort_points(view, found.pixels * scale)
-    kept = _largest(found.sigmas, np.isfinite(pixels).all(axis=1) & _kept(stored, found.pixels))
-    return Keypoints(pixels[kept], found.colors[kept], found.descriptors[kept])
+    pixels = undistort_points(view, detection.pixels * scale)
+    chosen = _largest(detection.sigmas, np.isfinite(pixels).all(axis=1) & _inside_mask(stored, detection.pixels))
+    return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
 
 
-def _kept(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-    """Return which pixels of a photo as stored its mask keeps."""
+def _inside_mask(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    """Return which pixels of a stored photo lie inside its mask; all where it has none."""
     mask = load_mask(stored)
     if mask is None:
         return np.ones(len(pixels), bool)
     x, y = np.clip(pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
-    kept: Bool[np.ndarray, " n"] = mask[y, x]
-    return kept
+    inside: Bool[np.ndarray, " n"] = mask[y, x]
+    return inside
 
 
 def detect(stored: View) -> Detection:
-    """SIFT on the raster of `as_stored`.
+    """Run SIFT on the raster of `as_stored`.
 
     Raises: InputError, FormatError: as `load_image`.
     """
@@ -83,7 +83,7 @@ def detect(stored: View) -> Detection:
 
 
 def as_stored(view: View) -> View:
-    """The view without its lens on the raster that SIFT sees: its photo's own, or a smaller one.
+    """Return the view without its lens, on the raster that SIFT sees: the photo's own, or a smaller one.
 
     Raises: InputError: no photo, or as `photo_size`.
     """
@@ -94,16 +94,16 @@ def _shrunk(view: View) -> View:
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     width, height = photo_size(view.image_path)
-    scale = min(1.0, LONGER_SIDE / max(width, height))
+    scale = min(1.0, MAX_SIDE_PX / max(width, height))
     return view.resized(max(1, round(width * scale)), max(1, round(height * scale)))
 
 
 @np.errstate(all="ignore")  # a patch without gradients divides by their sum
 def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
-    """A SIFT with what it found; None where the photo has no texture."""
-    if min(photo.shape[:2]) < LEAST_SIDE:
+    """Return a SIFT with its keypoints, or None for a photo without texture."""
+    if min(photo.shape[:2]) < MIN_SIDE_PX:
         return None
-    sift: Any = SIFT(upsampling=1, c_dog=CONTRAST)  # type: ignore[no-untyped-call]
+    sift: Any = SIFT(upsampling=1, c_dog=MIN_CONTRAST)  # type: ignore[no-untyped-call]
     try:
         sift.detect_and_extract(rgb2gray(photo).astype(np.float32))
     except (RuntimeError, ValueError):  # how scikit-image says that there is none
@@ -112,6 +112,6 @@ def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
 
 
 def _largest(sigmas: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Indices of the `MOST` usable ones of largest scale, which are found again most often."""
+    """Return the ascending indices of the `MOST` usable keypoints of largest scale, which reappear most often."""
     order = np.argsort(-sigmas, kind="stable")
     return np.sort(order[usable[order]][:MOST])

@@ -1,4 +1,4 @@
-"""Tracks -> points: where the rays through a track's keypoints meet, if they do."""
+"""Points of tracks: where the rays through a track's keypoints meet, if they do."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,14 +9,14 @@ from ..arrays import Bool, Float64, Integer
 from ..scene.views import View
 from .tracks import Tracks
 
-SLACK = (16, 4, 1)  # times the tolerance, by round: an outlier moves the first point off all rays
-REPROJECTION = 1 / 320  # of the photo's longer side; 2 pixels of 640
-LEAST_ANGLE = 1.5  # degrees between the outermost rays and their middle; depth is a guess below
+TOLERANCE_FACTORS = (16, 4, 1)  # by round: an outlier moves the first point off all rays
+MAX_REPROJECTION_SHARE = 1 / 320  # of the photo's longer side; 2 pixels of 640
+MIN_ANGLE_DEGREES = 1.5  # between the outermost rays and their middle; depth is a guess below
 SINGULAR = 1e-9
 
 
 class Points(NamedTuple):
-    """tracks: which ones became points. used: the observations that agree with theirs."""
+    """Triangulated points. tracks: the track of each. used: the observations that agree with their track's point."""
 
     positions: Float64[np.ndarray, "n 3"]
     tracks: Integer[np.ndarray, " n"]
@@ -24,7 +24,7 @@ class Points(NamedTuple):
 
 
 class _Rays(NamedTuple):
-    """By observation. centers are relative to the mean camera, so that a scene may lie far from its origin."""
+    """Rays by observation. centers: from the mean camera, so that a scene may lie far from its origin."""
 
     centers: Float64[np.ndarray, "o 3"]
     directions: Float64[np.ndarray, "o 3"]
@@ -32,49 +32,48 @@ class _Rays(NamedTuple):
 
 
 def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2"], least: int) -> Points:
-    """Points that `least` observations agree on.
+    """Triangulate each track, and return the points that at least `least` observations agree on.
 
-    pixels: of each observation. In each round, of falling tolerance, observations that are off by more than is
-    tolerated leave their track, then the point is where the distances to the rays, each over its depth, are least in
-    squares.
+    pixels: of each observation. In rounds of falling tolerance, observations that are off by more leave their track;
+    the point then minimises the sum of squared distances to the rays, each over its depth.
     Source: the linear-Eigen triangulation's geometric twin, Hartley and Zisserman, Sec. 12.2; weights ours.
     """
-    middle = np.mean([view.center for view in views], axis=0)
-    rays = _rays(views, tracks.photos, pixels, middle)
+    mean_center = np.mean([view.center for view in views], axis=0)
+    rays = _rays(views, tracks.photos, pixels, mean_center)
     count = int(tracks.tracks.max(initial=-1)) + 1
     used, weights = np.ones(len(pixels), bool), np.ones(len(pixels))
     positions = np.zeros((count, 3))
-    for slack in SLACK:
+    for factor in TOLERANCE_FACTORS:
         positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
         depths, errors = _off(rays, positions[tracks.tracks])
-        used = (depths > 0) & (errors <= slack * rays.pixel)
+        used = (depths > 0) & (errors <= factor * rays.pixel)
         weights = np.where(used, 1 / np.maximum(depths, SINGULAR) ** 2, 0)
     positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
     depths, errors = _off(rays, positions[tracks.tracks])
     used &= (depths > 0) & (errors <= rays.pixel)
     enough = np.bincount(tracks.tracks[used], minlength=count) >= least
-    enough &= _angles(rays, tracks.tracks, used, count) >= np.radians(LEAST_ANGLE)
-    return Points(positions[enough] + middle, np.flatnonzero(enough), used)
+    enough &= _angles(rays, tracks.tracks, used, count) >= np.radians(MIN_ANGLE_DEGREES)
+    return Points(positions[enough] + mean_center, np.flatnonzero(enough), used)
 
 
 def _rays(
     views: Sequence[View],
     photos: Integer[np.ndarray, " o"],
     pixels: Float64[np.ndarray, "o 2"],
-    middle: Float64[np.ndarray, "3"],
+    mean_center: Float64[np.ndarray, "3"],
 ) -> _Rays:
     homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
     to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
     directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
-    centers = np.array([view.center - middle for view in views])
-    slopes = np.array([REPROJECTION * max(v.width, v.height) / v.K[0, 0] for v in views])
+    centers = np.array([view.center - mean_center for view in views])
+    slopes = np.array([MAX_REPROJECTION_SHARE * max(v.width, v.height) / v.K[0, 0] for v in views])
     return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
 
 
 def _nearest_to_rays(
     rays: _Rays, tracks: Integer[np.ndarray, " o"], weights: Float64[np.ndarray, " o"], count: int
 ) -> Float64[np.ndarray, "n 3"]:
-    """Of each track; NaN where its rays are parallel or none has weight."""
+    """Return each track's point nearest to its rays; NaN where they are parallel or all weights are 0."""
     across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
     across *= weights[:, None, None]
     matrices = _summed(across.reshape(-1, 9), tracks, count).reshape(-1, 3, 3)
@@ -89,7 +88,7 @@ def _nearest_to_rays(
 def _off(
     rays: _Rays, positions: Float64[np.ndarray, "o 3"]
 ) -> tuple[Float64[np.ndarray, " o"], Float64[np.ndarray, " o"]]:
-    """Depth along each ray, and the slope by which the point is off it. NaN compares as false."""
+    """Return the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)."""
     to_point = positions - rays.centers
     depths = (to_point * rays.directions).sum(axis=1)
     aside = np.linalg.norm(to_point - depths[:, None] * rays.directions, axis=1)
@@ -99,7 +98,7 @@ def _off(
 def _angles(
     rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarray, " o"], count: int
 ) -> Float64[np.ndarray, " n"]:
-    """Of each track the largest angle between a ray and the mean of all, radians."""
+    """Return each track's largest angle between a ray and the mean of all, in radians."""
     means = _summed(rays.directions * used[:, None], tracks, count)
     means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), SINGULAR)
     sines = np.linalg.norm(np.cross(rays.directions, means[tracks]), axis=1)
@@ -111,6 +110,6 @@ def _angles(
 def _summed(
     values: Float64[np.ndarray, "o c"], tracks: Integer[np.ndarray, " o"], count: int
 ) -> Float64[np.ndarray, "n c"]:
-    """In the order of the observations."""
+    """Sum values by track, in the order of the observations."""
     columns = [np.bincount(tracks, column, minlength=count) for column in values.T]
     return np.stack(columns, axis=1)

@@ -1,4 +1,4 @@
-"""Which photos are compared: those whose cameras are near each other and look the same way."""
+"""Pairs of photos to compare: their cameras are near each other and look the same way."""
 
 from collections.abc import Sequence
 
@@ -8,12 +8,12 @@ from ..arrays import Float64, Integer
 from ..scene.views import View
 
 RANKS = (1, 2, 3, 5, 8, 12, 18)
-"""Of the neighbours of a photo: the nearest show most of the same, those farther off say how far things are."""
-MOST_TURN = 60.0  # degrees between two cameras' directions; SIFT is not found again beyond
+"""Ranks of the neighbours to compare: the nearest share most, farther ones give depth."""
+MAX_TURN_DEGREES = 60.0  # between two cameras' directions; SIFT does not match beyond
 
 
 def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
-    """Pairs of indices, the smaller first, sorted."""
+    """Return the sorted pairs of indices of the views to compare, the smaller index first."""
     centers = np.array([view.center for view in views])
     directions = np.array([view.cam_from_world[2, :3] for view in views])
     pairs: set[tuple[int, int]] = set()
@@ -29,8 +29,8 @@ def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
 def _by_distance(
     index: int, centers: Float64[np.ndarray, "n 3"], directions: Float64[np.ndarray, "n 3"]
 ) -> Integer[np.ndarray, " m"]:
-    """The others that look about the same way, nearest first."""
-    alike = directions @ directions[index] > np.cos(np.radians(MOST_TURN))
+    """Return the other cameras that look about the same way, nearest first."""
+    alike = directions @ directions[index] > np.cos(np.radians(MAX_TURN_DEGREES))
     alike[index] = False
     others = np.flatnonzero(alike)
     distances = np.linalg.norm(centers[others] - centers[index], axis=1)

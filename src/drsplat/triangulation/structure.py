@@ -1,4 +1,4 @@
-"""Photos of known poses -> points in the world, with colours."""
+"""Photos with known poses to coloured points in the world."""
 
 import os
 from collections.abc import Sequence
@@ -17,12 +17,14 @@ from .pairs import neighbours
 from .tracks import Tracks, join
 
 MOST_PHOTOS = 250  # more are thinned evenly, by name
-LEAST_PHOTOS = 2  # of a point
+MIN_PHOTOS_PER_POINT = 2
 
 
 class Triangulation(NamedTuple):
-    """positions: world. colors: RGB, the photos' mean. photos: compared. alike: pairs of keypoints that look
-    alike. agreeing: of them, those that the poses allow: nearly all where the poses are right, few where not.
+    """Triangulated points of a capture.
+
+    positions: in the world. colors: RGB, mean of the photos. photos: number compared. alike: number of pairs of similar
+    keypoints. agreeing: number of those that the poses allow: nearly all where the poses are right, few where not.
     """
 
     positions: Float64[np.ndarray, "n 3"]
@@ -33,7 +35,7 @@ class Triangulation(NamedTuple):
 
 
 def triangulate(views: Sequence[View], *, threads: int = 0) -> Triangulation:
-    """What the photos show of the scene's surfaces: points where their rays meet.
+    """Triangulate the scene's surfaces: return points where rays of the photos meet.
 
     Equal views give equal bits, at any number of threads. Memory is bounded by MOST_PHOTOS photos of at most MOST
     keypoints.
@@ -44,19 +46,19 @@ def triangulate(views: Sequence[View], *, threads: int = 0) -> Triangulation:
     ordered = _thinned(sorted(views, key=lambda view: view.name))
     stored = [as_stored(view) for view in ordered]
     detected = detect_all(stored, threads=threads)
-    found = [located(*one) for one in zip(ordered, stored, detected, strict=True)]
+    photo_keypoints = [located(*args) for args in zip(ordered, stored, detected, strict=True)]
     pairs = neighbours(ordered)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        matched = list(pool.map(lambda pair: _matches(ordered, found, pair), pairs))
-    tracks = join([len(f.pixels) for f in found], pairs, [m.pairs for m in matched])
-    positions, colors = _points(ordered, found, tracks)
+        matched = list(pool.map(lambda pair: _matches(ordered, photo_keypoints, pair), pairs))
+    tracks = join([len(k.pixels) for k in photo_keypoints], pairs, [m.pairs for m in matched])
+    positions, colors = _points(ordered, photo_keypoints, tracks)
     alike, agreeing = sum(m.alike for m in matched), sum(len(m.pairs) for m in matched)
     return Triangulation(positions, colors, len(ordered), alike, agreeing)
 
 
-def _matches(views: Sequence[View], found: Sequence[Keypoints], pair: Integer[np.ndarray, "2"]) -> Matches:
+def _matches(views: Sequence[View], keypoints: Sequence[Keypoints], pair: Integer[np.ndarray, "2"]) -> Matches:
     first, second = pair
-    return matches(views[first], found[first], views[second], found[second])
+    return matches(views[first], keypoints[first], views[second], keypoints[second])
 
 
 def _thinned(views: list[View]) -> list[View]:
@@ -66,20 +68,20 @@ def _thinned(views: list[View]) -> list[View]:
 
 
 def _points(
-    views: Sequence[View], found: Sequence[Keypoints], tracks: Tracks
+    views: Sequence[View], keypoints: Sequence[Keypoints], tracks: Tracks
 ) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     if len(tracks.tracks) == 0:
         return np.empty((0, 3)), np.empty((0, 3), np.uint8)
-    rows = _rows(found, tracks)
-    pixels = np.concatenate([f.pixels for f in found])[rows]
-    colors = np.concatenate([f.colors for f in found])[rows]
-    points = meet(views, tracks, pixels, min(LEAST_PHOTOS, len(views)))
+    rows = _rows(keypoints, tracks)
+    pixels = np.concatenate([k.pixels for k in keypoints])[rows]
+    colors = np.concatenate([k.colors for k in keypoints])[rows]
+    points = meet(views, tracks, pixels, min(MIN_PHOTOS_PER_POINT, len(views)))
     return points.positions, _mean_colors(colors, tracks.tracks, points.used)[points.tracks]
 
 
-def _rows(found: Sequence[Keypoints], tracks: Tracks) -> Integer[np.ndarray, " o"]:
-    """Of each observation among all keypoints in a row."""
-    starts = np.concatenate([[0], np.cumsum([len(f.pixels) for f in found])])
+def _rows(keypoints: Sequence[Keypoints], tracks: Tracks) -> Integer[np.ndarray, " o"]:
+    """Return the row of each observation among the concatenated keypoints of all photos."""
+    starts = np.concatenate([[0], np.cumsum([len(k.pixels) for k in keypoints])])
     rows: np.ndarray = starts[tracks.photos] + tracks.keypoints
     return rows
 
@@ -87,8 +89,9 @@ def _rows(found: Sequence[Keypoints], tracks: Tracks) -> Integer[np.ndarray, " o
 def _mean_colors(
     colors: UInt8[np.ndarray, "o 3"], tracks: Integer[np.ndarray, " o"], used: np.ndarray
 ) -> UInt8[np.ndarray, "n 3"]:
+    """Return the mean colour of each track over the observations that are used."""
     count = int(tracks.max(initial=-1)) + 1
-    times = np.maximum(np.bincount(tracks[used], minlength=count), 1)
+    counts = np.maximum(np.bincount(tracks[used], minlength=count), 1)
     sums = [np.bincount(tracks[used], channel[used], count) for channel in colors.T]
-    means = np.stack(sums, axis=1) / times[:, None]
+    means = np.stack(sums, axis=1) / counts[:, None]
     return np.rint(means).astype(np.uint8)
