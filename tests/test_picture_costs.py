@@ -14,7 +14,7 @@ from PIL import Image
 from drsplat.errors import FormatError, InputError
 from drsplat.masks.crops import MOST_PADDED, crop
 from drsplat.scene.photos import decoded_picture, load_image
-from drsplat.scene.picture_costs import MORE_SCANS, MOST_SCANS, jpeg_scans, most_scans
+from drsplat.scene.picture_costs import MAX_SCANS_SMALL, MAX_SCANS_LARGE, jpeg_scans, most_scans
 from drsplat.scene.views import View
 
 RNG = np.random.default_rng(0)
@@ -51,11 +51,11 @@ def test_scans_are_counted() -> None:
 
 def test_small_jpegs_may_have_more_scans() -> None:
     assert [most_scans(n) for n in (1, 10_000, 1 << 19, 1 << 20, 16_000_000)] == [
-        MORE_SCANS,
-        MORE_SCANS,
-        2 * MOST_SCANS,
-        MOST_SCANS,
-        MOST_SCANS,
+        MAX_SCANS_SMALL,
+        MAX_SCANS_SMALL,
+        2 * MAX_SCANS_LARGE,
+        MAX_SCANS_LARGE,
+        MAX_SCANS_LARGE,
     ]
 
 

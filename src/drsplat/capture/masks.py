@@ -11,7 +11,7 @@ from PIL import Image
 from ..arrays import UInt8
 from ..errors import MismatchError
 from ..formats.replacing import replacing
-from ..scene.photo_masks import KEPT_FROM, read_mask
+from ..scene.photo_masks import MIN_WHITE, read_mask
 from ..scene.views import same_aspect
 
 _TRANSPOSE = {
@@ -45,5 +45,5 @@ def bring_mask(mask: Path, target: Path, size: tuple[int, int], orientation: int
 
 
 def _kept(picture: Image.Image, invert: bool) -> UInt8[np.ndarray, "h w"]:
-    white = np.asarray(picture) >= KEPT_FROM
+    white = np.asarray(picture) >= MIN_WHITE
     return np.where(white != invert, np.uint8(255), np.uint8(0))

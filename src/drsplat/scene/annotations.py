@@ -1,4 +1,4 @@
-"""What people wrote at places of a scene: points and boxes with a text."""
+"""Texts that people wrote at points and boxes of a scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ import numpy as np
 from ..arrays import Float64
 from ..errors import InputError
 
-LONGEST = 200  # characters
-LARGEST = 1e30  # coordinates
-SQUARE = 1e-4  # how far axes may be from unit length and right angles
+MAX_LENGTH = 200  # characters
+MAX_COORDINATE = 1e30
+ORTHONORMAL_TOLERANCE = 1e-4  # of axes, off unit length and right angles
 
 
 class Outline(NamedTuple):
@@ -37,6 +37,7 @@ class Annotation:
 
     @classmethod
     def at(cls, text: str, point: Sequence[int | float] | Float64[np.ndarray, " 3"]) -> "Annotation":
+        """Annotate a point."""
         return cls(text.strip(), np.asarray(point, np.float64))
 
     @classmethod
@@ -44,20 +45,20 @@ class Annotation:
         cls, text: str, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
         extent: Float64[np.ndarray, " 3"],
     ) -> "Annotation":  # fmt: skip
-        """With the box of a match, or of an object."""
+        """Annotate the box of a match or of an object."""
         return cls(text.strip(), center, Outline(axes, extent))
 
     def __post_init__(self) -> None:
         writable = self.text == self.text.encode(errors="ignore").decode()
-        if not writable or not self.text.strip() or len(self.text) > LONGEST:
-            raise InputError(f"an annotation: expected a text of 1 to {LONGEST} characters, got {self.text!a:.80}")
-        if self.center.shape != (3,) or not (np.abs(self.center) <= LARGEST).all():
+        if not writable or not self.text.strip() or len(self.text) > MAX_LENGTH:
+            raise InputError(f"an annotation: expected a text of 1 to {MAX_LENGTH} characters, got {self.text!a:.80}")
+        if self.center.shape != (3,) or not (np.abs(self.center) <= MAX_COORDINATE).all():
             raise InputError(f"annotation '{self.text}': expected a place of three finite numbers")
         if self.outline is not None:
             self._check(*self.outline)
 
     def _check(self, axes: Float64[np.ndarray, "3 3"], extent: Float64[np.ndarray, " 3"]) -> None:
-        if not ((extent > 0) & (extent <= LARGEST)).all():
+        if not ((extent > 0) & (extent <= MAX_COORDINATE)).all():
             raise InputError(f"annotation '{self.text}': expected a box of finite lengths above 0")
-        if not np.abs(axes @ axes.T - np.eye(3)).max() <= SQUARE:
+        if not np.abs(axes @ axes.T - np.eye(3)).max() <= ORTHONORMAL_TOLERANCE:
             raise InputError(f"annotation '{self.text}': expected axes of length one at right angles")

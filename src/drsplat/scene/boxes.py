@@ -1,4 +1,4 @@
-"""Oriented boxes about sets of Gaussians: upright ones that hold the thing, and free ones."""
+"""Oriented boxes about sets of Gaussians: upright ones and free ones."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
@@ -13,12 +13,12 @@ from .views import View
 BoxKind = Literal["upright", "free"]
 KINDS: tuple[BoxKind, ...] = get_args(BoxKind)
 
-HAZE = 0.1  # opacity; fainter Gaussians do not make a thing, as in OpenGaussian's protocol
-LEVEL = 0.1  # least spread of the cameras' horizontals that tells which way is up
+HAZE = 0.1  # fainter Gaussians do not make an object, as in OpenGaussian's protocol
+MIN_LEVEL_SPREAD = 0.1  # of the cameras' horizontals, to tell which way is up
 
 
 class Box(NamedTuple):
-    """In world coordinates and scene units.
+    """Oriented box in world coordinates and scene units.
 
     axes: row a is the unit direction of the full length extent[a]; right-handed. Upright: the third axis is up,
     the first the longer of the other two. Free: the longest first.
@@ -30,10 +30,9 @@ class Box(NamedTuple):
 
 
 def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
-    """The unit direction that is up in most photos: people hold cameras level, whatever they point them at.
+    """Return the unit direction that is up in most photos: people hold cameras level, whatever they point them at.
 
-    The direction that is square to the horizontals of all photos, or the mean of their ups where
-    those lie along one line.
+    It is square to the horizontals of all photos, or the mean of their ups where the horizontals lie along one line.
 
     Raises: InputError: no views, or they look up and down alike.
     """
@@ -41,12 +40,12 @@ def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
 
 
 def camera_axes(views: Sequence[View]) -> Float64[np.ndarray, "v 2 3"]:
-    """Right and down of each camera, in the world: all that `upward` looks at."""
+    """Return the right and down axes of each camera, in the world; `upward` needs nothing else."""
     return np.array([view.cam_from_world[:2, :3] for view in views], np.float64).reshape(-1, 2, 3)
 
 
 def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Float64[np.ndarray, " 3"]:
-    """As `upward`, of `camera_axes`. Raises: InputError: as `upward`."""
+    """Return the upward direction from `camera_axes`; see `upward`. Raises: InputError: as `upward`."""
     if not len(axes):
         raise InputError("which way is up is told by the photos, and this scene has none")
     total = -axes[:, 1].sum(axis=0)
@@ -56,13 +55,13 @@ def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Float64[np.ndarray, " 3"]:
     level = axes[:, 0]
     spread, directions = np.linalg.eigh(level.T @ level / len(axes))
     square = directions[:, 0] * np.sign(directions[:, 0] @ total)
-    if spread[1] < LEVEL or square @ total < 0.5 * length:
+    if spread[1] < MIN_LEVEL_SPREAD or square @ total < 0.5 * length:
         return np.asarray(total / length)
     return np.asarray(square)
 
 
 def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
-    """`upward`, None where the photos do not tell."""
+    """Return the upward direction (`upward`), or None where the photos do not tell."""
     try:
         return upward(views)
     except InputError:
@@ -70,6 +69,6 @@ def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
 
 
 def solid(gaussians: Gaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.ndarray, " s"]:
-    """Those of some Gaussians that can be seen; all of them where none can."""
-    seen: np.ndarray = ids[gaussians.opacities[ids] >= HAZE]
-    return seen if len(seen) else ids
+    """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
+    visible: np.ndarray = ids[gaussians.opacities[ids] >= HAZE]
+    return visible if len(visible) else ids

@@ -1,4 +1,4 @@
-"""The scene: a set of 3D Gaussians in post-activation form."""
+"""A scene: a set of 3D Gaussians in post-activation form."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -45,9 +45,9 @@ class Gaussians:
             raise InputError(f"origin: expected three finite numbers, got {self.origin}")
         expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
         for name, shape in expected.items():
-            given = getattr(self, name)
-            if given.shape != shape or given.dtype != np.float32:
-                raise InputError(f"{name}: expected float32 {shape}, got {given.dtype} {given.shape}")
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype != np.float32:
+                raise InputError(f"{name}: expected float32 {shape}, got {array.dtype} {array.shape}")
         k = self.sh.shape[1] if self.sh.ndim == 3 else -1
         if self.sh.shape != (n, k, 3) or k not in SH_COEFFICIENTS or self.sh.dtype != np.float32:
             raise InputError(f"sh: expected float32 ({n}, 1|4|9|16, 3), got {self.sh.dtype} {self.sh.shape}")
@@ -69,8 +69,8 @@ class Gaussians:
     def fingerprint(self) -> str:
         """Count and position hash: equal for the same Gaussians in the same order, whatever the file.
 
-        Of positions in the world, so that it does not depend on the origin they are counted from. The same positions
-        have another one where they are drawn antialiased, since they then weigh otherwise.
+        It hashes positions in the world, so it does not depend on the origin. Antialiased scenes have another
+        fingerprint than others with the same positions, because their Gaussians weigh otherwise.
         """
         digest = hashlib.blake2b(np.ascontiguousarray(self.narrow_positions).tobytes(), digest_size=12)
         digest.update(drawing_mark(self.antialiased))
@@ -78,12 +78,12 @@ class Gaussians:
 
     @property
     def positions(self) -> Float64[np.ndarray, "n 3"]:
-        """In the coordinates of the world: `means` counted from zero."""
+        """Positions in world coordinates: `means` plus `origin`."""
         return np.asarray(self.means.astype(np.float64) + self.origin)
 
     @property
     def narrow_positions(self) -> Float32[np.ndarray, "n 3"] | Float64[np.ndarray, "n 3"]:
-        """Positions in the coordinates of the world: float32 where that says the same, else float64."""
+        """Positions in world coordinates: float32 where that is exact, else float64."""
         if not self.origin.any():
             return self.means
         positions = self.positions
@@ -92,11 +92,11 @@ class Gaussians:
 
     @cached_property
     def near(self) -> float:
-        """Camera z up to which nothing is drawn, see `placing.near_plane`."""
+        """Camera z up to which nothing is drawn; see `placing.near_plane`."""
         return near_plane(self.means, self.opacities)
 
     def localized(self) -> "Gaussians":
-        """The same Gaussians counted from a local origin; themselves where they are not far from the one they have.
+        """Return the Gaussians counted from a local origin; the same object if they need no other.
 
         Float32 arithmetic on them is then as exact as about zero; what float32 positions have lost stays lost.
         """
@@ -111,16 +111,16 @@ class Gaussians:
         return local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
-        """Upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
+        """Return the upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
         return covariances_of(self.quats, self.scales).T
 
     def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
-        """inv(S) R^T: takes an offset from the mean to where the Gaussian is round and of size one."""
+        """Return inv(S) R^T, which maps offsets from the mean to a space where the Gaussian is a unit sphere."""
         inverse = self.quats.astype(np.float64) * [1, -1, -1, -1]
         return np.asarray(rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None])
 
     def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "Gaussians":
-        """The Gaussians at `index` (integers or a boolean mask), in that order."""
+        """Return the Gaussians at `index` (integers or a boolean mask), in that order."""
         extra = {name: column[index] for name, column in self.extra.items()}
         return Gaussians(
             self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
@@ -129,18 +129,18 @@ class Gaussians:
 
 
 def covariances_of(quats: Float32[np.ndarray, "n 4"], scales: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "6 n"]:
-    """See `Gaussians.covariances`, number by number: of some thousand Gaussians all stays near the processor."""
+    """Compute `Gaussians.covariances` one component at a time, so that a block stays in the processor's cache."""
     turned = rotation_rows(quats.T.astype(np.float64, order="C"))
     lengths = scales.T.astype(np.float64, order="C")
     axes = [[number * length for number, length in zip(row, lengths, strict=True)] for row in turned]
-    found = np.empty((6, len(quats)))
+    covariances = np.empty((6, len(quats)))
     for at, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
-        found[at] = axes[i][0] * axes[j][0] + axes[i][1] * axes[j][1] + axes[i][2] * axes[j][2]
-    return found
+        covariances[at] = axes[i][0] * axes[j][0] + axes[i][1] * axes[j][1] + axes[i][2] * axes[j][2]
+    return covariances
 
 
 class ShapesDigest:
-    """A hash of all places and shapes, whatever the parts that rows come in; all of them counted from one origin."""
+    """Hash of all positions and shapes, however the rows are split into parts; all parts share one origin."""
 
     def __init__(self, origin: Float64[np.ndarray, " 3"]) -> None:
         self._origin, self._mark = origin, b""
@@ -158,9 +158,9 @@ class ShapesDigest:
 
 
 def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
-    """All rows, in the order given, counted from one origin; harmonics that some have not are zero there.
+    """Concatenate Gaussians in the order given, counted from one origin; missing harmonics are zero.
 
-    Further columns stay where all have them.
+    Extra columns stay where all parts have them.
 
     Raises: InputError: some are drawn antialiased and others are not.
     """
@@ -184,7 +184,7 @@ def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
 
 
 def drawn_alike(antialiased: Sequence[bool]) -> bool:
-    """Whether all of some Gaussians are drawn antialiased. Raises: InputError: some are and others are not."""
+    """Return whether all parts are drawn antialiased. Raises: InputError: some are and others are not."""
     if len(set(antialiased)) > 1:
         raise InputError(
             f"{sum(antialiased)} of {len(antialiased)} parts are drawn antialiased (mip) and the others are not: the "
@@ -194,10 +194,10 @@ def drawn_alike(antialiased: Sequence[bool]) -> bool:
 
 
 def drawing_mark(antialiased: bool) -> bytes:
-    """What a hash takes of it; nothing for scenes that are not, so that theirs stay."""
+    """Return the bytes to hash for the way of drawing; none if not antialiased, which keeps older hashes."""
     return b"antialiased" if antialiased else b""
 
 
 def filled(sh: Float32[np.ndarray, "n k 3"], coefficients: int) -> Float32[np.ndarray, "n c 3"]:
-    """Harmonics with zeros up to a number of coefficients."""
+    """Pad harmonics with zeros up to a number of coefficients."""
     return np.pad(sh, ((0, 0), (0, coefficients - sh.shape[1]), (0, 0)))

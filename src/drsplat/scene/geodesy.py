@@ -7,15 +7,15 @@ import numpy as np
 
 from ..arrays import Float64
 
-RADIUS, FLATTENING = 6_378_137.0, 1 / 298.257223563
+RADIUS_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 E2 = FLATTENING * (2 - FLATTENING)
-ROUNDS = 6  # far more than are needed near the surface
+ITERATIONS = 6  # far more than are needed near the surface
 
 
 def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Longitude and latitude in degrees and height in metres of points `enu` metres east, north and up of an origin.
+    """Return longitude and latitude in degrees and height in metres of points near an origin.
 
-    origin: its longitude, latitude and height.
+    origin: its longitude, latitude and height. enu: metres east, north and up of it.
     """
     return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ _axes(origin))
 
@@ -29,10 +29,10 @@ def _axes(origin: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
 
 
 def geocentric(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Metres from the middle of the Earth, of longitudes and latitudes in degrees and heights in metres."""
+    """Return metres from the centre of the Earth for longitudes and latitudes (degrees) and heights (metres)."""
     longitude, latitude = np.radians(positions[:, :2]).T
     height = positions[:, 2]
-    normal = RADIUS / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    normal = RADIUS_M / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
     around = (normal + height) * np.cos(latitude)
     z = (normal * (1 - E2) + height) * np.sin(latitude)
     return np.stack([around * np.cos(longitude), around * np.sin(longitude), z], axis=1)
@@ -42,17 +42,17 @@ def _from_geocentric(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, 
     x, y, z = points.T
     around = np.hypot(x, y)
     latitude = np.arctan2(z, around * (1 - E2))
-    for _ in range(ROUNDS):
-        normal = RADIUS / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    for _ in range(ITERATIONS):
+        normal = RADIUS_M / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
         latitude = np.arctan2(z + E2 * normal * np.sin(latitude), around)
-    normal = RADIUS / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
-    # of the two ways to the height the one that is sound also at the poles
-    height = around * np.cos(latitude) + z * np.sin(latitude) - RADIUS**2 / normal
+    normal = RADIUS_M / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    # of the two formulas for the height, the one that also holds at the poles
+    height = around * np.cos(latitude) + z * np.sin(latitude) - RADIUS_M**2 / normal
     return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(latitude), height], axis=1)
 
 
 def local_offsets(
     origin: tuple[float, float, float], positions: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Metres east, north and up of an origin, of longitudes and latitudes in degrees and heights; see `geodetic`."""
+    """Return metres east, north and up of an origin for longitudes, latitudes and heights; see `geodetic`."""
     return np.asarray((geocentric(positions) - geocentric(np.array([origin]))[0]) @ _axes(origin).T)

@@ -1,4 +1,4 @@
-"""Where a pixel of the undistorted pinhole lies on the photo, and back.
+"""Pixels of the undistorted pinhole to pixels of the photo, and back.
 
 Coefficients act on normalised coordinates (x/z, y/z), so they are the same for every raster size.
 Source: the OpenCV camera model with k1, k2, p1, p2; COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV are special cases of it.
@@ -17,9 +17,9 @@ Coefficients = tuple[float, float, float, float]
 
 
 def distort_points(view: View, pixels: Points) -> Points:
-    """From pixels of the pinhole `view` to pixels of its photo at the same size.
+    """Map pixels of the pinhole `view` to pixels of its photo at the same size.
 
-    NaN where the radial polynomial has folded over: no light path of a real lens leads there.
+    The result is NaN where the radial polynomial has folded over: no light path of a real lens leads there.
 
     Raises: InputError: pixels are not (..., 2).
     """
@@ -32,9 +32,9 @@ def distort_points(view: View, pixels: Points) -> Points:
 
 
 def undistort_points(view: View, pixels: Points) -> Points:
-    """From pixels of the photo to pixels of the pinhole `view`, by Newton's method.
+    """Map pixels of the photo to pixels of the pinhole `view`, by Newton's method.
 
-    NaN where no point of the pinhole maps to the pixel.
+    The result is NaN where no point of the pinhole maps to the pixel.
 
     Raises: InputError: pixels are not (..., 2).
     """
@@ -51,7 +51,7 @@ def undistort_points(view: View, pixels: Points) -> Points:
 
 
 def fold_radius2(coefficients: Coefficients) -> float:
-    """Squared radius at which r (1 + k1 r^2 + k2 r^4) stops growing; inf where it never does."""
+    """Return the squared radius at which r (1 + k1 r^2 + k2 r^4) stops growing; inf if it never does."""
     a, b = 5 * coefficients[1], 3 * coefficients[0]  # a s^2 + b s + 1 = 0, s = r^2
     discriminant = b * b - 4 * a
     if discriminant < 0:
@@ -72,7 +72,7 @@ def _distort(points: Points, coefficients: Coefficients) -> Points:
 
 
 def _newton_step(points: Points, target: Points, coefficients: Coefficients) -> Points:
-    """inverse(Jacobian) @ (distort(points) - target), limited to a length of 1."""
+    """Return inverse(Jacobian) @ (distort(points) - target), each component clipped to [-1, 1]."""
     k1, k2, p1, p2 = coefficients
     x, y = points[..., 0], points[..., 1]
     r2 = x * x + y * y

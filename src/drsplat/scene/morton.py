@@ -1,4 +1,4 @@
-"""The order along a Morton curve: what is near in space is mostly near in the order."""
+"""Order along a Morton curve: rows that are near in space are mostly near in the order."""
 
 import numpy as np
 
@@ -15,12 +15,12 @@ _SPREAD = (  # shift, mask: each bit of 21 to every third place
 
 
 def morton_order(positions: Float[np.ndarray, "n 3"], bits: int = BITS) -> Int64[np.ndarray, " n"]:
-    """Rows along the curve through the box about all of them; of those in one cell the lower row first."""
+    """Return the order of rows along the curve through their box; rows of one cell stay in order."""
     return np.argsort(morton_codes(positions, bits), kind="stable")
 
 
 def morton_codes(positions: Float[np.ndarray, "n 3"], bits: int = BITS) -> UInt64[np.ndarray, " n"]:
-    """Cells of the box about the positions, 2^bits along its longest side, numbered along the curve."""
+    """Return each position's cell number along the curve; the box has 2^bits cells along its longest side."""
     low = positions.min(axis=0, initial=np.inf)
     side = float((positions.max(axis=0, initial=-np.inf) - low).max(initial=0.0))
     scale = (2**bits - 1) / side if side > 0 else 0.0

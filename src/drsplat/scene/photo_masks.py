@@ -1,4 +1,4 @@
-"""Masks of photos: which pixels are used. White is kept, black is left out, as COLMAP, nerfstudio and brush have it."""
+"""Masks of photos: white pixels are used, black ones are not, as in COLMAP, nerfstudio and brush."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ from .photos import PHOTO_FORMATS, photo_size, undistort_ids
 from .picture_costs import check_cost
 from .views import View, same_aspect
 
-KEPT_FROM = 128  # of 255
+MIN_WHITE = 128  # grey values from here on count as white
 _WHITE = 255
-_REMEMBERED = 1 << 16  # masks that are known to keep something, or nothing
+_CACHED_MASKS = 1 << 16  # whether they are empty
 
 
 def read_mask(path: Path) -> Image.Image:
@@ -32,10 +32,10 @@ def read_mask(path: Path) -> Image.Image:
 
 
 def load_mask(view: View) -> Bool[np.ndarray, "h w"] | None:
-    """Return which pixels of `load_image` the mask of a view keeps; None where it has no mask, and all are kept.
+    """Return which pixels of `load_image` a view's mask keeps; None without a mask, which keeps all.
 
-    A pixel of a smaller raster is kept where all that it shows is kept. Where the view has a distortion it is undone
-    on the mask, too, and what lies outside the photo is not kept.
+    A pixel of a smaller raster is kept if all that it shows is kept. The view's distortion is undone on the mask, too,
+    and nothing outside the photo is kept.
 
     Raises: FormatError: a mask that cannot be read. MismatchError: a mask of another shape than the photo.
     """
@@ -43,13 +43,13 @@ def load_mask(view: View) -> Bool[np.ndarray, "h w"] | None:
         return None
     picture = read_mask(view.mask_path)
     _check_shape(picture, view)
-    white = picture.point(lambda grey: _WHITE if (grey >= KEPT_FROM) != view.mask_inverted else 0)
+    white = picture.point(lambda grey: _WHITE if (grey >= MIN_WHITE) != view.mask_inverted else 0)
     if white.size != (view.width, view.height):
         white = white.resize((view.width, view.height), Image.Resampling.BOX)
-    kept: Bool[np.ndarray, "h w"] = np.asarray(white) == _WHITE
+    mask: Bool[np.ndarray, "h w"] = np.asarray(white) == _WHITE
     if view.distortion is not None:
-        kept = undistort_ids(view, kept.astype(np.int32)) == 1
-    return kept
+        mask = undistort_ids(view, mask.astype(np.int32)) == 1
+    return mask
 
 
 def views_with_something(views: Sequence[View]) -> list[View]:
@@ -78,11 +78,11 @@ def keeps_nothing(view: View) -> bool:
     except OSError as error:
         raise FormatError(f"{view.mask_path}: cannot be read as a mask: {error.strerror}") from error
     lens = None if view.distortion is None else (view.distortion, view.K.tobytes())
-    return _is_empty(_Asked(view, (view.mask_path, stamp.st_mtime_ns, stamp.st_size, view.mask_inverted, lens)))
+    return _is_empty(_MaskedView(view, (view.mask_path, stamp.st_mtime_ns, stamp.st_size, view.mask_inverted, lens)))
 
 
-class _Asked:
-    """A view that equals others of the same mask, raster and lens."""
+class _MaskedView:
+    """View that equals other views with the same mask, raster and lens: the key of `_is_empty`."""
 
     def __init__(self, view: View, key: tuple[object, ...]) -> None:
         self.key = (*key, view.image_path, view.width, view.height)
@@ -92,13 +92,13 @@ class _Asked:
         return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and self.key == other.key
+        return isinstance(other, _MaskedView) and self.key == other.key
 
 
-@lru_cache(maxsize=_REMEMBERED)
-def _is_empty(asked: _Asked) -> bool:
-    kept = load_mask(asked.view)
-    return kept is not None and not kept.any()
+@lru_cache(maxsize=_CACHED_MASKS)
+def _is_empty(masked: _MaskedView) -> bool:
+    mask = load_mask(masked.view)
+    return mask is not None and not mask.any()
 
 
 def _check_shape(picture: Image.Image, view: View) -> None:

@@ -1,4 +1,4 @@
-"""The pixels of a posed photo, on the raster of its pinhole."""
+"""Pixels of a posed photo, on the raster of its pinhole."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -16,14 +16,14 @@ from .picture_costs import check_cost
 from .views import View
 
 PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
-"""Only these decoders are ever started on a file, whatever its name says."""
+"""The only decoders that are ever started on a file, whatever its name."""
 
 _OPAQUE = ("1", "L", "RGB")
-_ROWS = 128  # rows remapped at a time: the map of a whole 24 MP photo would take 400 MB
+_ROWS_AT_ONCE = 128  # remapped: the map of a whole 24 MP photo would take 400 MB
 
 
 def photo_size(path: Path) -> tuple[int, int]:
-    """Width and height of the raster as stored, from the header alone.
+    """Return width and height of the raster as stored, from the header alone.
 
     Raises: FormatError: not a photo, or so large that decoding it would be an attack.
     """
@@ -32,10 +32,10 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 
 def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
-    """RGB of any picture, upright, on black where it is transparent; for queries, which have no camera.
+    """Decode any picture as RGB, upright, on black where it is transparent; for queries, which have no camera.
 
-    Raises: InputError: of more pixels, or too costly (`check_cost`), before it is decoded. FormatError: damaged,
-    or not a picture; the message does not name the source.
+    Raises: InputError: more than `most_pixels`, or too costly (`check_cost`), before it is decoded. FormatError:
+    damaged, or not a picture; the message does not name the source.
     """
     try:
         with (
@@ -56,7 +56,7 @@ def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> U
 
 
 def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo of a view as RGB, resized to (view.height, view.width) and undistorted.
+    """Return the photo of a view as RGB, resized to (view.height, view.width) and undistorted.
 
     The raster is taken as stored: an EXIF orientation is not applied, because poses and intrinsics of COLMAP,
     nerfstudio and 3DGS are of the stored raster. Transparency is composited on black, the default background of 3DGS.
@@ -77,7 +77,7 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
-    """False where the pinhole of a view looks past its photo, and `load_image` is black for want of it."""
+    """Return which pixels of the pinhole lie on the photo; elsewhere `load_image` is black."""
     covered = np.ones((view.height, view.width), bool)
     if view.distortion is not None:
         for rows, source in _source_blocks(view):
@@ -86,10 +86,10 @@ def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
 
 
 def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
-    """A label map made on the photo as stored, brought to the pinhole by nearest pixel.
+    """Bring a label map made on the photo as stored to the pinhole, by nearest pixel.
 
-    The map keeps its own raster, which need not be the view's; -1 outside the photo. Needed for
-    masks computed on a distorted photo, not for masks computed on what `load_image` returned.
+    The map keeps its own raster, which need not be the view's; it is -1 outside the photo. Masks computed on a
+    distorted photo need it, those computed on what `load_image` returned do not.
     """
     if view.distortion is None:
         return mask_ids
@@ -126,16 +126,16 @@ def _bilinear(photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"])
 
 
 def _source_blocks(view: View) -> Iterator[tuple[slice, Float64[np.ndarray, "r w 2"]]]:
-    """By blocks of rows: where on the photo each pixel centre of the pinhole lies."""
+    """Yield blocks of rows of the pinhole, with the place of each of their pixel centres on the photo."""
     columns = np.arange(view.width) + 0.5
-    for start in range(0, view.height, _ROWS):
-        stop = min(start + _ROWS, view.height)
+    for start in range(0, view.height, _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, view.height)
         x, y = np.meshgrid(columns, np.arange(start, stop) + 0.5)
         yield slice(start, stop), distort_points(view, np.stack([x, y], -1))
 
 
 def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bool[np.ndarray, "r w"]:
-    """False for NaN, which stands for no place on the photo."""
+    """Return which points lie on the photo; NaN does not."""
     x, y = points[..., 0], points[..., 1]
     inside: np.ndarray = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     return inside
@@ -143,7 +143,7 @@ def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bo
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """A photo whose header is read; what a decoder stumbles over in the block is a FormatError."""
+    """Open a photo and read its header; decoding errors in the block become FormatErrors."""
     try:
         with open_file(path) as file, Image.open(file, formats=PHOTO_FORMATS) as photo:
             yield photo

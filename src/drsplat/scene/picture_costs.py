@@ -1,4 +1,4 @@
-"""What a picture file would cost to decode, told by its headers before a decoder is started.
+"""Cost of decoding a picture file, from its headers, before a decoder is started.
 
 A file of some hundred bytes can declare gigabytes, and a progressive JPEG can send its pixels over again as often as
 it has bytes for.
@@ -14,12 +14,12 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from ..errors import InputError
 
-MOST_SCANS = 32  # of a large JPEG: encoders write 1 to 15
-MORE_SCANS = 500  # of a small one
+MAX_SCANS_LARGE = 32  # of a JPEG; encoders write 1 to 15
+MAX_SCANS_SMALL = 500
 SMALL_PIXELS = 1 << 20
-MOST_JPEG_BYTES = 256 << 20
+MAX_JPEG_BYTES = 256 << 20
 
-_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)  # what follows no pixels
+_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)  # not stuffing or restarts, which stand among pixels
 _START, _SCAN, _END = 0xD8, 0xDA, 0xD9
 _TILE_WIDTH, _TILE_LENGTH = 322, 323
 
@@ -46,15 +46,15 @@ def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | No
 
 
 def most_scans(pixels: int) -> int:
-    """How many scans a JPEG may have, so that their pixels together are bounded."""
-    return min(MORE_SCANS, MOST_SCANS * max(1, SMALL_PIXELS // max(pixels, 1)))
+    """Return the number of scans a JPEG may have, so that their total number of pixels is bounded."""
+    return min(MAX_SCANS_SMALL, MAX_SCANS_LARGE * max(1, SMALL_PIXELS // max(pixels, 1)))
 
 
 def jpeg_scans(data: bytes) -> int:
-    """How often a JPEG starts to send pixels: its SOS markers, those of previews in segments left out."""
+    """Count the scans of a JPEG: its SOS markers, except those of previews inside segments."""
     scans, at = 0, 0
-    while found := _MARKER.search(data, at):
-        marker, at = found[1][0], found.end()
+    while match := _MARKER.search(data, at):
+        marker, at = match[1][0], match.end()
         if marker == _END:
             break
         scans += marker == _SCAN
@@ -66,10 +66,10 @@ def jpeg_scans(data: bytes) -> int:
 def _content(file: BufferedIOBase) -> bytes:
     position = file.tell()
     file.seek(0)
-    content = file.read(MOST_JPEG_BYTES + 1)
+    content = file.read(MAX_JPEG_BYTES + 1)
     file.seek(position)
-    if len(content) > MOST_JPEG_BYTES:
-        raise InputError(f"a JPEG of more than {MOST_JPEG_BYTES:,} bytes")
+    if len(content) > MAX_JPEG_BYTES:
+        raise InputError(f"a JPEG of more than {MAX_JPEG_BYTES:,} bytes")
     return content
 
 

@@ -1,4 +1,4 @@
-"""Where a scene lies, how large it is, and the lengths that follow from it.
+"""Where a scene lies, how large it is, and the lengths derived from that.
 
 Positions are kept as float32 relative to a local origin in float64, so that a room in the coordinates of a map is as
 exact as one about zero. Poses, boxes and whatever else is reported stay in the scene's own coordinates.
@@ -18,7 +18,7 @@ MIDDLE = (0.05, 0.95)
 
 
 def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
-    """Diagonal of the box about the middle nine tenths along each axis; 0 of nothing."""
+    """Return the diagonal of the box about the middle nine tenths along each axis; 0 for no positions."""
     if not len(positions):
         return 0.0
     low, high = np.quantile(positions, MIDDLE, axis=0)
@@ -26,15 +26,15 @@ def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
 
 
 def middle_of(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """The median along each axis, in float64: the sum of two float32 may be beyond float32."""
+    """Return the median along each axis, in float64: the sum of two float32 may overflow float32."""
     return np.asarray(np.median(positions.astype(np.float64), axis=0))
 
 
 def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None) -> float:
-    """Camera z, in scene units, up to which Gaussians are not drawn.
+    """Return the camera z, in scene units, up to which Gaussians are not drawn.
 
-    The published 0.2 where the scene is four units large or more (the diagonal of the box about the middle nine
-    tenths of its centres, of solid Gaussians where opacities are given); a twentieth of its size where it is smaller.
+    It is the published 0.2 for a scene four units large or more (the diagonal of the box about the middle nine tenths
+    of its centres, of solid Gaussians where opacities are given); a twentieth of its size for a smaller one.
     """
     solid = means if opacities is None else means[opacities >= SOLID]
     positions = solid if len(solid) >= FEWEST else means
@@ -52,24 +52,24 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3
     """
     origin = np.zeros(3)
     size = size_of(positions)
-    if not size > 0 or np.abs(positions).max() <= FAR * size:  # so is the middle then
+    if not size > 0 or np.abs(positions).max() <= FAR * size:  # then the middle is, too
         return origin
     middle, exact = middle_of(positions), positions.astype(np.float64)
-    held = _held(exact)
-    if np.abs(middle).max() <= (FAR_IN_FLOAT32 if held.all() else FAR) * size:
+    exact_axes = _fits_float32(exact)
+    if np.abs(middle).max() <= (FAR_IN_FLOAT32 if exact_axes.all() else FAR) * size:
         return origin
     step = 2.0 ** np.floor(np.log2(size))
     steps = np.round(middle / step)
-    loses = held & ~_held(exact - steps * step)
+    loses = exact_axes & ~_fits_float32(exact - steps * step)
     return np.where(loses | (steps == 0), 0.0, steps * step)
 
 
-def _held(positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " 3"]:
-    """Check for each axis whether float32 holds all coordinates as they are."""
+def _fits_float32(positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " 3"]:
+    """Return for each axis whether float32 holds all coordinates exactly."""
     with np.errstate(over="ignore"):
         return np.asarray((positions.astype(np.float32) == positions).all(axis=0))
 
 
 def rounding(coordinates: Float[np.ndarray, "..."]) -> float:
-    """Scene units by which the largest of some coordinates may be off in float32."""
+    """Return the error, in scene units, that float32 may have at the largest of some coordinates."""
     return float(np.spacing(np.float32(np.abs(coordinates).max(initial=0.0))) / 2)

@@ -6,13 +6,13 @@ from ..arrays import Float
 
 
 def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
-    """From local axes, its columns, to the world; in the precision given."""
+    """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
     matrices: np.ndarray = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
     return matrices
 
 
 def rotation_rows(quats: Float[np.ndarray, "4 n"]) -> list[list[Float[np.ndarray, " n"]]]:
-    """The numbers of the matrices of `rotation_matrices`, each of all together: three rows of three."""
+    """Return the entries of `rotation_matrices` as three rows of three arrays, each over all quaternions."""
     w, x, y, z = quats
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -1,4 +1,4 @@
-"""Moving, turning and scaling Gaussians, their harmonics turned with them."""
+"""Moving, rotating and scaling Gaussians together with their harmonics."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,23 +11,24 @@ from .gaussians import SH_C0, Gaussians
 from .placing import local_origin
 
 TOLERANCE = 1e-4  # of a rotation's rows; matrices come from text with few digits
-DEGREES = (slice(1, 4), slice(4, 9), slice(9, 16))  # harmonics of degrees 1 to 3
-DIRECTIONS = 64  # that harmonics are compared in: several times what the highest degree has
+SH_SLICES = (slice(1, 4), slice(4, 9), slice(9, 16))  # harmonics of degrees 1 to 3
+NUM_DIRECTIONS = 64  # to fit harmonics in: several times the coefficients of the highest degree
 
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """x -> scale * rotation @ x + translation, in the world. Made by `similarity_of`."""
+    """Similarity transform x -> scale * rotation @ x + translation in the world; see `similarity_of`."""
 
     scale: float
     rotation: Float64[np.ndarray, "3 3"]
     translation: Float64[np.ndarray, " 3"]
 
     def positions(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Transform points."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
     def moved(self, gaussians: Gaussians) -> Gaussians:
-        """The Gaussians where and as they are after it; rows stay.
+        """Return the Gaussians after the transform, in the same rows.
 
         Colours as seen from a direction turn along: f'(d) = f(rotation^T d).
         """
@@ -44,18 +45,18 @@ class Similarity:
 
     def _harmonics(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n k 3"]:
         result = sh.copy()
-        for of_degree, matrix in zip(DEGREES, self._by_degree, strict=True):
+        for of_degree, matrix in zip(SH_SLICES, self._by_degree, strict=True):
             if of_degree.stop <= sh.shape[1]:
                 result[:, of_degree] = np.einsum("ij,njc->nic", matrix, sh[:, of_degree])
         return result
 
     @cached_property
     def _by_degree(self) -> list[Float32[np.ndarray, "k k"]]:
-        """Per degree the matrix of coefficients: harmonics of one degree stay among themselves when they turn."""
-        directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
+        """Matrix of coefficients for each degree 1 to 3: rotations mix only harmonics of one degree."""
+        directions = np.random.default_rng(0).normal(size=(NUM_DIRECTIONS, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         here, there = sh_basis(directions), sh_basis(directions @ self.rotation)
-        matrices = [np.linalg.lstsq(here[:, k], there[:, k], rcond=None)[0] for k in DEGREES]
+        matrices = [np.linalg.lstsq(here[:, k], there[:, k], rcond=None)[0] for k in SH_SLICES]
         return [matrix.astype(np.float32) for matrix in matrices]
 
 
@@ -63,7 +64,7 @@ IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 def similarity_of(matrix: Float64[np.ndarray, "4 4"]) -> Similarity:
-    """The rotation, the one scale and the translation of a 4x4 matrix.
+    """Split a 4x4 matrix into rotation, uniform scale and translation.
 
     Raises: InputError: it shears, mirrors, scales its axes differently, or is no such matrix.
     """
@@ -80,7 +81,7 @@ def similarity_of(matrix: Float64[np.ndarray, "4 4"]) -> Similarity:
 
 
 def turned(quats: Float32[np.ndarray, "n 4"], rotation: Float64[np.ndarray, "3 3"]) -> Float32[np.ndarray, "n 4"]:
-    """Unit quaternions (w, x, y, z) after a rotation."""
+    """Rotate unit quaternions (w, x, y, z)."""
     a, b = quaternion_of(rotation), quats.astype(np.float64)
     w, v = a[0], a[1:]
     real = w * b[:, :1] - b[:, 1:] @ v[:, None]
@@ -90,7 +91,7 @@ def turned(quats: Float32[np.ndarray, "n 4"], rotation: Float64[np.ndarray, "3 3
 
 
 def quaternion_of(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, " 4"]:
-    """(w, x, y, z) with w >= 0: the eigenvector of Bar-Itzhack's matrix (2000), which no angle makes unstable."""
+    """Return (w, x, y, z), w >= 0: the eigenvector of Bar-Itzhack's matrix (2000), stable at any angle."""
     m = rotation
     k = np.array(
         [
@@ -105,7 +106,7 @@ def quaternion_of(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "
 
 
 def sh_basis(directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 16"]:
-    """Real spherical harmonics of degrees 0 to 3 in the order and with the signs of 3DGS files."""
+    """Evaluate the real spherical harmonics of degrees 0 to 3, in order and sign of 3DGS files."""
     x, y, z = directions.T
     xx, yy, zz = x * x, y * y, z * z
     columns = [

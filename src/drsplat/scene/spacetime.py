@@ -11,10 +11,12 @@ from .gaussians import Gaussians
 
 @dataclass(frozen=True, eq=False)
 class Spacetime:
-    """With dt = t - center: x(t) = x + m_0 dt + m_1 dt^2 + m_2 dt^3, q(t) = q + w dt normalised, and
+    """Motion along polynomials, with opacity over time.
+
+    With dt = t - center: x(t) = x + m_0 dt + m_1 dt^2 + m_2 dt^3, q(t) = q + w dt normalised, and
     o(t) = o exp(-(dt / width)^2).
 
-    canonical: each row as it is at its own centre. centers: times at which rows are most opaque. widths: above 0, in
+    canonical: each row at its own centre. centers: times at which rows are most opaque. widths: above 0, in units of
     time. motion: coefficients of dt, dt^2 and dt^3, scene units. turning: w, of unit quaternions.
 
     Raises: InputError: arrays that do not fit each other, or are not finite.
@@ -29,11 +31,11 @@ class Spacetime:
     def __post_init__(self) -> None:
         count = len(self.canonical)
         for name, shape in (("centers", (count,)), ("widths", (count,)), ("motion", (count, 3, 3))):
-            given = getattr(self, name)
-            if given.shape != shape:
-                raise InputError(f"{name}: expected {shape}, got {given.shape}")
-            if not np.isfinite(given).all():
-                raise InputError(f"{name}: row {int(np.argwhere(~np.isfinite(given))[0, 0])} is not finite")
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise InputError(f"{name}: expected {shape}, got {array.shape}")
+            if not np.isfinite(array).all():
+                raise InputError(f"{name}: row {int(np.argwhere(~np.isfinite(array))[0, 0])} is not finite")
         if self.turning.shape != (count, 4) or not np.isfinite(self.turning).all():
             raise InputError(f"turning: expected finite numbers ({count}, 4)")
         if not (self.widths > 0).all():
@@ -41,7 +43,7 @@ class Spacetime:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # judged at the end
     def at(self, time: float) -> Gaussians:
-        """Raises: InputError: rows that the polynomials take beyond all numbers."""
+        """Return the rows at a time. Raises: InputError: rows whose polynomials overflow."""
         away = time - self.centers.astype(np.float64)
         powers = np.stack([away, away**2, away**3], 1)
         means = self.canonical.means + np.einsum("np,npk->nk", powers, self.motion.astype(np.float64))

@@ -1,4 +1,4 @@
-"""Whether a scene and its cameras can be of one frame and of a sensible unit."""
+"""Checks that a scene and its cameras can share a frame and have a sensible unit."""
 
 from collections.abc import Sequence
 
@@ -10,15 +10,15 @@ from .views import View
 
 SMALLEST, LARGEST = 1e-3, 1e5  # scene units
 LOST_SHARE = 1e-5  # of the scene's size: positions that are rounded by more are warned of
-AWAY = 100.0  # sizes of the scene
-ENOUGH = 1 << 16  # Gaussians, spread over the file, that tell where the scene is
+MAX_CAMERA_DISTANCE_IN_SIZES = 100.0
+MAX_SAMPLE = 1 << 16  # Gaussians, spread over the file, to tell where the scene is
 
 
 def lost_precision(gaussians: Gaussians) -> list[str]:
-    """Return a sentence on what float32 positions far from zero have lost, if that is much."""
+    """Return a sentence on the precision that float32 positions far from zero have lost, if it is much."""
     much = LOST_SHARE * size_of(gaussians.means)
     if len(gaussians) < FEWEST or not rounding(gaussians.means) > much > 0:
-        return []  # not even the farthest have, and the middle is nearer
+        return []  # the farthest have lost little, and the middle less
     middle = middle_of(gaussians.means)
     away, lost, typical = np.abs(middle).max(), rounding(middle), float(np.median(gaussians.scales))
     if not lost > much:
@@ -31,22 +31,22 @@ def lost_precision(gaussians: Gaussians) -> list[str]:
 
 
 def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
-    """What makes no sense about the lengths of a scene and the places of its cameras, a sentence each."""
-    means = gaussians.means[:: max(1, len(gaussians) // ENOUGH)]
+    """Return sentences on implausible sizes of the scene or places of its cameras."""
+    means = gaussians.means[:: max(1, len(gaussians) // MAX_SAMPLE)]
     size = size_of(means)
     if len(gaussians) < FEWEST or not size > 0:
         return []
-    found = lost_precision(gaussians)
+    sentences = lost_precision(gaussians)
     if not SMALLEST <= size <= LARGEST:
-        found.append(
+        sentences.append(
             f"the scene is {size:.3g} units large: is its unit meant? Expected was between {SMALLEST:g} and {LARGEST:g}"
         )
     middle = gaussians.origin + middle_of(means)
     away = float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0
-    if away > AWAY * size:
-        found.append(
+    if away > MAX_CAMERA_DISTANCE_IN_SIZES * size:
+        sentences.append(
             f"half of the {len(views)} cameras are {away:.3g} units or more from the middle of the Gaussians, which "
             f"are {size:.3g} units large: scene and cameras are hardly of one frame and scale (scenes that nerfstudio "
             "trained need dataparser_transforms=FILE)"
         )
-    return found
+    return sentences

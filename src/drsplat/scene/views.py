@@ -1,4 +1,4 @@
-"""A posed photo."""
+"""Posed photos."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from ..arrays import Float64
 from ..errors import InputError
 
 PHOTOS, RENDERINGS = "photos", "renderings"
-LITTLE = 0.05  # of a side: what rounding may change of a raster that shows the same
+MAX_ROUNDING_SHARE = 0.05  # of a side: rounding may change a scaled raster by this
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class View:
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
     def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "View":
-        """The same camera in a world whose zero is at `origin`; itself where that is zero already."""
+        """Return the camera in a world whose zero is at `origin`; the same object if `origin` is zero."""
         if not origin.any():
             return self
         pose = self.cam_from_world.copy()
@@ -73,12 +73,12 @@ class View:
         return replace(self, cam_from_world=pose)
 
     def resized(self, width: int, height: int) -> "View":
-        """The same camera on another raster: K and size scale together."""
+        """Return the camera on another raster: K and size scale together."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
     def limited(self, max_side: float | int | None) -> "View":
-        """With a longer side of so many pixels at most, and the same aspect ratio; None: as it is."""
+        """Return the view with its longer side at most `max_side` pixels, at the same aspect ratio; None: as is."""
         scale = (max_side or np.inf) / max(self.width, self.height)
         if scale >= 1:
             return self
@@ -100,10 +100,10 @@ def scenes_rendered(sources: Iterable[str]) -> list[str]:
 
 
 def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether rasters (width, height) show the same: one is the other scaled, to a whole pixel either way.
+    """Return whether one raster (width, height) is the other scaled, to a whole pixel either way.
 
-    Of a side of few pixels one is much: it may be a twentieth of it.
+    On a side of few pixels the tolerance is a twentieth of it.
     """
     (width, height), (wide, high) = sorted((one, other))  # rounding took place on the smaller one
     down, across = abs(height - high * width / wide), abs(width - wide * height / high)
-    return down <= min(1, LITTLE * height) or across <= min(1, LITTLE * width)
+    return down <= min(1, MAX_ROUNDING_SHARE * height) or across <= min(1, MAX_ROUNDING_SHARE * width)
